@@ -1,0 +1,205 @@
+//! Linear convolution with a fixed kernel by real two-dimensional FFTs.
+//!
+//! For a source `s` (sy, sx) and a kernel `g` (gy, gx), both at least one element,
+//!
+//! ```text
+//! valid[i, j] = sum_{a, b} g[a, b] s[i + gy-1 - a, j + gx-1 - b],   shape (sy-gy+1, sx-gx+1)
+//! ```
+//!
+//! the part of the convolution that never leaves the source. A circular convolution of the
+//! source's size (rounded up to 2^a 3^b 5^c 7^d) contains it unspoilt: the wrapped part falls on
+//! the first g-1 elements, which are not used. Rows and columns are independent transforms, so
+//! the result does not depend on the number of threads.
+
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2};
+use rayon::prelude::*;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::{Fft, FftPlanner, num_complex::Complex64};
+
+/// Smallest `m >= n` without prime factors above 7.
+pub fn smooth_size(n: usize) -> usize {
+    (n.max(1)..)
+        .find(|&m| {
+            let mut rest = m;
+            for p in [2, 3, 5, 7] {
+                while rest % p == 0 {
+                    rest /= p;
+                }
+            }
+            rest == 1
+        })
+        .expect("powers of two are unbounded")
+}
+
+/// Convolution with one kernel for sources of one shape.
+pub struct Convolution {
+    source: (usize, usize),
+    kernel: (usize, usize),
+    size: (usize, usize),
+    forward_x: Arc<dyn RealToComplex<f64>>,
+    inverse_x: Arc<dyn ComplexToReal<f64>>,
+    forward_y: Arc<dyn Fft<f64>>,
+    inverse_y: Arc<dyn Fft<f64>>,
+    /// Spectrum of the kernel, [kx][ky], scaled by 1 / (number of elements).
+    spectrum: Vec<Complex64>,
+}
+
+impl Convolution {
+    /// Plans for sources of shape `source`, at least as large as the kernel on both axes.
+    pub fn new(kernel: ArrayView2<f64>, source: (usize, usize)) -> Self {
+        let (gy, gx) = kernel.dim();
+        assert!(
+            gy >= 1 && gx >= 1 && source.0 >= gy && source.1 >= gx,
+            "kernel exceeds the source"
+        );
+        let size = (smooth_size(source.0), smooth_size(source.1));
+        let mut real = RealFftPlanner::new();
+        let mut complex = FftPlanner::new();
+        let mut plan = Self {
+            source,
+            kernel: (gy, gx),
+            size,
+            forward_x: real.plan_fft_forward(size.1),
+            inverse_x: real.plan_fft_inverse(size.1),
+            forward_y: complex.plan_fft_forward(size.0),
+            inverse_y: complex.plan_fft_inverse(size.0),
+            spectrum: Vec::new(),
+        };
+        plan.spectrum = plan.forward(kernel, (0, 0));
+        let scale = 1.0 / (size.0 * size.1) as f64;
+        plan.spectrum.iter_mut().for_each(|v| *v *= scale);
+        plan
+    }
+
+    /// The valid part of kernel * source, shape (sy-gy+1, sx-gx+1).
+    pub fn valid(&self, source: ArrayView2<f64>) -> Array2<f64> {
+        assert_eq!(source.dim(), self.source, "shape of the source");
+        let mut spectrum = self.forward(source, (0, 0));
+        spectrum.par_iter_mut().zip(&self.spectrum).for_each(|(s, g)| *s *= g);
+        let shape = (self.source.0 - self.kernel.0 + 1, self.source.1 - self.kernel.1 + 1);
+        self.inverse(spectrum, (self.kernel.0 - 1, self.kernel.1 - 1), shape)
+    }
+
+    /// The adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`; shape of the source.
+    pub fn adjoint(&self, map: ArrayView2<f64>) -> Array2<f64> {
+        let mut spectrum = self.forward(map, (self.kernel.0 - 1, self.kernel.1 - 1));
+        spectrum.par_iter_mut().zip(&self.spectrum).for_each(|(s, g)| *s *= g.conj());
+        self.inverse(spectrum, (0, 0), self.source)
+    }
+
+    /// Spectrum [kx][ky] of `map` placed at `offset` in a field of zeros.
+    fn forward(&self, map: ArrayView2<f64>, offset: (usize, usize)) -> Vec<Complex64> {
+        let (py, px) = self.size;
+        let kx = px / 2 + 1;
+        let (rows, columns) = map.dim();
+        let mut by_rows = vec![Complex64::default(); rows * kx];
+        by_rows.par_chunks_mut(kx).zip(map.outer_iter().into_par_iter()).for_each_init(
+            || (vec![0.0; px], self.forward_x.make_scratch_vec()),
+            |(line, scratch), (out, row)| {
+                if row.iter().all(|v| *v == 0.0) {
+                    return; // the transform of zeros
+                }
+                line.fill(0.0);
+                line[offset.1..offset.1 + columns].iter_mut().zip(row).for_each(|(l, v)| *l = *v);
+                self.forward_x
+                    .process_with_scratch(line, out, scratch)
+                    .expect("buffers have the planned sizes");
+            },
+        );
+        let mut by_columns = vec![Complex64::default(); kx * py];
+        by_columns.par_chunks_mut(py).enumerate().for_each_init(
+            || vec![Complex64::default(); self.forward_y.get_inplace_scratch_len()],
+            |scratch, (k, column)| {
+                for r in 0..rows {
+                    column[offset.0 + r] = by_rows[r * kx + k];
+                }
+                self.forward_y.process_with_scratch(column, scratch);
+            },
+        );
+        by_columns
+    }
+
+    /// The part of the inverse transform that starts at `offset`.
+    fn inverse(
+        &self,
+        mut by_columns: Vec<Complex64>,
+        offset: (usize, usize),
+        shape: (usize, usize),
+    ) -> Array2<f64> {
+        let (py, px) = self.size;
+        let kx = px / 2 + 1;
+        by_columns.par_chunks_mut(py).for_each_init(
+            || vec![Complex64::default(); self.inverse_y.get_inplace_scratch_len()],
+            |scratch, column| self.inverse_y.process_with_scratch(column, scratch),
+        );
+        let mut out = Array2::zeros(shape);
+        out.outer_iter_mut().into_par_iter().enumerate().for_each_init(
+            || (vec![Complex64::default(); kx], vec![0.0; px], self.inverse_x.make_scratch_vec()),
+            |(half, line, scratch), (r, mut row)| {
+                for (k, h) in half.iter_mut().enumerate() {
+                    *h = by_columns[k * py + offset.0 + r];
+                }
+                // The transform of a real line: these two are real but for rounding.
+                half[0].im = 0.0;
+                if px % 2 == 0 {
+                    half[kx - 1].im = 0.0;
+                }
+                self.inverse_x
+                    .process_with_scratch(half, line, scratch)
+                    .expect("buffers have the planned sizes");
+                row.iter_mut().zip(&line[offset.1..]).for_each(|(o, v)| *o = *v);
+            },
+        );
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn random(shape: (usize, usize), seed: u64) -> Array2<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        Array2::from_shape_simple_fn(shape, || rng.random_range(-1.0..1.0))
+    }
+
+    /// The definition.
+    fn by_definition(g: &Array2<f64>, s: &Array2<f64>) -> Array2<f64> {
+        let ((gy, gx), (sy, sx)) = (g.dim(), s.dim());
+        Array2::from_shape_fn((sy - gy + 1, sx - gx + 1), |(i, j)| {
+            g.indexed_iter().map(|((a, b), v)| v * s[[i + gy - 1 - a, j + gx - 1 - b]]).sum()
+        })
+    }
+
+    #[test]
+    fn agrees_with_the_definition_for_odd_and_even_sizes() {
+        for (g, s) in [((1, 1), (1, 1)), ((3, 4), (11, 13)), ((5, 2), (5, 16)), ((4, 7), (22, 9))] {
+            let (g, s) = (random(g, 1), random(s, 2));
+            let plan = Convolution::new(g.view(), s.dim());
+            let error = &plan.valid(s.view()) - &by_definition(&g, &s);
+            // Sums of at most 28 products of order 1.
+            assert!(error.iter().all(|e| e.abs() < 1e-13), "{error:?}");
+        }
+    }
+
+    #[test]
+    fn adjoint_is_the_adjoint() {
+        let (g, s) = (random((4, 3), 3), random((17, 12), 4));
+        let plan = Convolution::new(g.view(), s.dim());
+        let forward = plan.valid(s.view());
+        let m = random(forward.dim(), 5);
+        let left: f64 = (&forward * &m).sum();
+        let right: f64 = (&plan.adjoint(m.view()) * &s).sum();
+        // The two sums of about 200 terms of order 1 differ by rounding.
+        assert!((left - right).abs() < 1e-12 * left.abs().max(1.0), "{left} {right}");
+    }
+
+    #[test]
+    fn smooth_sizes() {
+        assert_eq!([1, 7, 11, 13, 121, 1013].map(smooth_size), [1, 7, 12, 14, 125, 1024]);
+    }
+}
