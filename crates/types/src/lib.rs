@@ -1,0 +1,72 @@
+//! The nouns that the stages exchange. A value is checked once, when it is made; afterwards
+//! its type says that it is whole.
+//!
+//! | noun | what | array shape |
+//! |---|---|---|
+//! | [`Axis`], [`Grid`] | uniform, ascending pixel centres in mm | (nx), (ny) |
+//! | [`Surface`] | height in nm, NaN where invalid | (ny, nx) |
+//! | [`ClearAperture`] | the region that counts | mask (ny, nx) |
+//! | [`Tif`] | removal rate in nm/s at the offset (pixel - tool) | (my, mx) |
+//! | [`ToolPath`] | velocity control points, dwell points in mm | (n+1, 2), (n, 2) |
+//! | [`DwellTime`] | seconds per dwell point | (n) |
+//! | [`Limits`] | what the machine's axes can do | - |
+//! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
+//! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
+
+mod aperture;
+mod dwell_time;
+mod grid;
+mod limits;
+mod surface;
+mod tif;
+mod tool_path;
+mod trajectory;
+
+pub use aperture::ClearAperture;
+pub use dwell_time::DwellTime;
+pub use grid::{Axis, Grid};
+pub use limits::{AxisLimits, Limits};
+pub use surface::{Removal, Surface};
+pub use tif::Tif;
+pub use tool_path::ToolPath;
+pub use trajectory::{Segment, Trajectory};
+
+/// A value that cannot be what it claims to be.
+///
+/// `array` is the name of the array or field, `place` the index (or what stands for it),
+/// `problem` says what is wrong including the value, `remedy` what to do about it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{array}{place}: {problem}; {remedy}")]
+pub struct Invalid {
+    /// Name of the array or field.
+    pub array: &'static str,
+    /// Index in brackets, or empty for the whole array.
+    pub place: String,
+    /// What is wrong, with the offending value.
+    pub problem: String,
+    /// What to do about it.
+    pub remedy: String,
+}
+
+impl Invalid {
+    /// An error about the whole array.
+    pub fn whole(
+        array: &'static str,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self { array, place: String::new(), problem: problem.into(), remedy: remedy.into() }
+    }
+
+    /// An error about one element.
+    pub fn at(
+        array: &'static str,
+        index: impl std::fmt::Debug,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        let place = format!("{index:?}").replace(['(', ')'], "");
+        let place = format!("[{}]", place.trim_matches(['[', ']']));
+        Self { array, place, problem: problem.into(), remedy: remedy.into() }
+    }
+}

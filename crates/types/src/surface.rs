@@ -1,0 +1,144 @@
+//! Height maps: what is there, what shall be removed, what is predicted to remain.
+
+use ndarray::{Array2, Zip};
+use planish_numerics::statistics::{self, Statistics};
+
+use crate::{Grid, Invalid};
+
+/// A height map (ny, nx) in nm; positive = material above the target; NaN = invalid pixel.
+///
+/// As the input of a dwell solver it is the desired removal.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    grid: Grid,
+    height_nm: Array2<f64>,
+}
+
+impl Surface {
+    /// Checks the shape against the grid, refuses infinities and a map without a valid pixel.
+    pub fn new(grid: Grid, height_nm: Array2<f64>) -> Result<Self, Invalid> {
+        check_map("height_nm", &grid, &height_nm)?;
+        Ok(Self { grid, height_nm })
+    }
+
+    /// Pixel centres.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// Height (ny, nx), nm.
+    pub fn height_nm(&self) -> &Array2<f64> {
+        &self.height_nm
+    }
+
+    /// RMS (mean removed), PV, ... of the valid pixels.
+    pub fn statistics(&self) -> Statistics {
+        statistics::statistics(self.height_nm.view()).expect("a Surface has a valid pixel")
+    }
+
+    /// RMS after removing the least-squares plane, nm.
+    pub fn detilted_rms_nm(&self) -> f64 {
+        let (x, y) = (self.grid.x.coordinates(), self.grid.y.coordinates());
+        statistics::detilted_rms(self.height_nm.view(), &x, &y)
+            .expect("a Surface has a valid pixel")
+    }
+}
+
+/// What a run is predicted to remove, and what it leaves: `residual = desired - removal`.
+#[derive(Clone, Debug)]
+pub struct Removal {
+    removal_nm: Array2<f64>,
+    residual: Surface,
+}
+
+impl Removal {
+    /// `removal_nm` (ny, nx) >= 0 on every pixel of the desired map, also on its invalid ones.
+    pub fn new(desired: &Surface, removal_nm: Array2<f64>) -> Result<Self, Invalid> {
+        let mut residual_nm = desired.height_nm().clone();
+        if removal_nm.dim() == residual_nm.dim() {
+            Zip::from(&mut residual_nm).and(&removal_nm).for_each(|z, r| *z -= r);
+        }
+        Self::from_maps(*desired.grid(), removal_nm, residual_nm)
+    }
+
+    /// From both maps, as stored.
+    pub fn from_maps(
+        grid: Grid,
+        removal_nm: Array2<f64>,
+        residual_nm: Array2<f64>,
+    ) -> Result<Self, Invalid> {
+        check_map("removal_nm", &grid, &removal_nm)?;
+        if let Some((index, _)) = removal_nm.indexed_iter().find(|(_, v)| v.is_nan()) {
+            return Err(Invalid::at(
+                "removal_nm",
+                index,
+                "is NaN",
+                "the removal is known everywhere",
+            ));
+        }
+        let residual =
+            Surface::new(grid, residual_nm).map_err(|e| Invalid { array: "residual_nm", ..e })?;
+        Ok(Self { removal_nm, residual })
+    }
+
+    /// Removal (ny, nx), nm.
+    pub fn removal_nm(&self) -> &Array2<f64> {
+        &self.removal_nm
+    }
+
+    /// Residual as a surface: height (ny, nx), nm; NaN where the desired map is invalid.
+    pub fn residual(&self) -> &Surface {
+        &self.residual
+    }
+}
+
+/// Largest height, nm: a kilometre is a mistake in the units.
+const LARGEST_NM: f64 = 1e12;
+
+fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), Invalid> {
+    if map.dim() != grid.shape() {
+        return Err(Invalid::whole(
+            name,
+            format!("has shape {:?} but (y_mm, x_mm) have {:?} elements", map.dim(), grid.shape()),
+            "give one row per y and one column per x",
+        ));
+    }
+    if let Some((index, v)) = map.indexed_iter().find(|(_, v)| v.abs() > LARGEST_NM) {
+        let remedy = "give nm (at most 1e12), and mark an invalid pixel by NaN";
+        return Err(Invalid::at(name, index, format!("is {v:?}"), remedy));
+    }
+    if map.iter().all(|v| v.is_nan()) {
+        return Err(Invalid::whole(name, "every pixel is NaN", "give at least one valid pixel"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axis;
+    use ndarray::array;
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(0.0, 1.0, 3).unwrap(), y: Axis::new(0.0, 1.0, 2).unwrap() }
+    }
+
+    #[test]
+    fn residual_is_desired_minus_removal_and_keeps_nan() {
+        let desired = Surface::new(grid(), array![[5.0, f64::NAN, 1.0], [2.0, 2.0, 2.0]]).unwrap();
+        let r = Removal::new(&desired, Array2::from_elem((2, 3), 2.0)).unwrap();
+        assert_eq!(r.residual().height_nm()[[0, 0]], 3.0);
+        assert_eq!(r.residual().height_nm()[[0, 2]], -1.0);
+        assert!(r.residual().height_nm()[[0, 1]].is_nan());
+    }
+
+    #[test]
+    fn bad_maps_are_refused_with_index_and_value() {
+        let message = |m| Surface::new(grid(), m).unwrap_err().to_string();
+        assert!(message(Array2::zeros((3, 2))).contains("(3, 2)"));
+        assert!(message(Array2::from_elem((2, 3), f64::NAN)).contains("every pixel"));
+        let mut m = Array2::zeros((2, 3));
+        m[[1, 2]] = f64::INFINITY;
+        assert!(message(m).contains("height_nm[1, 2]: is inf"));
+    }
+}

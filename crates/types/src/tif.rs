@@ -1,0 +1,181 @@
+//! The tool influence function: how fast the resting tool removes material around itself.
+
+use ndarray::Array2;
+use planish_numerics::keys;
+
+use crate::{Grid, Invalid};
+
+/// Largest rate and smallest peak, nm/s: beyond them the unit is wrong.
+const LARGEST_RATE: f64 = 1e12;
+const SMALLEST_PEAK: f64 = 1e-12;
+
+/// A negative rate above this fraction of the peak is metrology noise; below, it is an error.
+const NEGATIVE_NOISE: f64 = 0.02;
+
+/// Removal rate `R(dx, dy)` in nm/s, sampled at the offsets (pixel - tool) of `grid`.
+///
+/// Between its samples R is Keys' cubic convolution ([`planish_numerics::keys`]); outside the
+/// closed rectangle of its samples it is zero. A rotated or asymmetric TIF is applied as it is
+/// drawn: removal(pixel) = sum over time of R(pixel - tool), a convolution.
+#[derive(Clone, Debug)]
+pub struct Tif {
+    grid: Grid,
+    rate_nm_per_s: Array2<f64>,
+    /// Samples with one ghost node on every side, (my+2, mx+2).
+    with_ghosts: Array2<f64>,
+}
+
+impl Tif {
+    /// Checks shape, finiteness, sign and that the TIF removes anything.
+    pub fn new(grid: Grid, rate_nm_per_s: Array2<f64>) -> Result<Self, Invalid> {
+        const NAME: &str = "rate_nm_per_s";
+        if rate_nm_per_s.dim() != grid.shape() {
+            return Err(Invalid::whole(
+                NAME,
+                format!(
+                    "has shape {:?} but (y_mm, x_mm) have {:?} elements",
+                    rate_nm_per_s.dim(),
+                    grid.shape()
+                ),
+                "give one row per y and one column per x",
+            ));
+        }
+        let bad = |v: f64| v.is_nan() || v.abs() > LARGEST_RATE;
+        if let Some((index, v)) = rate_nm_per_s.indexed_iter().find(|(_, v)| bad(**v)) {
+            let remedy = "give finite nm/s (at most 1e12); fill or crop the TIF first";
+            return Err(Invalid::at(NAME, index, format!("is {v:?}"), remedy));
+        }
+        let peak = rate_nm_per_s.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if peak < SMALLEST_PEAK {
+            return Err(Invalid::whole(
+                NAME,
+                format!("has no positive rate (largest {peak} nm/s)"),
+                "a TIF states removal as a positive rate; check its sign and that it is not empty",
+            ));
+        }
+        if let Some((index, v)) =
+            rate_nm_per_s.indexed_iter().find(|(_, v)| **v < -NEGATIVE_NOISE * peak)
+        {
+            return Err(Invalid::at(
+                NAME,
+                index,
+                format!("is {v} nm/s, below -2 % of the peak {peak} nm/s"),
+                "removal is positive; check the sign, or clip the noise at zero",
+            ));
+        }
+        let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
+        let tif = Self { grid, rate_nm_per_s, with_ghosts };
+        let vrr = tif.vrr_nm_mm2_per_s();
+        if vrr <= 0.0 {
+            return Err(Invalid::whole(
+                NAME,
+                format!("has the volumetric removal rate {vrr} nm mm^2/s"),
+                "a TIF must remove material",
+            ));
+        }
+        Ok(tif)
+    }
+
+    /// Offsets of the samples from the tool centre.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// Samples (my, mx), nm/s.
+    pub fn rate_nm_per_s(&self) -> &Array2<f64> {
+        &self.rate_nm_per_s
+    }
+
+    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) stands at [r+1, c+1].
+    pub fn with_ghosts(&self) -> &Array2<f64> {
+        &self.with_ghosts
+    }
+
+    /// Largest sample, nm/s.
+    pub fn peak_nm_per_s(&self) -> f64 {
+        self.rate_nm_per_s.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// Volumetric removal rate: sum of the samples times the area of a sample, nm mm^2/s.
+    pub fn vrr_nm_mm2_per_s(&self) -> f64 {
+        self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
+    }
+
+    /// Largest distance of the samples from the tool centre along (x, y), mm.
+    pub fn half_size_mm(&self) -> [f64; 2] {
+        [&self.grid.x, &self.grid.y].map(|a| a.start_mm().abs().max(a.end_mm().abs()))
+    }
+
+    /// Largest rate on the border over the peak: how abruptly the samples end.
+    pub fn border_to_peak(&self) -> f64 {
+        let (ny, nx) = self.grid.shape();
+        let border = self
+            .rate_nm_per_s
+            .indexed_iter()
+            .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
+        border.map(|(_, v)| v.abs()).fold(0.0, f64::max) / self.peak_nm_per_s()
+    }
+
+    /// `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.
+    pub fn rate_at(&self, dx_mm: f64, dy_mm: f64) -> f64 {
+        let node = |axis: &crate::Axis, d: f64| {
+            let (i, f) = keys::split((d - axis.start_mm()) / axis.step_mm());
+            let last = axis.len() as isize - 1;
+            match i {
+                // The closed rectangle: the last node is inside, seen from the cell before it.
+                _ if i == last && f == 0.0 => Some((axis.len() - 2, 1.0)),
+                _ if (0..last).contains(&i) => Some((i as usize, f)),
+                _ => None,
+            }
+        };
+        let (Some((ix, fx)), Some((iy, fy))) =
+            (node(&self.grid.x, dx_mm), node(&self.grid.y, dy_mm))
+        else {
+            return 0.0;
+        };
+        let (wx, wy) = (keys::weights(fx), keys::weights(fy));
+        // R = sum_b w_b(fy) sum_a w_a(fx) g[iy + b, ix + a]
+        (0..4)
+            .map(|b| {
+                wy[b] * (0..4).map(|a| wx[a] * self.with_ghosts[[iy + b, ix + a]]).sum::<f64>()
+            })
+            .sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axis;
+
+    fn axis(half: f64, n: usize) -> Axis {
+        Axis::new(-half, 2.0 * half / (n - 1) as f64, n).unwrap()
+    }
+
+    #[test]
+    fn a_paraboloid_is_exact_inside_and_zero_outside() {
+        let grid = Grid { x: axis(2.0, 9), y: axis(1.5, 7) };
+        let f = |x: f64, y: f64| 10.0 - x * x + 0.5 * x * y - y * y;
+        let rate = Array2::from_shape_fn((7, 9), |(r, c)| f(grid.x.at(c), grid.y.at(r)));
+        let tif = Tif::new(grid, rate).unwrap();
+        for (x, y) in [(0.1, 0.2), (-1.99, 1.45), (2.0, 1.5), (-2.0, -1.5), (1.93, -1.31)] {
+            assert!((tif.rate_at(x, y) - f(x, y)).abs() < 1e-12, "{x} {y}");
+        }
+        assert_eq!(tif.rate_at(2.0001, 0.0), 0.0);
+        assert_eq!(tif.rate_at(0.0, -1.5001), 0.0);
+    }
+
+    #[test]
+    fn bad_tifs_are_refused() {
+        let grid = Grid { x: axis(1.0, 3), y: axis(1.0, 3) };
+        let message = |m| Tif::new(grid, m).unwrap_err().to_string();
+        assert!(message(Array2::zeros((3, 3))).contains("no positive rate"));
+        assert!(message(Array2::from_elem((3, 3), -1.0)).contains("no positive rate"));
+        let mut m = Array2::ones((3, 3));
+        m[[2, 1]] = -0.5;
+        assert!(message(m.clone()).contains("rate_nm_per_s[2, 1]: is -0.5"));
+        m[[2, 1]] = f64::NAN;
+        assert!(message(m).contains("is NaN"));
+        assert!(message(Array2::ones((2, 3))).contains("(2, 3)"));
+    }
+}

@@ -1,0 +1,124 @@
+//! Where the tool goes.
+
+use crate::{Invalid, grid::is_plausible_mm};
+
+/// `n` segments between `n + 1` velocity control points, with a dwell point for each segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ToolPath {
+    point_mm: Vec<[f64; 2]>,
+    dwell_point_mm: Vec<[f64; 2]>,
+    tool_on: Vec<bool>,
+    pass_idx: Vec<i64>,
+}
+
+impl ToolPath {
+    /// Checks lengths and finiteness.
+    ///
+    /// `point_mm` (n+1) velocity control points [x, y]; `dwell_point_mm` (n), one per segment;
+    /// `tool_on` (n) false where the tool is lifted; `pass_idx` (n) contiguous pass or region.
+    pub fn new(
+        point_mm: Vec<[f64; 2]>,
+        dwell_point_mm: Vec<[f64; 2]>,
+        tool_on: Vec<bool>,
+        pass_idx: Vec<i64>,
+    ) -> Result<Self, Invalid> {
+        let n = dwell_point_mm.len();
+        if n == 0 {
+            return Err(Invalid::whole(
+                "dwell_point_mm",
+                "is empty",
+                "a path has at least one segment",
+            ));
+        }
+        if point_mm.len() != n + 1 {
+            return Err(Invalid::whole(
+                "point_mm",
+                format!("has {} rows for {n} dwell points", point_mm.len()),
+                format!("give {} velocity control points: the ends of every segment", n + 1),
+            ));
+        }
+        for (name, len) in [("tool_on", tool_on.len()), ("pass_idx", pass_idx.len())] {
+            if len != n {
+                let problem = format!("has {len} elements for {n} dwell points");
+                return Err(Invalid::whole(name, problem, "give one per dwell point"));
+            }
+        }
+        for (name, points) in [("point_mm", &point_mm), ("dwell_point_mm", &dwell_point_mm)] {
+            if let Some(i) = points.iter().position(|p| p.iter().any(|c| !is_plausible_mm(*c))) {
+                let remedy = "give finite coordinates in mm, within 1e7 mm of the origin";
+                return Err(Invalid::at(name, i, format!("is {:?}", points[i]), remedy));
+            }
+        }
+        Ok(Self { point_mm, dwell_point_mm, tool_on, pass_idx })
+    }
+
+    /// A path through `point_mm` whose dwell points are the midpoints of its segments.
+    pub fn through(
+        point_mm: Vec<[f64; 2]>,
+        tool_on: Vec<bool>,
+        pass_idx: Vec<i64>,
+    ) -> Result<Self, Invalid> {
+        let middle = |w: &[[f64; 2]]| [0.5 * (w[0][0] + w[1][0]), 0.5 * (w[0][1] + w[1][1])];
+        let dwell_point_mm = point_mm.windows(2).map(middle).collect();
+        Self::new(point_mm, dwell_point_mm, tool_on, pass_idx)
+    }
+
+    /// Number of segments n (= dwell points).
+    #[allow(clippy::len_without_is_empty)] // never empty
+    pub fn len(&self) -> usize {
+        self.dwell_point_mm.len()
+    }
+
+    /// Velocity control points [x, y] (n+1), mm.
+    pub fn point_mm(&self) -> &[[f64; 2]] {
+        &self.point_mm
+    }
+
+    /// Dwell points [x, y] (n), mm.
+    pub fn dwell_point_mm(&self) -> &[[f64; 2]] {
+        &self.dwell_point_mm
+    }
+
+    /// False where the tool is lifted and removes nothing (n).
+    pub fn tool_on(&self) -> &[bool] {
+        &self.tool_on
+    }
+
+    /// Contiguous pass or region of each segment (n).
+    pub fn pass_idx(&self) -> &[i64] {
+        &self.pass_idx
+    }
+
+    /// Displacement [x, y] of segment `i`, mm.
+    pub fn displacement_mm(&self, i: usize) -> [f64; 2] {
+        let (a, b) = (self.point_mm[i], self.point_mm[i + 1]);
+        [b[0] - a[0], b[1] - a[1]]
+    }
+
+    /// Length of segment `i` along its chord, mm.
+    pub fn segment_length_mm(&self, i: usize) -> f64 {
+        let [dx, dy] = self.displacement_mm(i);
+        dx.hypot(dy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_must_agree() {
+        let p = vec![[0.0, 0.0], [3.0, 4.0]];
+        let path = ToolPath::through(p.clone(), vec![true], vec![0]).unwrap();
+        assert_eq!((path.len(), path.segment_length_mm(0)), (1, 5.0));
+        assert_eq!(path.dwell_point_mm()[0], [1.5, 2.0]);
+        let error = |points: &[[f64; 2]], on: usize| {
+            ToolPath::new(points.to_vec(), vec![[0.0, 0.0]], vec![true; on], vec![0])
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(error(&[[0.0, 0.0]], 1).contains("give 2 velocity control points"));
+        assert!(error(&p, 2).contains("tool_on: has 2 elements for 1"));
+        assert!(error(&[[0.0, 0.0], [f64::NAN, 0.0]], 1).contains("point_mm[1]"));
+    }
+}
