@@ -1,0 +1,395 @@
+//! What every artifact directory holds: the one table that readers, writers and
+//! `docs/formats.md` follow.
+
+use crate::artifact::MANIFEST;
+
+/// Element type of a stored array.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dtype {
+    /// 64-bit float, `<f8`.
+    F64,
+    /// 64-bit signed integer, `<i8`.
+    I64,
+    /// 0 or 1 in one byte, `|u1` (`|b1` is read too).
+    U8,
+}
+
+impl Dtype {
+    /// The name that NumPy uses.
+    pub fn numpy(self) -> &'static str {
+        match self {
+            Self::F64 => "<f8",
+            Self::I64 => "<i8",
+            Self::U8 => "|u1",
+        }
+    }
+}
+
+/// One array of a kind.
+#[derive(Debug)]
+pub struct ArrayDef {
+    /// Name; the file is `<name>.npy`.
+    pub name: &'static str,
+    /// Element type.
+    pub dtype: Dtype,
+    /// Sizes: a number, a symbol shared by the arrays of the kind, or a symbol `+1`.
+    pub shape: &'static [&'static str],
+    /// What runs along each axis.
+    pub axes: &'static [&'static str],
+    /// Unit of the elements.
+    pub unit: &'static str,
+    /// Whether NaN may occur (it marks an invalid pixel).
+    pub nan_allowed: bool,
+    /// Value that stands for a missing file in a directory without a manifest.
+    pub default: Option<u8>,
+    /// One sentence.
+    pub doc: &'static str,
+}
+
+/// What a directory of this kind holds.
+#[derive(Debug)]
+pub struct Kind {
+    /// Name in the manifest.
+    pub name: &'static str,
+    /// Version of the layout; a reader refuses a newer one.
+    pub version: u32,
+    /// One sentence.
+    pub doc: &'static str,
+    /// The frame that coordinates are in.
+    pub frame: &'static str,
+    /// Arrays.
+    pub arrays: &'static [ArrayDef],
+    /// Files beside the arrays and the manifest.
+    pub files: &'static [&'static str],
+}
+
+impl Kind {
+    /// Names of all files that a directory of this kind may hold.
+    pub(crate) fn file_names(&self) -> impl Iterator<Item = String> {
+        let arrays = self.arrays.iter().map(|a| format!("{}.npy", a.name));
+        let beside = self.files.iter().map(|f| f.to_string());
+        arrays.chain(beside).chain([String::from(MANIFEST)])
+    }
+}
+
+const MAP_FRAME: &str =
+    "part coordinates; arrays are [y, x]; row 0 is the smallest y; x and y ascend uniformly";
+const TIF_FRAME: &str =
+    "offset from the tool centre (pixel - tool); arrays are [y, x]; row 0 is the smallest y";
+const PATH_FRAME: &str = "part coordinates; the last axis is [x, y]";
+
+const fn array(
+    name: &'static str,
+    dtype: Dtype,
+    shape: &'static [&'static str],
+    axes: &'static [&'static str],
+    unit: &'static str,
+    doc: &'static str,
+) -> ArrayDef {
+    ArrayDef { name, dtype, shape, axes, unit, nan_allowed: false, default: None, doc }
+}
+
+const fn or_nan(def: ArrayDef) -> ArrayDef {
+    ArrayDef { nan_allowed: true, ..def }
+}
+
+const fn or_default(def: ArrayDef, value: u8) -> ArrayDef {
+    ArrayDef { default: Some(value), ..def }
+}
+
+const X: ArrayDef = array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Pixel centres along x.");
+const Y: ArrayDef = array("y_mm", Dtype::F64, &["ny"], &["y"], "mm", "Pixel centres along y.");
+
+/// Measured height, or desired removal.
+pub const SURFACE: Kind = Kind {
+    name: "surface",
+    version: 1,
+    doc: "A height map: a measured surface error, or the desired removal.",
+    frame: MAP_FRAME,
+    arrays: &[
+        or_nan(array(
+            "height_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Height; positive = material above the target; NaN = invalid pixel.",
+        )),
+        X,
+        Y,
+    ],
+    files: &[],
+};
+
+/// Tool influence function.
+pub const TIF: Kind = Kind {
+    name: "tif",
+    version: 1,
+    doc: "A tool influence function: the removal rate of the resting tool.",
+    frame: TIF_FRAME,
+    arrays: &[
+        array(
+            "rate_nm_per_s",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm/s",
+            "Removal rate at the offset (pixel - tool); zero outside its samples.",
+        ),
+        X,
+        Y,
+    ],
+    files: &[],
+};
+
+/// Tool path.
+pub const TOOL_PATH: Kind = Kind {
+    name: "tool_path",
+    version: 1,
+    doc: "A tool path: n segments between n+1 velocity control points.",
+    frame: PATH_FRAME,
+    arrays: &[
+        array(
+            "point_mm",
+            Dtype::F64,
+            &["n+1", "2"],
+            &["point", "x|y"],
+            "mm",
+            "Velocity control points: the ends of the segments.",
+        ),
+        array(
+            "dwell_point_mm",
+            Dtype::F64,
+            &["n", "2"],
+            &["segment", "x|y"],
+            "mm",
+            "Dwell points, one per segment.",
+        ),
+        or_default(
+            array(
+                "tool_on",
+                Dtype::U8,
+                &["n"],
+                &["segment"],
+                "1",
+                "0 where the tool is lifted and removes nothing.",
+            ),
+            1,
+        ),
+        or_default(
+            array(
+                "pass_idx",
+                Dtype::I64,
+                &["n"],
+                &["segment"],
+                "1",
+                "Contiguous pass or region that the segment belongs to.",
+            ),
+            0,
+        ),
+    ],
+    files: &[],
+};
+
+/// Dwell times.
+pub const DWELL: Kind = Kind {
+    name: "dwell",
+    version: 1,
+    doc: "Dwell times, one per segment of a tool path.",
+    frame: PATH_FRAME,
+    arrays: &[array("dwell_s", Dtype::F64, &["n"], &["segment"], "s", "Dwell time; >= 0.")],
+    files: &[],
+};
+
+/// Motion.
+pub const TRAJECTORY: Kind = Kind {
+    name: "trajectory",
+    version: 1,
+    doc: "A motion: k cubic polynomials per axis in segment-local time, p(u) = c0 + c1 u + c2 u^2 + c3 u^3, u = t - break_time_s[i].",
+    frame: PATH_FRAME,
+    arrays: &[
+        array(
+            "break_time_s",
+            Dtype::F64,
+            &["k+1"],
+            &["break"],
+            "s",
+            "Start of every segment, and the end of the last.",
+        ),
+        array(
+            "coefficient_mm",
+            Dtype::F64,
+            &["k", "2", "4"],
+            &["segment", "x|y", "order"],
+            "mm/s^order",
+            "Ascending coefficients c0..c3.",
+        ),
+        or_default(
+            array(
+                "tool_on",
+                Dtype::U8,
+                &["k"],
+                &["segment"],
+                "1",
+                "0 where the tool removes nothing.",
+            ),
+            1,
+        ),
+        array(
+            "dwell_index",
+            Dtype::I64,
+            &["k"],
+            &["segment"],
+            "1",
+            "Dwell point that the segment serves; -1 when none.",
+        ),
+    ],
+    files: &[],
+};
+
+/// Predicted removal and residual.
+pub const REMOVAL: Kind = Kind {
+    name: "removal",
+    version: 1,
+    doc: "What a trajectory is predicted to remove, and what remains.",
+    frame: MAP_FRAME,
+    arrays: &[
+        array("removal_nm", Dtype::F64, &["ny", "nx"], &["y", "x"], "nm", "Predicted removal."),
+        or_nan(array(
+            "residual_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Desired removal minus predicted removal; NaN = invalid pixel.",
+        )),
+        X,
+        Y,
+    ],
+    files: &[],
+};
+
+/// The rounds of a refinement.
+pub const ITERATIONS: Kind = Kind {
+    name: "iterations",
+    version: 1,
+    doc: "The rounds of a refinement, the first being the plan before any correction.",
+    frame: PATH_FRAME,
+    arrays: &[
+        array(
+            "dwell_s",
+            Dtype::F64,
+            &["m", "n"],
+            &["round", "segment"],
+            "s",
+            "Time of every segment in the motion.",
+        ),
+        array(
+            "rms_nm",
+            Dtype::F64,
+            &["m"],
+            &["round"],
+            "nm",
+            "RMS (mean removed) of the executed residual.",
+        ),
+        array("total_time_s", Dtype::F64, &["m"], &["round"], "s", "Total time of the motion."),
+        array(
+            "stretched",
+            Dtype::I64,
+            &["m"],
+            &["round"],
+            "1",
+            "Segments whose dwell time the machine needed stretched.",
+        ),
+    ],
+    files: &[],
+};
+
+/// Whether a trajectory keeps the machine's limits.
+pub const VERDICT: Kind = Kind {
+    name: "verdict",
+    version: 1,
+    doc: "Whether a trajectory keeps the limits of a machine; everything is in the manifest's outcome.",
+    frame: PATH_FRAME,
+    arrays: &[],
+    files: &[],
+};
+
+/// Numbers for people and programs.
+pub const REPORT: Kind = Kind {
+    name: "report",
+    version: 1,
+    doc: "The summary of a run.",
+    frame: MAP_FRAME,
+    arrays: &[],
+    files: &["summary.json"],
+};
+
+/// Every kind, in the order of the pipeline.
+pub const ALL: [&Kind; 9] =
+    [&SURFACE, &TIF, &TOOL_PATH, &DWELL, &TRAJECTORY, &REMOVAL, &ITERATIONS, &VERDICT, &REPORT];
+
+/// `docs/formats.md`.
+pub fn formats_markdown() -> String {
+    let mut page = String::from(FORMATS_INTRODUCTION);
+    for kind in ALL {
+        page += &format!("\n## `{}` (version {})\n\n{}\n\n", kind.name, kind.version, kind.doc);
+        page += &format!("Frame: {}.\n", kind.frame);
+        if !kind.arrays.is_empty() {
+            page += "\n| file | dtype | shape | axes | unit | what |\n|---|---|---|---|---|---|\n";
+        }
+        for a in kind.arrays {
+            let mut doc = a.doc.to_string();
+            if a.nan_allowed {
+                doc += " NaN allowed.";
+            }
+            if let Some(v) = a.default {
+                doc += &format!(" Taken as {v} where a directory without a manifest lacks it.");
+            }
+            page += &format!(
+                "| `{}.npy` | `{}` | ({}) | {} | {} | {} |\n",
+                a.name,
+                a.dtype.numpy().replace('|', "\\|"),
+                a.shape.join(", "),
+                a.axes.join(", ").replace('|', "\\|"),
+                a.unit,
+                doc
+            );
+        }
+        for file in kind.files {
+            page += &format!("\nBeside the manifest: `{file}`.\n");
+        }
+    }
+    page
+}
+
+const FORMATS_INTRODUCTION: &str = "\
+# Formats
+
+<!-- Generated by `just docs` from crates/handoff/src/kind.rs; do not edit. -->
+
+Every stage reads and writes directories. A directory holds one `.npy` file per array
+(little-endian, C order, `numpy.load` reads it) and `manifest.json`. Units are in the names.
+
+A directory without `manifest.json` is read too, with a warning: `numpy.save` the arrays below
+under their names and it is an artifact.
+
+`manifest.json`:
+
+| key | what |
+|---|---|
+| `kind`, `version` | which of the kinds below, and the version of its layout |
+| `tool`, `tool_version`, `method` | what wrote it |
+| `command` | the command line |
+| `key` | BLAKE3 of tool, version, method, settings and inputs: an unchanged stage does nothing |
+| `frame` | what the coordinates refer to |
+| `settings` | every setting, with the defaults that were used, and the seed where there is one |
+| `inputs` | role, path, kind and BLAKE3 of every input |
+| `outcome` | `status` (`done`, or `negative` with the reason) and what the method reports |
+| `arrays` | per array: file, dtype, shape, axes, unit, BLAKE3 of the file |
+| `files` | BLAKE3 of the files beside the arrays, where there are any |
+
+A reader checks kind, version, dtype, shape, finiteness, axes and hash. There is no time of day in
+any file: the same command on the same input gives the same bytes (`summary.json` apart, which
+states how long the stages took).
+";

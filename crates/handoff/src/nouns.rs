@@ -1,0 +1,160 @@
+//! How the nouns become arrays and come back.
+
+use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
+use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory};
+
+use crate::{
+    artifact::{Arrays, Artifact},
+    kind::{self, Kind},
+    npy::ArrayData,
+};
+
+fn axis_array(axis: &Axis) -> ArrayData {
+    ArrayData::F64(Array1::from(axis.coordinates()).into_dyn())
+}
+
+fn map_array(map: &Array2<f64>) -> ArrayData {
+    ArrayData::F64(map.as_standard_layout().into_owned().into_dyn())
+}
+
+fn flags(values: &[bool]) -> ArrayData {
+    ArrayData::U8(values.iter().map(|v| u8::from(*v)).collect::<Array1<u8>>().into_dyn())
+}
+
+fn integers(values: &[i64]) -> ArrayData {
+    ArrayData::I64(Array1::from(values.to_vec()).into_dyn())
+}
+
+fn floats(values: &[f64]) -> ArrayData {
+    ArrayData::F64(Array1::from(values.to_vec()).into_dyn())
+}
+
+fn points(values: &[[f64; 2]]) -> ArrayData {
+    ArrayData::F64(Array2::from(values.to_vec()).into_dyn())
+}
+
+fn take_grid(arrays: &mut Arrays) -> Result<Grid, Invalid> {
+    let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
+    Ok(Grid { x: axis("x_mm")?, y: axis("y_mm")? })
+}
+
+fn take_map(arrays: &mut Arrays, name: &str) -> Array2<f64> {
+    arrays.take_f64(name).into_dimensionality::<Ix2>().expect("the shape was checked")
+}
+
+fn take_vec<T>(array: ArrayD<T>) -> Vec<T> {
+    let array = array.into_dimensionality::<Ix1>().expect("the shape was checked");
+    array.into_raw_vec_and_offset().0
+}
+
+fn take_points(arrays: &mut Arrays, name: &str) -> Vec<[f64; 2]> {
+    take_map(arrays, name).outer_iter().map(|p| [p[0], p[1]]).collect()
+}
+
+impl Artifact for Surface {
+    const KIND: &'static Kind = &kind::SURFACE;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        vec![map_array(self.height_nm()), axis_array(&self.grid().x), axis_array(&self.grid().y)]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        Self::new(take_grid(&mut arrays)?, take_map(&mut arrays, "height_nm"))
+    }
+}
+
+impl Artifact for Tif {
+    const KIND: &'static Kind = &kind::TIF;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        vec![
+            map_array(self.rate_nm_per_s()),
+            axis_array(&self.grid().x),
+            axis_array(&self.grid().y),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        Self::new(take_grid(&mut arrays)?, take_map(&mut arrays, "rate_nm_per_s"))
+    }
+}
+
+impl Artifact for ToolPath {
+    const KIND: &'static Kind = &kind::TOOL_PATH;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        vec![
+            points(self.point_mm()),
+            points(self.dwell_point_mm()),
+            flags(self.tool_on()),
+            integers(self.pass_idx()),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        Self::new(
+            take_points(&mut arrays, "point_mm"),
+            take_points(&mut arrays, "dwell_point_mm"),
+            arrays.take_bool("tool_on"),
+            take_vec(arrays.take_i64("pass_idx")),
+        )
+    }
+}
+
+impl Artifact for DwellTime {
+    const KIND: &'static Kind = &kind::DWELL;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        vec![floats(self.dwell_s())]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        Self::new(take_vec(arrays.take_f64("dwell_s")))
+    }
+}
+
+impl Artifact for Trajectory {
+    const KIND: &'static Kind = &kind::TRAJECTORY;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        let coefficients = self.coefficient_mm();
+        let c = Array3::from_shape_fn((self.len(), 2, 4), |(i, a, o)| coefficients[i][a][o]);
+        vec![
+            floats(self.break_time_s()),
+            ArrayData::F64(c.into_dyn()),
+            flags(self.tool_on()),
+            integers(self.dwell_index()),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let c = arrays.take_f64("coefficient_mm");
+        let segment = |i: usize| [0, 1].map(|a| [0, 1, 2, 3].map(|o| c[[i, a, o]]));
+        Self::new(
+            take_vec(arrays.take_f64("break_time_s")),
+            (0..c.shape()[0]).map(segment).collect(),
+            arrays.take_bool("tool_on"),
+            take_vec(arrays.take_i64("dwell_index")),
+        )
+    }
+}
+
+impl Artifact for Removal {
+    const KIND: &'static Kind = &kind::REMOVAL;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        let grid = self.residual().grid();
+        vec![
+            map_array(self.removal_nm()),
+            map_array(self.residual().height_nm()),
+            axis_array(&grid.x),
+            axis_array(&grid.y),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let grid = take_grid(&mut arrays)?;
+        let removal = take_map(&mut arrays, "removal_nm");
+        Removal::from_maps(grid, removal, take_map(&mut arrays, "residual_nm"))
+    }
+}

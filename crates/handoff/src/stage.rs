@@ -1,0 +1,453 @@
+//! What the `main` of every stage does: flags, inputs, skipping, messages, exit codes.
+//!
+//! ```no_run
+//! use planish_handoff::{Begin, Failure, OutputArgs, Stage, Status, run};
+//! use planish_types::Surface;
+//! # fn parse() -> (OutputArgs, std::path::PathBuf) { unimplemented!() }
+//! fn main() -> std::process::ExitCode {
+//!     let (output, dir) = parse();
+//!     run(|| {
+//!         let mut stage = Stage::new("planish-example", "0.1.0", "copy", &output);
+//!         let surface: Surface = stage.read("surface", &dir)?;
+//!         if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)? {
+//!             return Ok(status);
+//!         }
+//!         stage.write("", &surface, serde_json::json!({}), &Status::Done)?;
+//!         Ok(Status::Done)
+//!     })
+//! }
+//! # use planish_handoff::Artifact;
+//! ```
+
+use std::{
+    fmt::Display,
+    fs,
+    io::{ErrorKind, Write},
+    panic,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::Instant,
+};
+
+use ndarray::{Array2, Ix2};
+use planish_types::Limits;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::{
+    HandoffError,
+    artifact::{self, Artifact, InputRecord, MANIFEST, Manifest},
+    kind::{Dtype, Kind},
+    npy::{self, ArrayData},
+};
+
+/// Flags that every stage has.
+#[derive(Clone, Debug, clap::Args)]
+pub struct OutputArgs {
+    /// Directory to write
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Replace an output that was made from other inputs or settings
+    #[arg(long)]
+    pub force: bool,
+    /// Also write the seconds that the stage took to FILE, as JSON (kept out of the artifact, which
+    /// is the same for the same command)
+    #[arg(long, value_name = "FILE")]
+    pub wall_time: Option<PathBuf>,
+}
+
+/// How a stage that ran ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Status {
+    /// Done; exit code 0.
+    Done,
+    /// Done, and the verdict is negative, for this reason; exit code 1.
+    Negative(String),
+}
+
+/// Why a stage could not run; exit code 2.
+#[derive(Debug)]
+pub struct Failure(String);
+
+impl Failure {
+    /// A failure with this message.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self(message.into())
+    }
+}
+
+impl Display for Failure {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Any error of a library becomes the one message that the user reads.
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self(error.to_string())
+    }
+}
+
+/// Runs the body of a stage and turns its end into the exit code: 0 done, 1 done with a negative
+/// verdict, 2 could not run.
+pub fn run(body: impl FnOnce() -> Result<Status, Failure> + panic::UnwindSafe) -> ExitCode {
+    panic::set_hook(Box::new(|info| {
+        complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
+    }));
+    match panic::catch_unwind(body) {
+        Ok(Ok(Status::Done)) => ExitCode::SUCCESS,
+        Ok(Ok(Status::Negative(reason))) => {
+            complain(&format!("verdict: {reason}"));
+            ExitCode::from(1)
+        }
+        Ok(Err(failure)) => {
+            complain(&format!("error: {failure}"));
+            ExitCode::from(2)
+        }
+        Err(_) => ExitCode::from(2),
+    }
+}
+
+/// One line on standard error; a closed pipe is not an error.
+fn complain(message: &str) {
+    let _ = writeln!(std::io::stderr(), "{message}");
+}
+
+/// One line on standard output; a closed pipe is not an error.
+pub fn say(message: impl Display) {
+    let _ = writeln!(std::io::stdout(), "{message}");
+}
+
+/// Whether there is work to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Begin {
+    /// The output is there already, made from the same inputs and settings, and ended like this.
+    Unchanged(Status),
+    /// Run.
+    Run,
+}
+
+/// One run of a stage: collects what goes into the manifest.
+#[derive(Debug)]
+pub struct Stage {
+    tool: &'static str,
+    tool_version: &'static str,
+    method: String,
+    output: OutputArgs,
+    settings: Value,
+    inputs: Vec<InputRecord>,
+    started: Instant,
+}
+
+impl Stage {
+    /// A run of `tool` (its version from `env!("CARGO_PKG_VERSION")`), subcommand `method`.
+    pub fn new(
+        tool: &'static str,
+        tool_version: &'static str,
+        method: &str,
+        output: &OutputArgs,
+    ) -> Self {
+        Self {
+            tool,
+            tool_version,
+            method: method.into(),
+            output: output.clone(),
+            settings: json!({}),
+            inputs: Vec::new(),
+            started: Instant::now(),
+        }
+    }
+
+    /// Records the resolved settings; part of what decides whether anything changed.
+    pub fn settings(&mut self, settings: impl Serialize) {
+        self.settings = serde_json::to_value(settings).expect("settings serialise to JSON");
+    }
+
+    /// Reads an input artifact given by the flag `--role`.
+    pub fn read<T: Artifact>(&mut self, role: &str, dir: &Path) -> Result<T, HandoffError> {
+        let loaded = artifact::read::<T>(dir)?;
+        if let Some(warning) = &loaded.warning {
+            complain(&format!("warning: {warning}"));
+        }
+        self.record(role, dir, T::KIND.name, loaded.digest);
+        Ok(loaded.value)
+    }
+
+    /// Reads the outcome of an artifact, for kinds that keep everything in their manifest.
+    pub fn read_outcome(
+        &mut self,
+        role: &str,
+        dir: &Path,
+        kind: &Kind,
+    ) -> Result<Value, HandoffError> {
+        let manifest = artifact::read_manifest(dir, kind)?.ok_or_else(|| {
+            HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
+        })?;
+        let digest = blake3::hash(manifest.outcome.to_string().as_bytes()).to_string();
+        self.record(role, dir, kind.name, digest);
+        Ok(manifest.outcome)
+    }
+
+    /// Reads a JSON file given by the flag `--role`.
+    pub fn read_json<T: serde::de::DeserializeOwned>(
+        &mut self,
+        role: &str,
+        path: &Path,
+    ) -> Result<T, HandoffError> {
+        let bytes = fs::read(path).map_err(|e| HandoffError::io(path, "read", &e))?;
+        self.record(role, path, "file", blake3::hash(&bytes).to_string());
+        serde_json::from_slice(&bytes).map_err(|e| HandoffError::new(path, format!("{e}")))
+    }
+
+    /// Reads the machine file given by `--machine`.
+    pub fn read_machine(&mut self, path: &Path) -> Result<Limits, HandoffError> {
+        let limits: Limits = self.read_json("machine", path)?;
+        limits.validated().map_err(|e| HandoffError::new(path, e.to_string()))
+    }
+
+    /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.
+    pub fn read_map(&mut self, role: &str, path: &Path) -> Result<Array2<f64>, HandoffError> {
+        let (array, hash) = npy::read(path, Dtype::F64)?;
+        self.record(role, path, "file", hash);
+        let ArrayData::F64(a) = array else { unreachable!("read as F64") };
+        a.into_dimensionality::<Ix2>().map_err(|_| {
+            HandoffError::new(path, "is not a map; give an array with two axes (ny, nx)")
+        })
+    }
+
+    /// Reads one mask (ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`.
+    pub fn read_mask(&mut self, role: &str, path: &Path) -> Result<Array2<bool>, HandoffError> {
+        let (array, hash) = npy::read(path, Dtype::U8)?;
+        self.record(role, path, "file", hash);
+        let ArrayData::U8(a) = array else { unreachable!("read as U8") };
+        a.into_dimensionality::<Ix2>().map(|a| a.mapv(|v| v != 0)).map_err(|_| {
+            HandoffError::new(path, "is not a mask; give an array with two axes (ny, nx)")
+        })
+    }
+
+    fn record(&mut self, role: &str, path: &Path, kind: &str, blake3: String) {
+        self.inputs.push(InputRecord {
+            role: role.into(),
+            path: path.display().to_string(),
+            kind: kind.into(),
+            blake3,
+        });
+    }
+
+    /// Call when all inputs and settings are known, before the work: refuses an output that may
+    /// not be replaced, and says so when there is nothing to do. `parts` are the directories
+    /// under `--out` that the stage writes, `""` for `--out` itself.
+    pub fn begin(&self, parts: &[&str], kind: &Kind) -> Result<Begin, HandoffError> {
+        self.begin_each(&parts.iter().map(|p| (*p, kind)).collect::<Vec<_>>())
+    }
+
+    /// [`Self::begin`] for parts of different kinds.
+    pub fn begin_each(&self, parts: &[(&str, &Kind)]) -> Result<Begin, HandoffError> {
+        self.refuse_wall_time_in_output(parts)?;
+        let states = parts.iter().map(|(part, kind)| self.state_of(&self.directory(part), kind));
+        let states = states.collect::<Result<Vec<_>, _>>()?;
+        let unchanged: Option<Vec<Status>> = states.into_iter().collect();
+        Ok(match unchanged {
+            Some(each) => {
+                let negative = each.into_iter().find(|status| *status != Status::Done);
+                let status = negative.unwrap_or(Status::Done);
+                say(format!(
+                    "{}: {} unchanged, nothing to do",
+                    self.tool,
+                    self.output.out.display()
+                ));
+                Begin::Unchanged(status)
+            }
+            None => Begin::Run,
+        })
+    }
+
+    /// How the artifact in `dir` ended when it is what this run would make, else `None`; an error
+    /// when something there may not be replaced.
+    fn state_of(&self, dir: &Path, kind: &Kind) -> Result<Option<Status>, HandoffError> {
+        if !output_exists(dir)? {
+            return Ok(None);
+        }
+        self.refuse_precious(dir)?;
+        artifact::refuse_foreign_files(dir, kind)?;
+        let is_empty = fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_none());
+        if is_empty {
+            return Ok(None);
+        }
+        let manifest = artifact::read_manifest(dir, kind).ok().flatten();
+        if let Some(manifest) = manifest.filter(|m| m.key == self.key()) {
+            let fresh = !older_than_this_program(&dir.join(MANIFEST));
+            let done = fresh && artifact::is_intact(dir, kind, &manifest);
+            return Ok(done.then(|| status_of(&manifest)));
+        }
+        if self.output.force {
+            return Ok(None);
+        }
+        Err(HandoffError::new(
+            dir,
+            "exists, made from other inputs or settings; give --force to replace it, or another --out",
+        ))
+    }
+
+    /// The next run would take the file for a foreign one.
+    fn refuse_wall_time_in_output(&self, parts: &[(&str, &Kind)]) -> Result<(), HandoffError> {
+        let Some(file) = &self.output.wall_time else { return Ok(()) };
+        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
+        match parts.iter().any(|(p, _)| absolute(file).starts_with(absolute(&self.directory(p)))) {
+            true => Err(HandoffError::new(file, "is in the output; give another --wall-time")),
+            false => Ok(()),
+        }
+    }
+
+    /// Refuses to replace an input, and the directory in which the user stands.
+    fn refuse_precious(&self, dir: &Path) -> Result<(), HandoffError> {
+        let same = |path: &Path| {
+            let (a, b) = (dir.canonicalize(), path.canonicalize());
+            matches!((a, b), (Ok(a), Ok(b)) if a == b)
+        };
+        if let Some(input) = self.inputs.iter().find(|i| same(Path::new(&i.path))) {
+            let problem = format!("is the input --{}; choose another --out", input.role);
+            return Err(HandoffError::new(dir, problem));
+        }
+        if same(Path::new(".")) {
+            return Err(HandoffError::new(
+                dir,
+                "is the current directory; give a new directory in it as --out",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Writes `value` as the artifact `part` of this stage's output.
+    pub fn write<T: Artifact>(
+        &self,
+        part: &str,
+        value: &T,
+        outcome: Value,
+        status: &Status,
+    ) -> Result<(), HandoffError> {
+        self.write_files(part, T::KIND, &value.to_arrays(), &[], outcome, status)
+    }
+
+    /// Writes an artifact from its arrays and the files beside them.
+    pub fn write_files(
+        &self,
+        part: &str,
+        kind: &Kind,
+        arrays: &[ArrayData],
+        beside: &[(&str, Vec<u8>)],
+        outcome: Value,
+        status: &Status,
+    ) -> Result<(), HandoffError> {
+        let (mut files, records) = artifact::encode(kind, arrays);
+        files.extend(beside.iter().map(|(name, bytes)| (name.to_string(), bytes.clone())));
+        let manifest = Manifest {
+            kind: kind.name.into(),
+            version: kind.version,
+            tool: self.tool.into(),
+            tool_version: self.tool_version.into(),
+            method: self.method.clone(),
+            command: command_line(self.tool),
+            key: self.key(),
+            frame: kind.frame.into(),
+            settings: self.settings.clone(),
+            inputs: self.inputs.clone(),
+            outcome: with_status(outcome, status),
+            arrays: records,
+            files: beside
+                .iter()
+                .map(|(name, bytes)| (name.to_string(), blake3::hash(bytes).to_string()))
+                .collect(),
+        };
+        let mut text = serde_json::to_string_pretty(&manifest).expect("a manifest serialises");
+        text.push('\n');
+        files.push((MANIFEST.into(), text.into_bytes()));
+        artifact::replace_directory(&self.directory(part), kind, &files)?;
+        self.write_wall_time()
+    }
+
+    /// The directory of a part of the output.
+    fn directory(&self, part: &str) -> PathBuf {
+        if part.is_empty() { self.output.out.clone() } else { self.output.out.join(part) }
+    }
+
+    /// Decides whether an existing output is what this run would make.
+    fn key(&self) -> String {
+        let inputs: Vec<_> = self.inputs.iter().map(|i| (&i.role, &i.kind, &i.blake3)).collect();
+        let key = json!([self.tool, self.tool_version, self.method, self.settings, inputs]);
+        blake3::hash(key.to_string().as_bytes()).to_string()
+    }
+
+    fn write_wall_time(&self) -> Result<(), HandoffError> {
+        let Some(path) = &self.output.wall_time else { return Ok(()) };
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(|e| HandoffError::io(parent, "create", &e))?;
+        }
+        let text = format!("{}\n", json!({ "wall_s": self.started.elapsed().as_secs_f64() }));
+        fs::write(path, text).map_err(|e| HandoffError::io(path, "write", &e))
+    }
+}
+
+/// Whether the output directory is there; an error when it is something else or cannot be.
+fn output_exists(dir: &Path) -> Result<bool, HandoffError> {
+    let problem = match fs::metadata(dir) {
+        Ok(m) if m.is_dir() => return Ok(true),
+        Ok(_) => "is a file".into(),
+        Err(e) if e.kind() == ErrorKind::NotFound => {
+            if fs::symlink_metadata(dir).is_ok() {
+                "is a link to nothing".into()
+            } else if dir.file_name().is_none() {
+                "is not the name of a directory".into()
+            } else {
+                return Ok(false);
+            }
+        }
+        Err(e) => format!("cannot be written: {e}"),
+    };
+    Err(HandoffError::new(dir, format!("{problem}; choose another --out")))
+}
+
+/// Whether the file was written before this program was built: a developer changed the program,
+/// and its version does not say so.
+fn older_than_this_program(file: &Path) -> bool {
+    let modified = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
+    let program = std::env::current_exe().ok().and_then(|p| modified(&p));
+    matches!((modified(file), program), (Some(f), Some(p)) if f < p)
+}
+
+fn with_status(outcome: Value, status: &Status) -> Value {
+    let mut map = serde_json::Map::new();
+    match status {
+        Status::Done => map.insert("status".into(), "done".into()),
+        Status::Negative(reason) => {
+            map.insert("status".into(), "negative".into());
+            map.insert("reason".into(), reason.as_str().into())
+        }
+    };
+    match outcome {
+        Value::Object(fields) => map.extend(fields),
+        Value::Null => {}
+        other => panic!("an outcome is a JSON object, found {other}"),
+    }
+    map.into()
+}
+
+fn status_of(manifest: &Manifest) -> Status {
+    let text = |key| manifest.outcome.get(key).and_then(Value::as_str).unwrap_or_default();
+    match text("status") {
+        "negative" => Status::Negative(text("reason").into()),
+        _ => Status::Done,
+    }
+}
+
+/// The command line, quoted for a shell, under the plain name of the program.
+fn command_line(tool: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
+    let quote = |a: String| match a.is_empty() || !a.chars().all(plain) {
+        true => format!("'{}'", a.replace('\'', r"'\''")),
+        false => a,
+    };
+    let arguments = std::env::args_os().skip(1).map(|a| quote(a.to_string_lossy().into_owned()));
+    std::iter::once(tool.to_string()).chain(arguments).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,85 @@
+//! Small nouns, and `.npy` files written by hand.
+#![allow(dead_code)] // every test file uses a part
+
+use std::{fs, path::Path};
+
+use ndarray::{Array2, array};
+use planish_handoff::{Artifact, OutputArgs, Stage, Status};
+use planish_types::{Axis, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
+use serde_json::json;
+
+/// 2 rows, 3 columns, exact in binary.
+pub fn grid() -> Grid {
+    Grid { x: Axis::new(-0.5, 0.5, 3).unwrap(), y: Axis::new(10.0, 0.25, 2).unwrap() }
+}
+
+pub fn surface() -> Surface {
+    let map = array![[1.5, f64::NAN, -0.0], [1e-310, -2.0, 1e12]];
+    Surface::new(grid(), map).unwrap()
+}
+
+pub fn tif() -> Tif {
+    Tif::new(grid(), array![[1.0, 2.0, 0.5], [0.0, -0.01, 3.0]]).unwrap()
+}
+
+pub fn tool_path() -> ToolPath {
+    ToolPath::new(
+        vec![[0.0, 0.0], [1.0, 0.1], [2.0, -0.1], [2.0, 5.0]],
+        vec![[0.4, 0.1], [1.6, 0.0], [2.0, 3.0]],
+        vec![true, false, true],
+        vec![0, 0, -7],
+    )
+    .unwrap()
+}
+
+pub fn trajectory() -> Trajectory {
+    let c = [[0.1, 0.2, 0.3, 0.4], [-1.0, 1e-20, 3.0, 1e9]];
+    Trajectory::new(vec![0.0, 0.25, 7.0], vec![c, [c[1], c[0]]], vec![true, false], vec![4, -1])
+        .unwrap()
+}
+
+pub fn removal() -> Removal {
+    Removal::new(&surface(), Array2::from_elem((2, 3), 0.75)).unwrap()
+}
+
+pub fn output(out: &Path) -> OutputArgs {
+    OutputArgs { out: out.to_path_buf(), force: false, wall_time: None }
+}
+
+/// A new artifact.
+pub fn write<T: Artifact>(dir: &Path, value: &T) {
+    let stage = Stage::new("test", "0", "make", &output(dir));
+    stage.write("", value, json!({}), &Status::Done).unwrap();
+}
+
+/// The arrays alone.
+pub fn write_bare<T: Artifact>(dir: &Path, value: &T) {
+    fs::create_dir_all(dir).unwrap();
+    for (def, array) in T::KIND.arrays.iter().zip(value.to_arrays()) {
+        fs::write(dir.join(format!("{}.npy", def.name)), array.to_npy()).unwrap();
+    }
+}
+
+pub fn doubles(values: &[f64]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+pub fn longs(values: &[i64]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+/// A `.npy` file of version 1.
+pub fn npy(descriptor: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
+    let order = if fortran { "True" } else { "False" };
+    let header =
+        format!("{{'descr': '{descriptor}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+pub fn save_f8(dir: &Path, name: &str, shape: &str, values: &[f64]) {
+    fs::write(dir.join(format!("{name}.npy")), npy("<f8", false, shape, &doubles(values))).unwrap();
+}

@@ -1,0 +1,544 @@
+//! What a stage does to its output: whole or not at all, nothing lost, nothing done twice.
+//! The runs that are killed are this test program itself, started again as [`child`].
+
+mod support;
+
+use std::{
+    fs,
+    os::unix::fs::symlink,
+    path::{Path, PathBuf},
+    process::{Child, Command, Output, Stdio},
+    sync::atomic::{AtomicBool, AtomicUsize, Ordering},
+    thread,
+    time::Duration,
+};
+
+use planish_handoff::{
+    Artifact, Begin, HandoffError, OutputArgs, Stage, Status,
+    artifact::{self, MANIFEST},
+    kind,
+};
+use planish_types::DwellTime;
+use serde_json::json;
+use support::{output, save_f8, surface, tif, write, write_bare};
+
+/// One run of a stage as its `main` would do it: the input, the settings, begin, write.
+struct Run {
+    output: OutputArgs,
+    input: PathBuf,
+    setting: f64,
+    status: Status,
+}
+
+impl Run {
+    fn new(dir: &Path) -> Self {
+        let input = dir.join("input");
+        if !input.exists() {
+            write_bare(&input, &dwell(1.0));
+        }
+        Self { output: output(&dir.join("out")), input, setting: 1.0, status: Status::Done }
+    }
+
+    fn out(mut self, out: impl Into<PathBuf>) -> Self {
+        self.output.out = out.into();
+        self
+    }
+
+    fn force(mut self) -> Self {
+        self.output.force = true;
+        self
+    }
+
+    fn setting(mut self, setting: f64) -> Self {
+        self.setting = setting;
+        self
+    }
+
+    fn negative(mut self, reason: &str) -> Self {
+        self.status = Status::Negative(reason.into());
+        self
+    }
+
+    fn stage(&self) -> Result<Stage, HandoffError> {
+        let mut stage = Stage::new("test", "0", "scale", &self.output);
+        stage.settings(json!({ "factor": self.setting }));
+        stage.read::<DwellTime>("input", &self.input)?;
+        Ok(stage)
+    }
+
+    /// `None` when it ran, else how the unchanged output ended.
+    fn run(&self) -> Result<Option<Status>, HandoffError> {
+        let stage = self.stage()?;
+        if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
+            return Ok(Some(status));
+        }
+        stage.write("", &dwell(self.setting), json!({}), &self.status)?;
+        Ok(None)
+    }
+
+    fn refused(&self, expected: &str) {
+        let message = self.run().unwrap_err().to_string();
+        assert!(message.contains(expected), "no {expected:?} in: {message}");
+    }
+}
+
+fn dwell(value: f64) -> DwellTime {
+    DwellTime::new(vec![value; 4]).unwrap()
+}
+
+fn value_in(dir: &Path) -> f64 {
+    artifact::read::<DwellTime>(dir).unwrap().value.dwell_s()[0]
+}
+
+/// Names in a directory, sorted.
+fn names(dir: &Path) -> Vec<String> {
+    let names = fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name());
+    let mut names: Vec<_> = names.map(|n| n.into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// Every file under a directory with its bytes.
+fn snapshot(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = Vec::new();
+    for name in names(dir) {
+        let path = dir.join(name);
+        if path.is_dir() {
+            files.push((path.clone(), Vec::new()));
+            files.extend(snapshot(&path));
+        } else {
+            files.push((path.clone(), fs::read(&path).unwrap_or_default()));
+        }
+    }
+    files
+}
+
+#[test]
+fn an_output_is_replaced_only_by_force_and_not_made_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    assert_eq!(Run::new(dir.path()).run().unwrap(), None);
+    let before = snapshot(dir.path());
+    assert_eq!(Run::new(dir.path()).run().unwrap(), Some(Status::Done));
+    assert_eq!(Run::new(dir.path()).force().run().unwrap(), Some(Status::Done));
+    Run::new(dir.path()).setting(2.0).refused("out: exists, made from other inputs or settings");
+    Run::new(dir.path()).setting(2.0).refused("give --force to replace it, or another --out");
+    assert_eq!(snapshot(dir.path()), before);
+    assert_eq!(Run::new(dir.path()).setting(2.0).force().run().unwrap(), None);
+    assert_eq!(value_in(&dir.path().join("out")), 2.0);
+    assert_eq!(names(dir.path()), ["input", "out"]);
+    assert_eq!(names(&dir.path().join("out")), ["dwell_s.npy", "manifest.json"]);
+}
+
+#[test]
+fn the_key_follows_inputs_settings_method_and_version() {
+    let dir = tempfile::tempdir().unwrap();
+    let key = |run: Run, tool_version: &'static str, method: &str| {
+        let mut stage = Stage::new("test", tool_version, method, &run.output);
+        stage.settings(json!({ "factor": run.setting }));
+        stage.read::<DwellTime>("input", &run.input).unwrap();
+        stage.write("", &dwell(1.0), json!({}), &Status::Done).unwrap();
+        artifact::read_manifest(&run.output.out, DwellTime::KIND).unwrap().unwrap().key
+    };
+    let run = || Run::new(dir.path());
+    let first = key(run(), "0", "scale");
+    assert_eq!(key(run(), "0", "scale"), first);
+    // Where an input lies and where the output goes decide nothing.
+    fs::rename(dir.path().join("input"), dir.path().join("moved")).unwrap();
+    let moved = Run { input: dir.path().join("moved"), ..run() };
+    assert_eq!(key(moved.out(dir.path().join("elsewhere")), "0", "scale"), first);
+    assert_ne!(key(run().setting(2.0), "0", "scale"), first);
+    assert_ne!(key(run(), "1", "scale"), first);
+    assert_ne!(key(run(), "0", "other"), first);
+    save_f8(&dir.path().join("input"), "dwell_s", "(4,)", &[1.0, 1.0, 1.0, 1.5]);
+    assert_ne!(key(run(), "0", "scale"), first);
+}
+
+#[test]
+fn a_negative_verdict_stays_negative_when_nothing_is_done() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = || Run::new(dir.path()).negative("limits exceeded");
+    assert_eq!(run().run().unwrap(), None);
+    assert_eq!(run().run().unwrap(), Some(run().status));
+
+    // Of several parts one is enough.
+    let run = Run::new(dir.path()).out(dir.path().join("parts"));
+    let stage = run.stage().unwrap();
+    for (part, status) in [("a", Status::Negative("not converged".into())), ("b", Status::Done)] {
+        stage.write(part, &dwell(1.0), json!({}), &status).unwrap();
+    }
+    let begin = stage.begin(&["a", "b"], DwellTime::KIND).unwrap();
+    assert_eq!(begin, Begin::Unchanged(Status::Negative("not converged".into())));
+    fs::remove_dir_all(dir.path().join("parts/b")).unwrap();
+    assert_eq!(stage.begin(&["a", "b"], DwellTime::KIND).unwrap(), Begin::Run);
+}
+
+#[test]
+fn a_report_with_a_reason_of_its_own_is_not_a_negative_verdict() {
+    let dir = tempfile::tempdir().unwrap();
+    let stage = Run::new(dir.path()).stage().unwrap();
+    stage.write("", &dwell(1.0), json!({"reason": "of another kind"}), &Status::Done).unwrap();
+    assert_eq!(stage.begin(&[""], DwellTime::KIND).unwrap(), Begin::Unchanged(Status::Done));
+}
+
+#[test]
+fn a_damaged_output_is_made_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let run = Run::new(dir.path());
+    run.run().unwrap();
+    let good = snapshot(dir.path());
+    let manifest = fs::read_to_string(out.join(MANIFEST)).unwrap();
+    // The manifest still says that it was made by this run: no --force is needed.
+    save_f8(&out, "dwell_s", "(4,)", &[9.0; 4]);
+    assert_eq!(run.run().unwrap(), None);
+    assert_eq!(snapshot(dir.path()), good);
+    fs::remove_file(out.join("dwell_s.npy")).unwrap();
+    assert_eq!(run.run().unwrap(), None);
+    assert_eq!(snapshot(dir.path()), good);
+    let arrays = manifest.find("\"arrays\"").unwrap();
+    fs::write(out.join(MANIFEST), format!("{}\"arrays\": {{}}\n}}\n", &manifest[..arrays]))
+        .unwrap();
+    assert_eq!(run.run().unwrap(), None);
+    assert_eq!(snapshot(dir.path()), good);
+    // A manifest that says nothing could stand beside somebody's own arrays.
+    fs::write(out.join(MANIFEST), &manifest[..manifest.len() / 2]).unwrap();
+    run.refused("give --force");
+    assert_eq!(Run::new(dir.path()).force().run().unwrap(), None);
+    assert_eq!(snapshot(dir.path()), good);
+}
+
+#[test]
+fn foreign_files_are_never_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let keep = |expected: &str| {
+        let before = snapshot(dir.path());
+        Run::new(dir.path()).setting(2.0).refused(expected);
+        Run::new(dir.path()).setting(2.0).force().refused(expected);
+        assert_eq!(snapshot(dir.path()), before);
+    };
+    Run::new(dir.path()).run().unwrap();
+    fs::write(out.join("notes.txt"), "mine").unwrap();
+    keep("out: holds notes.txt, which no dwell has; choose another --out");
+    fs::remove_file(out.join("notes.txt")).unwrap();
+    fs::create_dir(out.join("data")).unwrap();
+    keep("holds data");
+    fs::remove_dir(out.join("data")).unwrap();
+    // A directory under the name of an array.
+    fs::remove_file(out.join("dwell_s.npy")).unwrap();
+    fs::create_dir(out.join("dwell_s.npy")).unwrap();
+    fs::write(out.join("dwell_s.npy/mine"), "mine").unwrap();
+    keep("holds dwell_s.npy, which no dwell has");
+    fs::remove_dir_all(&out).unwrap();
+    // An artifact of another kind.
+    write(&out, &surface());
+    keep("which no dwell has");
+    fs::remove_dir_all(&out).unwrap();
+    // Somebody's own arrays, without a manifest, fall to --force only.
+    write_bare(&out, &dwell(7.0));
+    Run::new(dir.path()).refused("give --force");
+    assert_eq!(value_in(&out), 7.0);
+    Run::new(dir.path()).force().run().unwrap();
+    assert_eq!(value_in(&out), 1.0);
+}
+
+#[test]
+fn a_file_that_appears_during_the_work_is_not_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    Run::new(dir.path()).run().unwrap();
+    let stage = Run::new(dir.path()).setting(2.0).force().stage().unwrap();
+    assert_eq!(stage.begin(&[""], DwellTime::KIND).unwrap(), Begin::Run);
+    fs::write(out.join("notes.txt"), "mine").unwrap();
+    let error = stage.write("", &dwell(2.0), json!({}), &Status::Done).unwrap_err();
+    assert!(error.to_string().contains("holds notes.txt"), "{error}");
+    assert_eq!(fs::read_to_string(out.join("notes.txt")).unwrap(), "mine");
+    assert_eq!((value_in(&out), names(dir.path())), (1.0, vec!["input".into(), "out".into()]));
+}
+
+#[test]
+fn an_input_is_not_an_output() {
+    let dir = tempfile::tempdir().unwrap();
+    let before = {
+        Run::new(dir.path());
+        symlink("input", dir.path().join("link")).unwrap();
+        snapshot(dir.path())
+    };
+    for out in ["input", "link", "input/../input"] {
+        let run = Run::new(dir.path()).out(dir.path().join(out)).force();
+        run.refused("is the input --input; choose another --out");
+    }
+    assert_eq!(snapshot(dir.path()), before);
+}
+
+#[test]
+fn an_output_that_cannot_be_is_refused_before_the_work() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("file"), "mine").unwrap();
+    symlink("nowhere", dir.path().join("link")).unwrap();
+    Run::new(dir.path());
+    let before = snapshot(dir.path());
+    for (out, expected) in [
+        ("file", "file: is a file; choose another --out"),
+        ("file/below", "cannot be written: Not a directory"),
+        ("link", "link: is a link to nothing; choose another --out"),
+        (&"n".repeat(256), "cannot be written: File name too long"),
+        (".", "holds "),
+        ("new/..", "is not the name of a directory"),
+    ] {
+        let run = Run::new(dir.path()).out(dir.path().join(out)).force();
+        let error = run.stage().unwrap().begin(&[""], DwellTime::KIND).unwrap_err().to_string();
+        assert!(error.contains(expected), "{out}: {error}");
+    }
+    let empty = Run::new(dir.path()).out("").stage().unwrap().begin(&[""], DwellTime::KIND);
+    assert!(empty.unwrap_err().to_string().contains("is not the name of a directory"));
+    let parts = Run::new(dir.path()).out(dir.path().join("file")).stage().unwrap();
+    let error = parts.begin(&["a", "b"], DwellTime::KIND).unwrap_err().to_string();
+    assert!(error.contains("file/a: cannot be written: Not a directory"), "{error}");
+    let mut wall = Run::new(dir.path());
+    wall.output.wall_time = Some(dir.path().join("out/wall.json"));
+    wall.refused("wall.json: is in the output; give another --wall-time");
+    assert_eq!(snapshot(dir.path()), before);
+}
+
+#[test]
+fn a_link_to_the_output_stays_a_link() {
+    let dir = tempfile::tempdir().unwrap();
+    let real = dir.path().join("elsewhere/real");
+    fs::create_dir_all(&real).unwrap();
+    symlink("elsewhere/real", dir.path().join("out")).unwrap();
+    for setting in [1.0, 2.0] {
+        Run::new(dir.path()).setting(setting).force().run().unwrap();
+        assert!(dir.path().join("out").is_symlink());
+        assert_eq!(value_in(&real), setting);
+        assert_eq!(names(&dir.path().join("elsewhere")), ["real"]);
+    }
+}
+
+#[test]
+fn a_link_in_the_output_is_removed_but_not_what_it_points_to() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    Run::new(dir.path()).run().unwrap();
+    fs::rename(out.join("dwell_s.npy"), dir.path().join("mine.npy")).unwrap();
+    symlink("../mine.npy", out.join("dwell_s.npy")).unwrap();
+    let mine = fs::read(dir.path().join("mine.npy")).unwrap();
+    Run::new(dir.path()).setting(2.0).force().run().unwrap();
+    assert!(!out.join("dwell_s.npy").is_symlink());
+    assert_eq!(fs::read(dir.path().join("mine.npy")).unwrap(), mine);
+}
+
+#[test]
+fn names_up_to_the_length_of_the_file_system_are_written() {
+    let dir = tempfile::tempdir().unwrap();
+    for out in ["n".repeat(255), "a b 'c' \u{fc}/deep/er".into(), "slash/".into()] {
+        for setting in [1.0, 2.0] {
+            let out = dir.path().join(&out);
+            Run::new(dir.path()).out(&out).setting(setting).force().run().unwrap();
+            assert_eq!(value_in(&out), setting);
+        }
+    }
+}
+
+#[test]
+fn what_a_killed_run_left_behind_is_not_in_the_way() {
+    let dir = tempfile::tempdir().unwrap();
+    // A container gives every run the same process id.
+    let left = dir.path().join(format!(".planish-{}-0.tmp", std::process::id()));
+    fs::create_dir(&left).unwrap();
+    fs::write(left.join("dwell_s.npy"), "half").unwrap();
+    Run::new(dir.path()).run().unwrap();
+    assert_eq!(value_in(&dir.path().join("out")), 1.0);
+    assert!(left.join("dwell_s.npy").exists());
+}
+
+#[test]
+fn beside_files_are_hashed_and_made_again_when_changed() {
+    let dir = tempfile::tempdir().unwrap();
+    let stage = Stage::new("test", "0", "report", &output(&dir.path().join("report")));
+    let beside = [("summary.json", b"{}\n".to_vec())];
+    stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done).unwrap();
+    let begin = || stage.begin(&[""], &kind::REPORT).unwrap();
+    assert_eq!(begin(), Begin::Unchanged(Status::Done));
+    fs::write(dir.path().join("report/summary.json"), "{ }\n").unwrap();
+    assert_eq!(begin(), Begin::Run);
+}
+
+// ---- processes of their own ------------------------------------------------------------------
+
+/// Values in the artifact that a child writes: enough that writing takes a while.
+const LONG: usize = 40_000;
+
+/// Not a test: what this program does when a test starts it again with `PLANISH_CHILD` set.
+///
+/// `once`: writes the value `PLANISH_VALUE` to `--out`; `forever`: writes 1, 2, 3, ... again and
+/// again.
+#[test]
+fn child() {
+    let Ok(mode) = std::env::var("PLANISH_CHILD") else { return };
+    let out = PathBuf::from(std::env::var_os("PLANISH_OUT").unwrap());
+    let write = |value: f64| {
+        let output = OutputArgs { force: true, ..output(&out) };
+        let mut stage = Stage::new("test", "0", "write", &output);
+        stage.settings(json!({ "value": value }));
+        if stage.begin(&[""], DwellTime::KIND)? == Begin::Run {
+            let long = DwellTime::new(vec![value; LONG]).unwrap();
+            stage.write("", &long, json!({ "value": value }), &Status::Done)?;
+        }
+        Ok::<(), HandoffError>(())
+    };
+    match mode.as_str() {
+        "once" => {
+            if let Err(e) = write(std::env::var("PLANISH_VALUE").unwrap().parse().unwrap()) {
+                eprintln!("error: {e}");
+                std::process::exit(2);
+            }
+        }
+        _ => {
+            let mut value = 0.0;
+            loop {
+                value += 1.0;
+                write(value).unwrap();
+            }
+        }
+    }
+}
+
+fn child_command(shell: &str, directory: &Path, mode: &str, out: &str, value: f64) -> Command {
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", &format!("{shell} exec \"$0\" \"$@\"")])
+        .arg(std::env::current_exe().unwrap())
+        .args(["--exact", "child", "--nocapture"])
+        .current_dir(directory)
+        .env("PLANISH_CHILD", mode)
+        .env("PLANISH_OUT", out)
+        .env("PLANISH_VALUE", value.to_string())
+        .stdout(Stdio::null());
+    command
+}
+
+fn write_once(shell: &str, directory: &Path, out: &str, value: f64) -> Output {
+    child_command(shell, directory, "once", out, value).output().unwrap()
+}
+
+fn write_forever(directory: &Path) -> Child {
+    child_command("", directory, "forever", "out", 0.0).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// The value of an artifact, which must be whole: arrays and manifest of one run.
+fn whole(out: &Path) -> f64 {
+    let loaded = artifact::read::<DwellTime>(out).unwrap();
+    let (values, manifest) = (loaded.value.dwell_s(), loaded.manifest.unwrap());
+    assert_eq!(values.len(), LONG);
+    assert!(values.iter().all(|v| *v == values[0]));
+    assert_eq!(manifest.outcome["value"], values[0]);
+    assert_eq!(manifest.settings["value"], values[0]);
+    values[0]
+}
+
+#[test]
+fn the_same_command_writes_the_same_bytes_into_the_current_directory() {
+    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    for dir in [&a, &b] {
+        let run = write_once("", dir.path(), "out", 3.0);
+        assert!(run.status.success(), "{run:?}");
+        assert_eq!(whole(&dir.path().join("out")), 3.0);
+        assert_eq!(names(dir.path()), ["out"]);
+    }
+    for file in ["dwell_s.npy", MANIFEST] {
+        let bytes = |dir: &Path| fs::read(dir.join("out").join(file)).unwrap();
+        assert_eq!(bytes(a.path()), bytes(b.path()), "{file}");
+    }
+    let manifest = fs::read_to_string(a.path().join("out").join(MANIFEST)).unwrap();
+    assert!(manifest.ends_with("}\n"));
+    assert!(!manifest.contains(a.path().to_str().unwrap()));
+}
+
+#[test]
+fn the_directory_in_which_the_user_stands_is_not_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = write_once("", dir.path(), ".", 1.0);
+    let message = String::from_utf8(run.stderr).unwrap();
+    assert_eq!(run.status.code(), Some(2), "{message}");
+    assert!(message.contains("is the current directory; give a new directory in it"), "{message}");
+    assert!(names(dir.path()).is_empty());
+}
+
+#[test]
+fn a_write_that_fails_half_way_leaves_the_old_artifact_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    // Files of at most 16 KiB: the array of 320 kB fails in the middle, as on a full disk.
+    let full_disk = "trap '' XFSZ; ulimit -f 32;";
+    let refuse = |expected: &str| {
+        let run = write_once(full_disk, dir.path(), "out", 2.0);
+        let message = String::from_utf8(run.stderr).unwrap();
+        assert_eq!(run.status.code(), Some(2), "{message}");
+        assert!(message.contains(expected), "{message}");
+    };
+    refuse("dwell_s.npy: cannot write: File too large");
+    assert!(names(dir.path()).is_empty(), "{:?}", names(dir.path()));
+    assert!(write_once("", dir.path(), "out", 1.0).status.success());
+    refuse("dwell_s.npy: cannot write: File too large");
+    assert_eq!(names(dir.path()), ["out"]);
+    assert_eq!(whole(&dir.path().join("out")), 1.0);
+}
+
+#[test]
+fn an_unwritable_place_is_said_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = write_once("", dir.path(), "/proc/planish/out", 1.0);
+    let message = String::from_utf8(run.stderr).unwrap();
+    assert_eq!(run.status.code(), Some(2), "{message}");
+    assert!(message.contains("/proc/planish: cannot create"), "{message}");
+}
+
+#[test]
+fn killed_writers_leave_a_whole_artifact_at_every_moment() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    assert!(write_once("", dir.path(), "out", 0.5).status.success());
+    let (stop, reads, changes) = (AtomicBool::new(false), AtomicUsize::new(0), AtomicUsize::new(0));
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut last = 0.5;
+            while !stop.load(Ordering::Relaxed) {
+                let value = whole(&out);
+                reads.fetch_add(1, Ordering::Relaxed);
+                changes.fetch_add(usize::from(value != last), Ordering::Relaxed);
+                last = value;
+            }
+        });
+        for round in 0..40_u64 {
+            // Two writers at once in every second round.
+            let mut children: Vec<Child> =
+                (0..1 + round % 2).map(|_| write_forever(dir.path())).collect();
+            // From before the first write to some writes later.
+            thread::sleep(Duration::from_micros(2_000 + 977 * round));
+            for child in &mut children {
+                child.kill().unwrap();
+                child.wait().unwrap();
+            }
+        }
+        stop.store(true, Ordering::Relaxed);
+    });
+    whole(&out);
+    let (reads, changes) = (reads.into_inner(), changes.into_inner());
+    eprintln!("{reads} reads, {changes} changes seen");
+    assert!(reads > 50 && changes > 10, "{reads} reads, {changes} changes: too slow to prove much");
+    // Nothing but the artifact and what the killed writers could not clear away.
+    let left = names(dir.path());
+    assert!(left.iter().all(|n| n == "out" || n.starts_with(".planish-")), "{left:?}");
+    // Nor is that in the way of the next run.
+    assert!(write_once("", dir.path(), "out", 0.25).status.success());
+    assert_eq!(whole(&out), 0.25);
+}
+
+#[test]
+fn a_tif_and_a_surface_do_not_take_each_others_place() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path().join("a").as_path(), &tif());
+    let stage = Stage::new("test", "0", "make", &output(&dir.path().join("a")));
+    let error = stage.begin(&[""], &kind::SURFACE).unwrap_err().to_string();
+    assert!(error.contains("holds rate_nm_per_s.npy, which no surface has"), "{error}");
+}
