@@ -1,0 +1,56 @@
+//! Conditioning of a measured map before the solvers see it.
+//!
+//! * [`mod@prepare`]: clear aperture, outlier mask and level, in this order.
+//! * [`outliers`]: finds pits and dust that are too narrow for the tool.
+
+mod median;
+pub mod outliers;
+pub mod prepare;
+
+pub use outliers::{OutlierSettings, Outliers};
+pub use prepare::{Level, PrepareSettings, Prepared, prepare};
+
+use planish_types::Invalid;
+
+/// Why a map cannot be prepared.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PrepareError {
+    /// A value that cannot be what it claims to be.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// A clear aperture in one row or one column.
+    #[error(
+        "clear aperture: holds {rows} row(s) and {columns} column(s) of pixels; \
+         a map needs at least 2 x 2, check its size and units"
+    )]
+    TooSmall {
+        /// Rows of the bounding box.
+        rows: usize,
+        /// Columns of the bounding box.
+        columns: usize,
+    },
+    /// The outlier mask would take more than the allowed share of the pixels.
+    #[error(
+        "outlier mask: takes {masked} of {valid} valid pixels ({percent:.2} %, at most {limit} %); \
+         raise the thresholds, or give the right feature size"
+    )]
+    TooManyMasked {
+        /// Pixels that the mask would take.
+        masked: usize,
+        /// Valid pixels.
+        valid: usize,
+        /// Their ratio, %.
+        percent: f64,
+        /// Largest allowed ratio, %.
+        limit: f64,
+    },
+    /// The valid pixels do not define a plane.
+    #[error(
+        "plane: {valid} valid pixel(s) do not define one (at least 6, not all on one line); \
+         use the level piston"
+    )]
+    NoPlane {
+        /// Valid pixels.
+        valid: usize,
+    },
+}

@@ -1,0 +1,409 @@
+//! Finds pits and dust: features that are too narrow for the tool and too deep for noise.
+//!
+//! A feature narrower than about half the tool's full width at half maximum W cannot be
+//! corrected; left in the map it sets the minimum and draws the solver after it. With the
+//! least-squares plane removed first (a tilt must not decide what is a pit):
+//!
+//! ```text
+//! d    = z - median filter(z),  window W/2 (odd, at least 9 px)
+//! s    = 1.4826 median|d - median(d)|
+//! seed: |d| > max(15 s, floor)        grow: |d| > max(6 s, 0.3 floor), 8-connected
+//! keep: components with a seed whose bounding box is at most W/2 along x and along y
+//! mask: the kept components, dilated by a square of half-width 3 px
+//! ```
+//!
+//! The seed finds what is surely not noise, the growth takes its flanks, and the extent spares
+//! edges, rims and steps: they are long.
+//!
+//! Source: thresholds with hysteresis, J. Canny, IEEE Trans. Pattern Anal. Mach. Intell. 8 (1986)
+//! 679; MAD as the estimate of the noise, F. R. Hampel, J. Am. Stat. Assoc. 69 (1974) 383 (1.4826
+//! makes it the standard deviation of normal noise). The multiples were chosen on a measured
+//! mirror.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `surface` | (ny, nx) | nm |
+//! | W | `feature_mm` | - | mm |
+//! | d | `deviation` | (ny, nx) | nm |
+//! | s | `noise_nm` | - | nm |
+
+use std::f64::consts::PI;
+
+use ndarray::Array2;
+use planish_numerics::statistics::{fit_plane, subtract_plane};
+use planish_types::{Axis, Invalid, Surface, Tif};
+use serde::Serialize;
+
+use crate::{PrepareError, median::median_filter};
+
+/// The grown threshold's share of the floor.
+const GROW_FLOOR: f64 = 0.3;
+
+/// Smallest window of the median filter, px: a window of 9 x 9 still outvotes a pit of 6 x 6.
+const MIN_WINDOW_PX: usize = 9;
+
+/// 1 / (the 0.75 quantile of the standard normal distribution).
+const SIGMA_PER_MAD: f64 = 1.4826;
+
+/// A larger share of masked pixels means that the parameters are wrong, not the mirror.
+const MAX_MASKED_FRACTION: f64 = 0.02;
+
+/// What counts as an outlier.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OutlierSettings {
+    /// Full width at half maximum of the tool's influence, mm; > 0. See [`half_maximum_width_mm`].
+    pub feature_mm: f64,
+    /// A seed deviates by more than this multiple of the noise (1.4826 MAD); > 0. The noise of a
+    /// polished map is not normal: 6 to 10 still flag its borders, 15 does not.
+    pub seed_sigmas: f64,
+    /// A seed grows to neighbours that deviate by more than this multiple of the noise; > 0, at
+    /// most `seed_sigmas`.
+    pub grow_sigmas: f64,
+    /// No seed deviates by less than this, nm; >= 0. About 5 times the metrology's noise.
+    pub floor_nm: f64,
+    /// Width of the margin around a component, px: the blurred rim of the pit.
+    pub dilate_px: usize,
+}
+
+impl OutlierSettings {
+    /// The defaults for a tool of this full width at half maximum, mm.
+    pub fn for_feature_mm(feature_mm: f64) -> Self {
+        Self { feature_mm, seed_sigmas: 15.0, grow_sigmas: 6.0, floor_nm: 1.0, dilate_px: 3 }
+    }
+
+    fn check(&self) -> Result<(), Invalid> {
+        let refuse = |name, value: f64, remedy: &str| {
+            Err(Invalid::whole(name, format!("is {value}"), remedy.to_string()))
+        };
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        if !positive(self.feature_mm) {
+            return refuse("feature_mm", self.feature_mm, "give a positive width in mm");
+        }
+        if !positive(self.seed_sigmas) {
+            return refuse(
+                "seed_sigmas",
+                self.seed_sigmas,
+                "give a positive multiple of the noise",
+            );
+        }
+        if !positive(self.grow_sigmas) || self.grow_sigmas > self.seed_sigmas {
+            let remedy =
+                format!("give a positive multiple, at most the seed's {}", self.seed_sigmas);
+            return refuse("grow_sigmas", self.grow_sigmas, &remedy);
+        }
+        if !(self.floor_nm.is_finite() && self.floor_nm >= 0.0) {
+            return refuse("floor_nm", self.floor_nm, "give a height of at least 0 nm");
+        }
+        Ok(())
+    }
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outliers {
+    /// True where the map is to be masked (ny, nx); only valid pixels.
+    pub mask: Array2<bool>,
+    /// Numbers for the manifest.
+    pub report: OutlierReport,
+}
+
+/// What was found, in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OutlierReport {
+    /// Components, before the dilation.
+    pub components: usize,
+    /// Pixels in the components, before the dilation.
+    pub core_pixels: usize,
+    /// Valid pixels masked, after the dilation.
+    pub masked_pixels: usize,
+    /// Masked over valid pixels.
+    pub masked_fraction: f64,
+    /// Robust standard deviation of the map about its median filter, nm.
+    pub noise_nm: f64,
+    /// Threshold of a seed, nm.
+    pub seed_nm: f64,
+    /// Threshold of the growth, nm.
+    pub grow_nm: f64,
+    /// Window of the median filter (rows, columns), px.
+    pub window_px: (usize, usize),
+}
+
+/// Diameter of the circle whose area is that of the samples at or above half the peak, mm.
+///
+/// The full width at half maximum of a round TIF; the geometric mean of the two axes of an
+/// elliptical one.
+pub fn half_maximum_width_mm(tif: &Tif) -> f64 {
+    let half = 0.5 * tif.peak_nm_per_s();
+    let count = tif.rate_nm_per_s().iter().filter(|v| **v >= half).count();
+    // pi (W/2)^2 = A
+    2.0 * (count as f64 * tif.grid().pixel_mm2() / PI).sqrt()
+}
+
+/// Finds the outliers of `surface`; refuses to mask more than 2 % of its valid pixels.
+pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outliers, PrepareError> {
+    settings.check()?;
+    let grid = surface.grid();
+    let extent_mm = 0.5 * settings.feature_mm;
+    let window_px = (window(&grid.y, extent_mm), window(&grid.x, extent_mm));
+
+    // d = z - median filter(z)
+    let flat = without_plane(surface);
+    let deviation = &flat - &median_filter(flat.view(), (window_px.0 / 2, window_px.1 / 2));
+
+    // s = 1.4826 MAD(d)
+    let noise_nm = SIGMA_PER_MAD * median_absolute_deviation(&deviation);
+    let seed_nm = (settings.seed_sigmas * noise_nm).max(settings.floor_nm);
+    let grow_nm = (settings.grow_sigmas * noise_nm).max(GROW_FLOOR * settings.floor_nm);
+
+    let mut mask = Array2::from_elem(grid.shape(), false);
+    let mut report = OutlierReport {
+        components: 0,
+        core_pixels: 0,
+        masked_pixels: 0,
+        masked_fraction: 0.0,
+        noise_nm,
+        seed_nm,
+        grow_nm,
+        window_px,
+    };
+    // A pixel that rounding puts beyond W/2 by 1e-9 of a step is within it.
+    let fits = |pixels: usize, axis: &Axis| {
+        pixels as f64 * axis.step_mm() <= extent_mm + 1e-9 * axis.step_mm()
+    };
+    for component in components(&deviation, grow_nm) {
+        let has_seed = component.iter().any(|at| deviation[*at].abs() > seed_nm);
+        let (rows, columns) = bounding_box(&component);
+        if has_seed && fits(rows, &grid.y) && fits(columns, &grid.x) {
+            report.components += 1;
+            report.core_pixels += component.len();
+            component.iter().for_each(|at| dilate(&mut mask, *at, settings.dilate_px));
+        }
+    }
+    mask.zip_mut_with(surface.height_nm(), |m, z| *m &= !z.is_nan());
+
+    let valid = surface.statistics().valid_count;
+    report.masked_pixels = mask.iter().filter(|m| **m).count();
+    report.masked_fraction = report.masked_pixels as f64 / valid as f64;
+    if report.masked_fraction > MAX_MASKED_FRACTION {
+        return Err(PrepareError::TooManyMasked {
+            masked: report.masked_pixels,
+            valid,
+            percent: 100.0 * report.masked_fraction,
+            limit: 100.0 * MAX_MASKED_FRACTION,
+        });
+    }
+    Ok(Outliers { mask, report })
+}
+
+/// The odd number of pixels nearest to `extent_mm`, at least 9, at most the map (or 9).
+fn window(axis: &Axis, extent_mm: f64) -> usize {
+    let largest = axis.len().max(MIN_WINDOW_PX);
+    let half = (0.5 * (extent_mm / axis.step_mm() - 1.0)).round().clamp(0.0, largest as f64);
+    let half = (half as usize).clamp(MIN_WINDOW_PX / 2, (largest - 1) / 2);
+    2 * half + 1
+}
+
+fn without_plane(surface: &Surface) -> Array2<f64> {
+    let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
+    let map = surface.height_nm().view();
+    fit_plane(map, &x, &y).map_or_else(|| map.to_owned(), |p| subtract_plane(map, &x, &y, p))
+}
+
+fn median_absolute_deviation(map: &Array2<f64>) -> f64 {
+    let mut values: Vec<f64> = map.iter().copied().filter(|v| !v.is_nan()).collect();
+    let centre = middle(&mut values);
+    values.iter_mut().for_each(|v| *v = (*v - centre).abs());
+    middle(&mut values)
+}
+
+/// The (smaller) middle value; `values` is not empty.
+fn middle(values: &mut [f64]) -> f64 {
+    let k = (values.len() - 1) / 2;
+    *values.select_nth_unstable_by(k, f64::total_cmp).1
+}
+
+/// The 8-connected components of |map| > threshold, each a list of pixels.
+fn components(map: &Array2<f64>, threshold: f64) -> Vec<Vec<(usize, usize)>> {
+    let (ny, nx) = map.dim();
+    let mut open = map.mapv(|v| v.abs() > threshold); // false for NaN
+    let mut found = Vec::new();
+    for start in ndarray::indices((ny, nx)) {
+        if !std::mem::take(&mut open[start]) {
+            continue;
+        }
+        let mut component = vec![start];
+        let mut next = 0;
+        while next < component.len() {
+            let (r, c) = component[next];
+            next += 1;
+            for i in r.saturating_sub(1)..=(r + 1).min(ny - 1) {
+                for j in c.saturating_sub(1)..=(c + 1).min(nx - 1) {
+                    if std::mem::take(&mut open[[i, j]]) {
+                        component.push((i, j));
+                    }
+                }
+            }
+        }
+        found.push(component);
+    }
+    found
+}
+
+/// Rows and columns of the bounding box.
+fn bounding_box(pixels: &[(usize, usize)]) -> (usize, usize) {
+    let extent = |of: fn(&(usize, usize)) -> usize| {
+        let (low, high) =
+            pixels.iter().map(of).fold((usize::MAX, 0), |(l, h), i| (l.min(i), h.max(i)));
+        high + 1 - low
+    };
+    (extent(|p| p.0), extent(|p| p.1))
+}
+
+/// Sets the square of half-width `reach` about a pixel.
+fn dilate(mask: &mut Array2<bool>, (r, c): (usize, usize), reach: usize) {
+    let (ny, nx) = mask.dim();
+    for i in r.saturating_sub(reach)..=r.saturating_add(reach).min(ny - 1) {
+        for j in c.saturating_sub(reach)..=c.saturating_add(reach).min(nx - 1) {
+            mask[[i, j]] = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Grid;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    const SHAPE: (usize, usize) = (120, 200);
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(0.0, 0.1, SHAPE.1).unwrap(), y: Axis::new(0.0, 0.1, SHAPE.0).unwrap() }
+    }
+
+    /// A smooth figure of 20 nm with 0.05 nm of noise.
+    fn smooth(seed: u64) -> Array2<f64> {
+        let noise = Normal::new(0.0, 0.05).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        Array2::from_shape_fn(SHAPE, |(r, c)| {
+            let (x, y) = (0.1 * c as f64, 0.1 * r as f64);
+            10.0 * (0.3 * x).sin() * (0.25 * y).cos() + noise.sample(&mut rng)
+        })
+    }
+
+    fn find(map: &Array2<f64>) -> Outliers {
+        let surface = Surface::new(grid(), map.clone()).unwrap();
+        outliers(&surface, &OutlierSettings::for_feature_mm(4.0)).unwrap()
+    }
+
+    fn with_pit(mut map: Array2<f64>) -> Array2<f64> {
+        map.slice_mut(ndarray::s![50..56, 80..86]).mapv_inplace(|v| v - 20.0);
+        map
+    }
+
+    #[test]
+    fn one_pit_is_exactly_that_component() {
+        let found = find(&with_pit(smooth(1)));
+        assert_eq!((found.report.components, found.report.core_pixels), (1, 36));
+        // 6 + 2 * 3 pixels in each direction.
+        let square =
+            Array2::from_shape_fn(SHAPE, |(r, c)| (47..59).contains(&r) && (77..89).contains(&c));
+        assert_eq!(found.mask, square);
+    }
+
+    #[test]
+    fn a_hill_counts_like_a_pit() {
+        let map = with_pit(smooth(2)).mapv(|v| -v);
+        assert_eq!(find(&map).report.core_pixels, 36);
+    }
+
+    #[test]
+    fn noise_has_no_outlier() {
+        for seed in 0..5 {
+            let report = find(&smooth(seed)).report;
+            assert_eq!(report.components, 0, "seed {seed}: {report:?}");
+        }
+    }
+
+    #[test]
+    fn a_step_at_the_border_is_not_an_outlier() {
+        for width in [1, 3, 8] {
+            let mut map = smooth(3);
+            map.slice_mut(ndarray::s![.., ..width]).mapv_inplace(|v| v + 20.0);
+            map.slice_mut(ndarray::s![SHAPE.0 - width.., ..]).mapv_inplace(|v| v - 20.0);
+            assert_eq!(find(&map).report.components, 0, "width {width}");
+        }
+    }
+
+    #[test]
+    fn the_rim_of_a_circular_aperture_is_not_an_outlier_but_a_pit_near_it_is() {
+        let inside = |r: usize, c: usize| (r as f64 - 59.5).hypot(c as f64 - 99.5) <= 58.0;
+        let masked = |map: Array2<f64>| {
+            Array2::from_shape_fn(SHAPE, |(r, c)| if inside(r, c) { map[[r, c]] } else { f64::NAN })
+        };
+        assert_eq!(find(&masked(smooth(4))).report.components, 0);
+        let found = find(&masked(with_pit(smooth(4))));
+        assert_eq!((found.report.components, found.report.core_pixels), (1, 36));
+    }
+
+    #[test]
+    fn a_tilt_changes_nothing() {
+        let flat = find(&with_pit(smooth(5)));
+        let mut tilted = with_pit(smooth(5));
+        tilted.indexed_iter_mut().for_each(|((r, c), v)| *v += 40.0 * c as f64 - 7.0 * r as f64);
+        assert_eq!(find(&tilted).mask, flat.mask);
+    }
+
+    #[test]
+    fn a_wide_pit_is_left_to_the_tool() {
+        let mut map = smooth(6);
+        // 25 px = 2.5 mm > 4 mm / 2.
+        map.slice_mut(ndarray::s![50..75, 80..86]).mapv_inplace(|v| v - 20.0);
+        assert_eq!(find(&map).report.components, 0);
+    }
+
+    #[test]
+    fn too_many_outliers_are_refused() {
+        let mut map = smooth(7);
+        for (r, c) in (0..8).flat_map(|i| (0..12).map(move |j| (i, j))) {
+            map[[8 + 14 * r, 10 + 15 * c]] -= 20.0;
+        }
+        let surface = Surface::new(grid(), map).unwrap();
+        let error = outliers(&surface, &OutlierSettings::for_feature_mm(4.0)).unwrap_err();
+        // 96 dots of 7 x 7 pixels.
+        assert!(error.to_string().contains("4704 of 24000"), "{error}");
+    }
+
+    #[test]
+    fn width_of_a_gaussian() {
+        let axis = Axis::new(-5.0, 0.1, 101).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let sigma = 1.7;
+        let rate = Array2::from_shape_fn((101, 101), |(r, c)| {
+            let (x, y) = (axis.at(c), axis.at(r));
+            8.0 * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp()
+        });
+        let width = half_maximum_width_mm(&Tif::new(grid, rate).unwrap());
+        let exact = 2.0 * (2.0 * std::f64::consts::LN_2).sqrt() * sigma;
+        // Counting lattice points in a circle of 40 px: about one row in 500.
+        assert!((width / exact - 1.0).abs() < 5e-3, "{width} {exact}");
+    }
+
+    #[test]
+    fn bad_settings_are_refused() {
+        let surface = Surface::new(grid(), smooth(8)).unwrap();
+        let good = OutlierSettings::for_feature_mm(4.0);
+        let bad = [
+            (OutlierSettings { feature_mm: 0.0, ..good.clone() }, "feature_mm: is 0"),
+            (OutlierSettings { seed_sigmas: f64::NAN, ..good.clone() }, "seed_sigmas: is NaN"),
+            (OutlierSettings { grow_sigmas: 16.0, ..good.clone() }, "grow_sigmas: is 16"),
+            (OutlierSettings { floor_nm: -1.0, ..good }, "floor_nm: is -1"),
+        ];
+        for (settings, message) in bad {
+            let error = outliers(&surface, &settings).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

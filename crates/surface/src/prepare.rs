@@ -1,0 +1,347 @@
+//! Makes the desired removal out of a measured map.
+//!
+//! In this order:
+//!
+//! 1. clear aperture: pixels outside become invalid, the map is cropped to the bounding box;
+//! 2. outlier mask ([`crate::outliers`]): pits and dust become invalid;
+//! 3. level: a plane `a + b x + c y` is subtracted, fitted to the valid pixels, and the smallest
+//!    valid height becomes 0 (the machine can only remove).
+//!
+//! ```text
+//! z'(x, y) = z(x, y) - (a + b x + c y)
+//! none:   a = b = c = 0
+//! piston: b = c = 0, min z' = 0
+//! plane:  (b, c) minimise sum (z - a0 - b x - c y)^2 over the valid pixels, min z' = 0
+//! ```
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `measured` | (ny, nx) | nm |
+//! | a | `constant_nm` | - | nm |
+//! | b, c | `slope_nm_per_mm` | (2) | nm/mm |
+
+use ndarray::{Array2, s};
+use planish_numerics::statistics::{Plane, fit_plane, statistics, subtract_plane};
+use planish_types::{ClearAperture, Grid, Surface};
+use serde::{Serialize, Serializer};
+use serde_json::json;
+
+use crate::{
+    PrepareError,
+    outliers::{OutlierReport, OutlierSettings, outliers},
+};
+
+/// Fewest valid pixels for a plane: twice its coefficients.
+const MIN_PIXELS_FOR_PLANE: usize = 6;
+
+/// What to do with the map.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PrepareSettings {
+    /// The region that counts; `None` keeps the whole map.
+    #[serde(serialize_with = "describe_aperture")]
+    pub aperture: Option<ClearAperture>,
+    /// How to find outliers; `None` masks none.
+    pub outliers: Option<OutlierSettings>,
+    /// What to subtract.
+    pub level: Level,
+}
+
+/// What is subtracted from the map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Level {
+    /// Nothing.
+    None,
+    /// A constant, so that the smallest height is 0.
+    #[default]
+    Piston,
+    /// The least-squares plane, then a constant so that the smallest height is 0.
+    Plane,
+}
+
+/// The prepared map and what was done to it.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// The desired removal.
+    pub surface: Surface,
+    /// Numbers for the manifest.
+    pub report: PrepareReport,
+}
+
+/// What was done, in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PrepareReport {
+    /// The map as given.
+    pub before: MapStatistics,
+    /// Within the clear aperture, before masking and levelling.
+    pub in_aperture: MapStatistics,
+    /// The result.
+    pub after: MapStatistics,
+    /// What the outlier mask took.
+    pub outliers: Option<OutlierReport>,
+    /// The plane that was subtracted.
+    pub removed_plane: RemovedPlane,
+}
+
+/// Statistics of the valid pixels of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MapStatistics {
+    /// Population RMS, mean removed, nm.
+    pub rms_nm: f64,
+    /// Population RMS, least-squares plane removed, nm.
+    pub rms_detilted_nm: f64,
+    /// Largest minus smallest height, nm.
+    pub pv_nm: f64,
+    /// Number of valid pixels.
+    pub valid_pixels: usize,
+    /// Shape of the map (rows, columns).
+    pub shape: (usize, usize),
+}
+
+/// `constant_nm + slope_nm_per_mm . (x, y)`, in part coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RemovedPlane {
+    /// Height at x = y = 0, nm.
+    pub constant_nm: f64,
+    /// Slope along [x, y], nm/mm.
+    pub slope_nm_per_mm: [f64; 2],
+}
+
+/// Crops, masks and levels `measured`.
+pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepared, PrepareError> {
+    let cropped = match &settings.aperture {
+        Some(aperture) => crop(measured, aperture)?,
+        None => measured.clone(),
+    };
+    let (masked, found) = match &settings.outliers {
+        Some(settings) => mask_outliers(&cropped, settings)?,
+        None => (cropped.clone(), None),
+    };
+    let (surface, removed_plane) = level(&masked, settings.level)?;
+    let report = PrepareReport {
+        before: map_statistics(measured),
+        in_aperture: map_statistics(&cropped),
+        after: map_statistics(&surface),
+        outliers: found,
+        removed_plane,
+    };
+    Ok(Prepared { surface, report })
+}
+
+/// NaN outside the aperture, cropped to its bounding box.
+fn crop(measured: &Surface, aperture: &ClearAperture) -> Result<Surface, PrepareError> {
+    let grid = measured.grid();
+    let mask = aperture.mask(grid)?;
+    let rows = extent(mask.outer_iter().map(|row| row.iter().any(|m| *m)));
+    let columns = extent(mask.columns().into_iter().map(|column| column.iter().any(|m| *m)));
+    let (height, width) = (rows.1 + 1 - rows.0, columns.1 + 1 - columns.0);
+    if height < 2 || width < 2 {
+        return Err(PrepareError::TooSmall { rows: height, columns: width });
+    }
+    let mut map = measured.height_nm().clone();
+    map.zip_mut_with(&mask, |z, inside| {
+        if !inside {
+            *z = f64::NAN;
+        }
+    });
+    let map = map.slice(s![rows.0..=rows.1, columns.0..=columns.1]).to_owned();
+    let grid = Grid { x: grid.x.crop(columns.0, columns.1)?, y: grid.y.crop(rows.0, rows.1)? };
+    Ok(Surface::new(grid, map)?)
+}
+
+/// First and last true; an aperture has one.
+fn extent(flags: impl Iterator<Item = bool>) -> (usize, usize) {
+    let set = flags.enumerate().filter(|(_, f)| *f).map(|(i, _)| i);
+    set.fold((usize::MAX, 0), |(first, last), i| (first.min(i), last.max(i)))
+}
+
+fn mask_outliers(
+    surface: &Surface,
+    settings: &OutlierSettings,
+) -> Result<(Surface, Option<OutlierReport>), PrepareError> {
+    let found = outliers(surface, settings)?;
+    let mut map = surface.height_nm().clone();
+    map.zip_mut_with(&found.mask, |z, outlier| {
+        if *outlier {
+            *z = f64::NAN;
+        }
+    });
+    Ok((Surface::new(*surface.grid(), map)?, Some(found.report)))
+}
+
+fn level(surface: &Surface, level: Level) -> Result<(Surface, RemovedPlane), PrepareError> {
+    let map = surface.height_nm().view();
+    let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
+    let plane = match level {
+        Level::None => {
+            let removed_plane = RemovedPlane { constant_nm: 0.0, slope_nm_per_mm: [0.0; 2] };
+            return Ok((surface.clone(), removed_plane));
+        }
+        Level::Piston => Plane { a: surface.statistics().min, b: 0.0, c: 0.0 },
+        Level::Plane => {
+            let valid = surface.statistics().valid_count;
+            let fit = fit_plane(map, &x, &y).filter(|_| valid >= MIN_PIXELS_FOR_PLANE);
+            fit.ok_or(PrepareError::NoPlane { valid })?
+        }
+    };
+    // z' = z - (a + b x + c y), then min z' = 0
+    let mut flat: Array2<f64> = subtract_plane(map, &x, &y, plane);
+    let min = statistics(flat.view()).map_or(0.0, |s| s.min);
+    flat -= min;
+    let removed_plane =
+        RemovedPlane { constant_nm: plane.a + min, slope_nm_per_mm: [plane.b, plane.c] };
+    Ok((Surface::new(*surface.grid(), flat)?, removed_plane))
+}
+
+fn map_statistics(surface: &Surface) -> MapStatistics {
+    let s = surface.statistics();
+    MapStatistics {
+        rms_nm: s.rms,
+        rms_detilted_nm: surface.detilted_rms_nm(),
+        pv_nm: s.pv,
+        valid_pixels: s.valid_count,
+        shape: surface.height_nm().dim(),
+    }
+}
+
+/// A mask is an input of its own; the settings only say that there is one.
+fn describe_aperture<S: Serializer>(
+    aperture: &Option<ClearAperture>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    let value = match aperture {
+        None => json!("whole map"),
+        Some(ClearAperture::Rectangle { x_mm, y_mm }) => {
+            json!({ "rectangle": { "x_mm": x_mm, "y_mm": y_mm } })
+        }
+        Some(ClearAperture::Circle { centre_mm, radius_mm }) => {
+            json!({ "circle": { "centre_mm": centre_mm, "radius_mm": radius_mm } })
+        }
+        Some(ClearAperture::Mask(_)) => json!("mask"),
+    };
+    value.serialize(serializer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Axis;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(-3.0, 0.1, 61).unwrap(), y: Axis::new(10.0, 0.2, 41).unwrap() }
+    }
+
+    fn settings(aperture: Option<ClearAperture>, level: Level) -> PrepareSettings {
+        PrepareSettings { aperture, outliers: None, level }
+    }
+
+    fn disc() -> Option<ClearAperture> {
+        Some(ClearAperture::Circle { centre_mm: [0.2, 14.0], radius_mm: 2.0 })
+    }
+
+    fn rough(seed: u64) -> Array2<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        Array2::from_shape_simple_fn(grid().shape(), || rng.random_range(-5.0..5.0))
+    }
+
+    fn tilted(mut map: Array2<f64>, a: f64, b: f64, c: f64) -> Surface {
+        for ((row, column), v) in map.indexed_iter_mut() {
+            *v += a + b * grid().x.at(column) + c * grid().y.at(row);
+        }
+        Surface::new(grid(), map).unwrap()
+    }
+
+    #[test]
+    fn a_plane_on_a_masked_map_is_removed_exactly_and_named() {
+        let surface = tilted(Array2::zeros(grid().shape()), 7.0, 3.0, -20.0);
+        let done = prepare(&surface, &settings(disc(), Level::Plane)).unwrap();
+        // Heights of 300 nm carry rounding of 1e-13 each; the fit may add one digit.
+        assert!(done.report.after.pv_nm < 1e-11, "{:?}", done.report);
+        let RemovedPlane { constant_nm, slope_nm_per_mm: [b, c] } = done.report.removed_plane;
+        assert!((b - 3.0).abs() < 1e-12 && (c + 20.0).abs() < 1e-12, "{b} {c}");
+        assert!((constant_nm - 7.0).abs() < 1e-10, "{constant_nm}");
+    }
+
+    #[test]
+    fn adding_a_plane_leaves_the_levelled_map_unchanged() {
+        let settings = settings(disc(), Level::Plane);
+        let one = prepare(&tilted(rough(1), 0.0, 0.0, 0.0), &settings).unwrap().surface;
+        let two = prepare(&tilted(rough(1), -80.0, 11.0, 6.0), &settings).unwrap().surface;
+        let difference = (one.height_nm() - two.height_nm()).mapv(f64::abs);
+        // Rounding as above.
+        assert!(difference.iter().all(|d| d.is_nan() || *d < 1e-11));
+    }
+
+    #[test]
+    fn levelling_twice_is_levelling_once_and_the_rms_is_the_detilted_one() {
+        let settings = settings(None, Level::Plane);
+        let once = prepare(&tilted(rough(2), 1.0, 2.0, 3.0), &settings).unwrap();
+        let twice = prepare(&once.surface, &settings).unwrap();
+        let difference = (once.surface.height_nm() - twice.surface.height_nm()).mapv(f64::abs);
+        assert!(difference.iter().all(|d| *d < 1e-12));
+        let (before, after) = (once.report.before, once.report.after);
+        assert!((after.rms_nm - before.rms_detilted_nm).abs() < 1e-12);
+        assert!(before.rms_nm > before.rms_detilted_nm + 1.0);
+    }
+
+    #[test]
+    fn piston_only_shifts_and_none_touches_nothing() {
+        let surface = tilted(rough(3), 50.0, 4.0, 0.0);
+        let done = prepare(&surface, &settings(None, Level::Piston)).unwrap();
+        assert_eq!(done.surface.statistics().min, 0.0);
+        let min = surface.statistics().min;
+        assert_eq!(done.report.removed_plane.constant_nm, min);
+        assert_eq!(done.surface.height_nm(), &surface.height_nm().mapv(|v| v - min));
+        let done = prepare(&surface, &settings(None, Level::None)).unwrap();
+        assert_eq!(done.surface.height_nm(), surface.height_nm());
+    }
+
+    #[test]
+    fn the_aperture_crops_to_its_bounding_box_and_keeps_coordinates() {
+        let surface = tilted(Array2::zeros(grid().shape()), 0.0, 1.0, 100.0);
+        let done = prepare(&surface, &settings(disc(), Level::None)).unwrap();
+        let g = *done.surface.grid();
+        // x 0.2 +- 2 in steps of 0.1; y 14 +- 2 in steps of 0.2.
+        assert_eq!(g.shape(), (21, 41));
+        assert!((g.x.start_mm() + 1.8).abs() < 1e-12 && (g.y.start_mm() - 12.0).abs() < 1e-12);
+        for ((r, c), z) in done.surface.height_nm().indexed_iter() {
+            let (x, y) = (g.x.at(c), g.y.at(r));
+            let inside = (x - 0.2).hypot(y - 14.0) <= 2.0 + 1e-9;
+            assert_eq!(z.is_nan(), !inside, "{x} {y}");
+            assert!(z.is_nan() || (z - (x + 100.0 * y)).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_prepared_says_why() {
+        let surface = tilted(rough(4), 0.0, 0.0, 0.0);
+        let message = |aperture, level| {
+            prepare(&surface, &settings(Some(aperture), level)).unwrap_err().to_string()
+        };
+        let row = ClearAperture::Rectangle { x_mm: [-1.0, 1.0], y_mm: [11.9, 12.1] };
+        assert!(message(row, Level::None).contains("1 row(s) and 21 column(s)"));
+        let mut cross = Array2::from_elem(grid().shape(), false);
+        for k in [0, 5, 10, 15, 20, 25] {
+            cross[[k, k]] = true;
+        }
+        let line = ClearAperture::Mask(cross);
+        assert!(message(line, Level::Plane).contains("6 valid pixel(s) do not define one"));
+        let outside = ClearAperture::Circle { centre_mm: [99.0, 0.0], radius_mm: 1.0 };
+        assert!(message(outside, Level::None).contains("no pixel"));
+    }
+
+    #[test]
+    fn a_masked_pit_no_longer_sets_the_minimum() {
+        let mut map = Array2::zeros(grid().shape());
+        map[[20, 30]] = -20.0;
+        let surface = tilted(map, 5.0, 0.0, 0.0);
+        let outliers = Some(OutlierSettings::for_feature_mm(2.0));
+        let settings = PrepareSettings { aperture: None, outliers, level: Level::Piston };
+        let done = prepare(&surface, &settings).unwrap();
+        assert_eq!(done.report.in_aperture.pv_nm, 20.0);
+        assert!(done.report.after.pv_nm < 1e-12);
+        assert_eq!(done.report.after.valid_pixels, 61 * 41 - 49);
+    }
+}
