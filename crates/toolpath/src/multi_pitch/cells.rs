@@ -1,0 +1,388 @@
+//! The lines of the regions, the cells that they form, and the order of the cells.
+
+use ndarray::s;
+
+use super::regions::{Field, OUTSIDE};
+use crate::{
+    MAX_SEGMENTS,
+    draft::{Draft, parts},
+    region::SLACK,
+};
+
+/// Longest link along a border between two regions, in pitches or, where they are larger, pixels:
+/// a slope of 14 degrees.
+const LONGEST_LINK: f64 = 4.0;
+
+/// Most rounds of 2-opt, and the longest part of the order that one step reverses.
+const MAX_ROUNDS: usize = 30;
+const MAX_REVERSED: usize = 1000;
+
+/// Where the tool is on along a line, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Stretch {
+    low: f64,
+    high: f64,
+    /// Whether the (low, high) end lies on the border of another region.
+    inner: [bool; 2],
+}
+
+/// The lines of one region.
+pub(super) struct Raster {
+    pitch_mm: f64,
+    /// Longest link along a border.
+    link_mm: f64,
+    first_mm: f64,
+    /// By line, ascending.
+    lines: Vec<Vec<Stretch>>,
+}
+
+/// The lines of every region; `None` when there are too many.
+pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
+    let [hx, hy] = field.pixel_mm;
+    let [x0, y0] = field.first_mm;
+    // Rows and columns of every region: first, last.
+    let mut boxes = vec![[usize::MAX, 0, usize::MAX, 0]; pitch_mm.len()];
+    for ((r, c), id) in field.label.indexed_iter().filter(|(_, id)| **id != OUTSIDE) {
+        let b = &mut boxes[*id];
+        *b = [b[0].min(r), b[1].max(r), b[2].min(c), b[3].max(c)];
+    }
+    let mut total = 0.0;
+    // Lines over every column, ascending.
+    let mut over: Vec<Vec<f64>> = vec![Vec::new(); field.label.ncols()];
+    let mut rasters = Vec::with_capacity(pitch_mm.len());
+    for (id, (d, [r0, r1, c0, c1])) in pitch_mm.iter().copied().zip(boxes).enumerate() {
+        let (first_mm, count) = line_positions(field, id, d, [r0, r1, c0, c1]);
+        total += count * (c1 - c0 + 1) as f64;
+        if total.is_nan() || total > 2.0 * MAX_SEGMENTS as f64 {
+            return None;
+        }
+        let mut lines = Vec::with_capacity(count as usize);
+        for k in 0..count as usize {
+            let w = first_mm + k as f64 * d;
+            let row = ((w - y0) / hy).round().clamp(r0 as f64, r1 as f64) as usize;
+            let line = stretches(field, id, row, [c0, c1], d);
+            for s in &line {
+                let columns = [((s.low - x0) / hx - SLACK).ceil(), (s.high - x0) / hx + SLACK];
+                let last = (columns[1].floor() as usize).min(over.len() - 1);
+                over[columns[0].max(0.0) as usize..=last].iter_mut().for_each(|o| o.push(w));
+            }
+            lines.push(line);
+        }
+        rasters.push(Raster { pitch_mm: d, link_mm: LONGEST_LINK * d.max(hx), first_mm, lines });
+    }
+    over.iter_mut().for_each(|o| o.sort_unstable_by(f64::total_cmp));
+    add_slivers(field, &mut rasters, &mut over);
+    Some(rasters)
+}
+
+/// The first line of a region, and how many it has.
+fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]) -> (f64, f64) {
+    // Whether the outermost row has another region beyond it.
+    let borders = |row: usize, beyond: Option<usize>| {
+        beyond.filter(|b| *b < field.label.nrows()).is_some_and(|b| {
+            let rows = [row, b].map(|r| field.label.slice(s![r, c0..=c1]));
+            rows[0].iter().zip(&rows[1]).any(|(own, other)| *own == id && *other != OUTSIDE)
+        })
+    };
+    let inner = [borders(r0, r0.checked_sub(1)), borders(r1, Some(r1 + 1))];
+    let (h, rest) = (field.pixel_mm[1], field.rest_mm[1]);
+    let margin = inner.map(|i| if i { 0.5 * h } else { rest });
+    let y = |r: usize| field.first_mm[1] + r as f64 * h;
+    let (low, high) = (y(r0) - margin[0], y(r1) + margin[1]);
+    // The line on an outer edge serves half a pitch beyond it.
+    let beyond = inner.map(|i| if i { 0.0 } else { 0.5 * d });
+    let (from, to) = (low - beyond[0], high + beyond[1]);
+    let fitting = (to - from) / d;
+    // With two outer edges a raster: n = floor(H / d) + 1.
+    let count = if inner == [false; 2] { (fitting + SLACK).floor() } else { fitting.round() };
+    let count = count.max(1.0);
+    // w_k = w_mid + (k - (n-1)/2) d; a single line stays in the region.
+    let first = 0.5 * (from + to) - 0.5 * (count - 1.0) * d;
+    (if count == 1.0 { first.clamp(low, high) } else { first }, count)
+}
+
+/// Where a row of pixels belongs to a region, gaps of one pitch or two pixels bridged.
+fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64) -> Vec<Stretch> {
+    let (h, rest) = (field.pixel_mm[0], field.rest_mm[0]);
+    let x = |c: usize| field.first_mm[0] + c as f64 * h;
+    let labels = field.label.row(row);
+    let end = |beyond: usize| labels.get(beyond).is_some_and(|other| *other != OUTSIDE);
+    let margin = |inner: bool| if inner { 0.5 * h } else { rest };
+    let mut found: Vec<Stretch> = Vec::new();
+    let mut c = c0;
+    while c <= c1 {
+        if labels[c] != id {
+            c += 1;
+            continue;
+        }
+        let begin = c;
+        while c <= c1 && labels[c] == id {
+            c += 1;
+        }
+        let inner = [end(begin.wrapping_sub(1)), end(c)];
+        let mut next =
+            Stretch { low: x(begin) - margin(inner[0]), high: x(c - 1) + margin(inner[1]), inner };
+        // Every stretch has a length.
+        if inner == [false; 2] {
+            let short = 0.5 * (h - (next.high - next.low)).max(0.0);
+            (next.low, next.high) = (next.low - short, next.high + short);
+        }
+        match found.last_mut() {
+            Some(last)
+                if !last.inner[1]
+                    && !inner[0]
+                    && next.low - last.high <= d.max(2.0 * h) * (1.0 + SLACK)
+                    && between_is_outside(field, row, [last.high, next.low]) =>
+            {
+                (last.high, last.inner[1]) = (next.high, inner[1]);
+            }
+            _ => found.push(next),
+        }
+    }
+    found
+}
+
+/// Whether no region lies between two coordinates of a row.
+fn between_is_outside(field: &Field, row: usize, [low, high]: [f64; 2]) -> bool {
+    let column = |x: f64| (x - field.first_mm[0]) / field.pixel_mm[0];
+    // Ends reach less than a pixel beyond their last centre.
+    let (from, to) = (column(low).floor() as usize + 1, column(high).ceil() as usize);
+    (from..to).all(|c| field.label[[row, c]] == OUTSIDE)
+}
+
+/// Adds to the lines what lies farther than its pitch from every line in its column.
+fn add_slivers(field: &Field, rasters: &mut [Raster], over: &mut [Vec<f64>]) {
+    let [hx, hy] = field.pixel_mm;
+    for ((r, c), _) in field.inside.indexed_iter().filter(|(_, inside)| **inside) {
+        let raster = &mut rasters[field.label[[r, c]]];
+        let d = raster.pitch_mm;
+        let (x, y) = (field.first_mm[0] + c as f64 * hx, field.first_mm[1] + r as f64 * hy);
+        let reach = d * (1.0 + SLACK);
+        let next = over[c].partition_point(|w| *w < y - reach);
+        if over[c].get(next).is_some_and(|w| *w <= y + reach) {
+            continue;
+        }
+        let last = raster.lines.len() as f64 - 1.0;
+        let k = ((y - raster.first_mm) / d).round().clamp(0.0, last);
+        let w = raster.first_mm + k * d;
+        let line = &mut raster.lines[k as usize];
+        line.push(Stretch { low: x - 0.5 * hx, high: x + 0.5 * hx, inner: [true; 2] });
+        line.sort_unstable_by(|a, b| a.low.total_cmp(&b.low));
+        let mut joined: Vec<Stretch> = Vec::with_capacity(line.len());
+        for next in line.drain(..) {
+            match joined.last_mut() {
+                Some(last) if next.low - last.high <= SLACK * hx => {
+                    if next.high > last.high {
+                        (last.high, last.inner[1]) = (next.high, next.inner[1]);
+                    }
+                }
+                _ => joined.push(next),
+            }
+        }
+        *line = joined;
+        let at = over[c].partition_point(|v| *v < w);
+        over[c].insert(at, w);
+    }
+}
+
+/// Lines that are joined with the tool on: [across, low, high] by line, ascending, mm.
+pub(super) struct Cell {
+    /// Region that it belongs to.
+    pub region: usize,
+    lines: Vec<[f64; 3]>,
+}
+
+impl Raster {
+    /// The cells of the region.
+    pub fn cells(&self, region: usize) -> Vec<Cell> {
+        let mut cells: Vec<Cell> = Vec::new();
+        // Cell of every stretch of the line before.
+        let mut open: Vec<usize> = Vec::new();
+        for (k, line) in self.lines.iter().enumerate() {
+            let before = if k == 0 { &[][..] } else { &self.lines[k - 1][..] };
+            let meet = |a: &Stretch, b: &Stretch| a.low.max(b.low) <= a.high.min(b.high);
+            let only = |s: &Stretch, others: &[Stretch]| {
+                let mut met = others.iter().enumerate().filter(|(_, o)| meet(s, o));
+                let first = met.next().map(|(i, _)| i);
+                if met.next().is_some() { None } else { first }
+            };
+            let w = self.first_mm + k as f64 * self.pitch_mm;
+            let mut now = Vec::with_capacity(line.len());
+            for s in line {
+                let continued = only(s, before)
+                    .filter(|i| only(&before[*i], line).is_some() && self.can_link(&before[*i], s));
+                let cell = continued.map_or(cells.len(), |i| open[i]);
+                if cell == cells.len() {
+                    cells.push(Cell { region, lines: Vec::new() });
+                }
+                cells[cell].lines.push([w, s.low, s.high]);
+                now.push(cell);
+            }
+            open = now;
+        }
+        cells
+    }
+
+    /// Whether the ends are close, wherever a link between them would run along a border.
+    fn can_link(&self, a: &Stretch, b: &Stretch) -> bool {
+        let ends = [(a.low, b.low), (a.high, b.high)];
+        (0..2).all(|i| {
+            let outer = !a.inner[i] && !b.inner[i];
+            outer || (ends[i].0 - ends[i].1).abs() <= self.link_mm
+        })
+    }
+}
+
+/// A cell in one of its four directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Visit {
+    /// Index of the cell.
+    pub cell: usize,
+    /// From the last line to the first.
+    downwards: bool,
+    /// The first line that is run is run towards smaller x.
+    backwards: bool,
+}
+
+impl Visit {
+    fn all(cell: usize) -> [Self; 4] {
+        [(false, false), (false, true), (true, false), (true, true)]
+            .map(|(downwards, backwards)| Self { cell, downwards, backwards })
+    }
+
+    /// Direction of the line that is run last.
+    fn ends_backwards(self, cells: &[Cell]) -> bool {
+        self.backwards ^ cells[self.cell].lines.len().is_multiple_of(2)
+    }
+
+    fn start(self, cells: &[Cell]) -> [f64; 2] {
+        let lines = &cells[self.cell].lines;
+        let [w, low, high] = lines[if self.downwards { lines.len() - 1 } else { 0 }];
+        [if self.backwards { high } else { low }, w]
+    }
+
+    fn end(self, cells: &[Cell]) -> [f64; 2] {
+        self.reversed(cells).start(cells)
+    }
+
+    fn reversed(self, cells: &[Cell]) -> Self {
+        let backwards = !self.ends_backwards(cells);
+        Self { downwards: !self.downwards, backwards, ..self }
+    }
+}
+
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+/// A short order of the cells, those of a region behind each other.
+pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
+    let lowest = (0..cells.len()).min_by(|a, b| {
+        let key = |i: &usize| cells[*i].lines[0];
+        key(a)[0].total_cmp(&key(b)[0]).then(key(a)[1].total_cmp(&key(b)[1]))
+    });
+    let Some(first) = lowest else { return Vec::new() };
+    // The nearest end first.
+    let mut left: Vec<usize> = (0..cells.len()).filter(|i| *i != first).collect();
+    let mut visits = vec![Visit::all(first)[0]];
+    while !left.is_empty() {
+        let here = visits[visits.len() - 1];
+        let (at, region) = (here.end(cells), cells[here.cell].region);
+        let within = left.iter().any(|i| cells[*i].region == region);
+        let candidates = left.iter().enumerate();
+        let nearest = candidates
+            .filter(|(_, i)| !within || cells[**i].region == region)
+            .flat_map(|(n, i)| Visit::all(*i).map(|v| (n, v)))
+            .min_by(|a, b| {
+                distance(at, a.1.start(cells)).total_cmp(&distance(at, b.1.start(cells)))
+            });
+        let Some((n, visit)) = nearest else { break };
+        left.remove(n);
+        visits.push(visit);
+    }
+    for _ in 0..MAX_ROUNDS {
+        if !improve(cells, &mut visits) {
+            break;
+        }
+    }
+    visits
+}
+
+/// One round of 2-opt; whether it found anything.
+fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
+    let n = visits.len();
+    let region = |v: &Visit| cells[v.cell].region;
+    // Length of the lifts from `a` to `b` to `c`; none beyond the ends.
+    let lift = |a: Option<Visit>, b: Option<Visit>| match (a, b) {
+        (Some(a), Some(b)) => distance(a.end(cells), b.start(cells)),
+        _ => 0.0,
+    };
+    let mut found = false;
+    for i in 0..n {
+        let before = i.checked_sub(1).map(|b| visits[b]);
+        let after = visits.get(i + 1).copied();
+        let around = |v| lift(before, Some(v)) + lift(Some(v), after);
+        for other in Visit::all(visits[i].cell) {
+            if around(other) < around(visits[i]) - SLACK {
+                (visits[i], found) = (other, true);
+            }
+        }
+        for j in i + 1..n.min(i + MAX_REVERSED) {
+            // Within a region, or whole regions.
+            let starts = before.is_none_or(|b| region(&b) != region(&visits[i]));
+            let ends = visits.get(j + 1).is_none_or(|a| region(a) != region(&visits[j]));
+            if region(&visits[i]) != region(&visits[j]) && !(starts && ends) {
+                continue;
+            }
+            let after = visits.get(j + 1).copied();
+            let old = lift(before, Some(visits[i])) + lift(Some(visits[j]), after);
+            let (head, tail) = (visits[j].reversed(cells), visits[i].reversed(cells));
+            if lift(before, Some(head)) + lift(Some(tail), after) < old - SLACK {
+                visits[i..=j].reverse();
+                visits[i..=j].iter_mut().for_each(|v| *v = v.reversed(cells));
+                found = true;
+            }
+        }
+    }
+    found
+}
+
+/// All nodes in order; `None` when there are too many.
+pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64) -> Option<Draft> {
+    let mut path = Draft::default();
+    let mut pass = 0;
+    for (i, visit) in visits.iter().enumerate() {
+        let Cell { region, lines } = &cells[visit.cell];
+        let start = visit.start(cells);
+        match path.point_mm.last() {
+            None => path.begin(start),
+            // Neighbouring regions may end and begin in the same point.
+            Some(at) if distance(*at, start) > SLACK => path.to(start, false, pass),
+            Some(_) => {}
+        }
+        pass += usize::from(i > 0 && cells[visits[i - 1].cell].region != *region);
+        let mut backwards = visit.backwards;
+        for n in 0..lines.len() {
+            let [w, low, high] = lines[if visit.downwards { lines.len() - 1 - n } else { n }];
+            let (from, to) = if backwards { (high, low) } else { (low, high) };
+            if n > 0 {
+                straight(&mut path, [from, w], step, pass)?;
+            }
+            straight(&mut path, [to, w], step, pass)?;
+            backwards = !backwards;
+        }
+    }
+    Some(path)
+}
+
+/// Equal steps to `to` with the tool on; `None` when there are too many.
+fn straight(path: &mut Draft, to: [f64; 2], step: f64, pass: usize) -> Option<()> {
+    let from = path.point_mm[path.point_mm.len() - 1];
+    let n = parts(distance(from, to), step, path.tool_on.len())?;
+    for k in 1..=n {
+        let f = k as f64 / n as f64;
+        let between = [0, 1].map(|i| from[i] + f * (to[i] - from[i]));
+        path.to(if k == n { to } else { between }, true, pass);
+    }
+    Some(())
+}

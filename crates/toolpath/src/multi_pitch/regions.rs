@@ -1,0 +1,202 @@
+//! Which region a pixel belongs to.
+
+use std::{cmp::Reverse, collections::BinaryHeap};
+
+use ndarray::{Array2, Axis as Dimension};
+use planish_types::{Grid, Surface};
+
+use crate::{MAX_SEGMENTS, region::SLACK};
+
+/// The class or region of a pixel that has none.
+pub(super) const OUTSIDE: usize = usize::MAX;
+
+/// Where the Gaussian is cut off, in standard deviations: 3e-4 of its peak.
+const CUT_OFF: f64 = 4.0;
+
+/// The depth to be removed, smoothed over the valid pixels; NaN elsewhere.
+pub(super) fn depth_nm(surface: &Surface, sigma_mm: f64) -> Array2<f64> {
+    let (grid, z) = (surface.grid(), surface.height_nm());
+    let lowest = surface.statistics().min.min(0.0);
+    let mut sum = z.map(|z| if z.is_nan() { 0.0 } else { z - lowest });
+    let mut weight = z.map(|z| if z.is_nan() { 0.0 } else { 1.0 });
+    // sum_j g_ij r_j / sum_j g_ij over the valid pixels j
+    for (dimension, axis) in [(1, &grid.x), (0, &grid.y)] {
+        let reach = (CUT_OFF * sigma_mm / axis.step_mm()).ceil().min((axis.len() - 1) as f64);
+        let g: Vec<f64> = (0..=reach as usize)
+            .map(|k| (-0.5 * (k as f64 * axis.step_mm() / sigma_mm).powi(2)).exp())
+            .collect();
+        for map in [&mut sum, &mut weight] {
+            for mut lane in map.lanes_mut(Dimension(dimension)) {
+                let old = lane.to_vec();
+                for (i, v) in lane.iter_mut().enumerate() {
+                    let near = i.saturating_sub(g.len() - 1)..(i + g.len()).min(old.len());
+                    *v = near.map(|j| g[i.abs_diff(j)] * old[j]).sum();
+                }
+            }
+        }
+    }
+    let mut depth = sum / weight;
+    depth.zip_mut_with(z, |r, z| {
+        if z.is_nan() {
+            *r = f64::NAN;
+        }
+    });
+    // Rounding of a mean does not divide a constant map.
+    let valid = || depth.iter().copied().filter(|r| !r.is_nan());
+    let (low, high) = (valid().fold(f64::MAX, f64::min), valid().fold(f64::MIN, f64::max));
+    if high - low <= SLACK * high {
+        depth.mapv_inplace(|r| if r.is_nan() { r } else { high });
+    }
+    depth
+}
+
+/// The 4-connected components of the classes.
+pub(super) struct Components {
+    /// Component of every pixel (ny, nx).
+    pub label: Array2<usize>,
+    /// Class of every component.
+    pub class: Vec<usize>,
+    /// Number of pixels of every component.
+    pub pixels: Vec<usize>,
+}
+
+/// Components of at least `least_pixels` of their class, wherever they have a neighbour.
+pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Components {
+    let mut label = Array2::from_elem(class_of.dim(), OUTSIDE);
+    let (mut class, mut members): (Vec<usize>, Vec<Vec<[usize; 2]>>) = (Vec::new(), Vec::new());
+    for ((r, c), k) in class_of.indexed_iter() {
+        if *k == OUTSIDE || label[[r, c]] != OUTSIDE {
+            continue;
+        }
+        let id = class.len();
+        let (mut found, mut next) = (vec![[r, c]], 0);
+        label[[r, c]] = id;
+        while let Some(at) = found.get(next).copied() {
+            next += 1;
+            for n in neighbours(at, class_of.dim()) {
+                if class_of[n] == *k && label[n] == OUTSIDE {
+                    label[n] = id;
+                    found.push(n);
+                }
+            }
+        }
+        class.push(*k);
+        members.push(found);
+    }
+
+    let mut smallest: BinaryHeap<_> =
+        members.iter().enumerate().map(|(id, m)| Reverse((m.len(), id))).collect();
+    while let Some(Reverse((size, id))) = smallest.pop() {
+        // One that has grown or gone since is in the heap again, or need not be.
+        if members[id].len() != size || size as f64 >= least_pixels[class[id]] {
+            continue;
+        }
+        let around = members[id].iter().flat_map(|at| neighbours(*at, label.dim()));
+        let mut ring: Vec<[usize; 2]> =
+            around.filter(|n| label[*n] != OUTSIDE && label[*n] != id).collect();
+        ring.sort_unstable();
+        ring.dedup();
+        let mut count = vec![0_usize; least_pixels.len()];
+        ring.iter().for_each(|n| count[class[label[*n]]] += 1);
+        let Some(most) = (0..count.len()).max_by_key(|k| (count[*k], Reverse(*k))) else {
+            continue;
+        };
+        if count[most] == 0 {
+            continue; // an island
+        }
+        let mut joined: Vec<usize> =
+            ring.iter().map(|n| label[*n]).filter(|j| class[*j] == most).collect();
+        joined.push(id);
+        joined.sort_unstable();
+        joined.dedup();
+        let largest = joined.iter().copied().max_by_key(|j| (members[*j].len(), Reverse(*j)));
+        let Some(into) = largest else { continue };
+        class[into] = most;
+        for j in joined.into_iter().filter(|j| *j != into) {
+            let moved = std::mem::take(&mut members[j]);
+            moved.iter().for_each(|at| label[*at] = into);
+            members[into].extend(moved);
+        }
+        smallest.push(Reverse((members[into].len(), into)));
+    }
+
+    // Without the ones that have gone.
+    let mut number = vec![OUTSIDE; class.len()];
+    let kept: Vec<usize> = (0..class.len()).filter(|id| !members[*id].is_empty()).collect();
+    kept.iter().enumerate().for_each(|(n, id)| number[*id] = n);
+    label.mapv_inplace(|id| if id == OUTSIDE { OUTSIDE } else { number[id] });
+    Components {
+        label,
+        class: kept.iter().map(|id| class[*id]).collect(),
+        pixels: kept.iter().map(|id| members[*id].len()).collect(),
+    }
+}
+
+fn neighbours([r, c]: [usize; 2], (ny, nx): (usize, usize)) -> impl Iterator<Item = [usize; 2]> {
+    let all = [[r.wrapping_sub(1), c], [r, c.wrapping_sub(1)], [r, c + 1], [r + 1, c]];
+    all.into_iter().filter(move |[r, c]| *r < ny && *c < nx)
+}
+
+/// The regions with their overscan, on the pixels of the map continued outwards.
+pub(super) struct Field {
+    /// Region of every pixel.
+    pub label: Array2<usize>,
+    /// Whether the pixel is one of the aperture.
+    pub inside: Array2<bool>,
+    /// Pixel along [x, y], mm.
+    pub pixel_mm: [f64; 2],
+    /// Centre of the first pixel [x, y], mm.
+    pub first_mm: [f64; 2],
+    /// From the last pixel's centre to the end of the overscan, less than a pixel [x, y], mm.
+    pub rest_mm: [f64; 2],
+}
+
+impl Field {
+    /// Continues `label` by `overscan_mm` to each side; `None` when that has too many pixels.
+    pub fn new(grid: &Grid, label: &Array2<usize>, overscan_mm: f64) -> Option<Self> {
+        let axes = [&grid.x, &grid.y];
+        let pixel_mm = axes.map(|a| a.step_mm());
+        let more = pixel_mm.map(|h| (overscan_mm / h + SLACK).floor());
+        let (ny, nx) = label.dim();
+        let pixels = (nx as f64 + 2.0 * more[0]) * (ny as f64 + 2.0 * more[1]);
+        if pixels > 2.0 * MAX_SEGMENTS as f64 {
+            return None;
+        }
+        let [mx, my] = more.map(|m| m as usize);
+        let (ny, nx) = (ny + 2 * my, nx + 2 * mx);
+        let mut inside = Array2::from_elem((ny, nx), false);
+        // The nearest valid pixel of the column: its distance and its region.
+        let mut column = Array2::from_elem((ny, nx), (OUTSIDE, OUTSIDE));
+        for ((r, c), id) in label.indexed_iter().filter(|(_, id)| **id != OUTSIDE) {
+            inside[[r + my, c + mx]] = true;
+            for row in r..=r + 2 * my {
+                let near = &mut column[[row, c + mx]];
+                *near = (*near).min((row.abs_diff(r + my), *id));
+            }
+        }
+        let mut wide = Array2::from_elem((ny, nx), OUTSIDE);
+        for ((r, c), nearest) in wide.indexed_iter_mut() {
+            let mut best = f64::INFINITY;
+            for away in 0..=mx {
+                let dx = away as f64 * pixel_mm[0];
+                if dx * dx >= best {
+                    break;
+                }
+                for from in [c.wrapping_sub(away), c + away] {
+                    let Some((rows, id)) = column.get((r, from)) else { continue };
+                    let dy = *rows as f64 * pixel_mm[1];
+                    if *id != OUTSIDE && dx * dx + dy * dy < best {
+                        (best, *nearest) = (dx * dx + dy * dy, *id);
+                    }
+                }
+            }
+        }
+        Some(Self {
+            label: wide,
+            inside,
+            pixel_mm,
+            first_mm: [0, 1].map(|i| axes[i].start_mm() - more[i] * pixel_mm[i]),
+            rest_mm: [0, 1].map(|i| (overscan_mm - more[i] * pixel_mm[i]).max(0.0)),
+        })
+    }
+}

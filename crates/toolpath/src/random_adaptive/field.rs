@@ -1,0 +1,366 @@
+//! The region of the path on a lattice of cells, and the spacing that the density law asks for.
+//!
+//! ```text
+//! region     cells whose centre is within max(o, p/2, h/2) of a valid pixel's centre, in x and in
+//!            y; gaps of at most 4 cells (4p/3) are closed
+//! r          (G * z) / (G * 1) over the valid pixels, G a Gaussian of 2p; less its minimum where
+//!            that is negative; beyond the valid pixels the nearest value
+//! rho        (clamp(r, mean r / 4, 4 mean r) / mean r)^b,     4^-b <= rho <= 4^b
+//! d          p / sqrt(rho), lowered until |grad d| <= 1/8 and d <= sqrt(area of the island) / 4
+//! ```
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `height_nm` | (ny, nx) | nm |
+//! | r | `removal` | cells | nm |
+//! | b | `contrast` | - | 1 |
+//! | d | `spacing_mm` | cells | mm |
+//! | o, p, h | `overscan_mm`, `pitch_mm`, pixel | - | mm |
+
+use std::{collections::VecDeque, ops::Range};
+
+use planish_types::{Axis, Invalid, Surface};
+
+use super::RandomAdaptiveSettings;
+
+/// Cells per pitch.
+const CELLS_PER_PITCH: f64 = 3.0;
+/// Gaps of twice this many cells are closed.
+const CLOSING_CELLS: usize = 2;
+/// Cells around the region, so that closing and its border stay within the lattice.
+const MARGIN_CELLS: usize = CLOSING_CELLS + 1;
+/// Most cells of a lattice: about 1 GB.
+const MAX_CELLS: f64 = 3e7;
+/// Bounds of r / mean r in the density law: the spacing varies by at most 4 in all.
+pub(super) const LOWEST_RATIO: f64 = 0.25;
+pub(super) const HIGHEST_RATIO: f64 = 4.0;
+/// Largest slope of the spacing: 0.3 for mesh edges, so that neighbouring triangles differ by a
+/// third at most.
+const MAX_SLOPE: f64 = 0.3 / super::mesh_tree::EDGE_PER_SPACING;
+
+/// Marks cells outside the region.
+const OUTSIDE: u32 = u32::MAX;
+
+/// Cells of about p/3, row by row from the smallest y.
+pub(super) struct Field {
+    low_mm: [f64; 2],
+    pub(super) side_mm: [f64; 2],
+    pub(super) count: [usize; 2],
+    /// Number of the island (4-connected part of the region), or [`OUTSIDE`].
+    island: Vec<u32>,
+    pub(super) island_area_mm2: Vec<f64>,
+    /// Cells whose nearest pixel is valid.
+    aperture: Vec<bool>,
+    spacing_mm: Vec<f64>,
+}
+
+impl Field {
+    pub(super) fn new(
+        surface: &Surface,
+        settings: &RandomAdaptiveSettings,
+    ) -> Result<Self, Invalid> {
+        let mut field = Self::region(surface, settings)?;
+        let rho = field.density(surface, settings);
+        // d = p / sqrt(rho)
+        let p = settings.pitch_mm;
+        for (k, d) in field.spacing_mm.iter_mut().enumerate() {
+            let area = field.island_area_mm2.get(field.island[k] as usize);
+            let cap = area.map_or(f64::INFINITY, |a| 0.25 * a.sqrt());
+            *d = (p / rho[k].sqrt()).min(cap);
+        }
+        field.limit_slope();
+        Ok(field)
+    }
+
+    fn region(surface: &Surface, settings: &RandomAdaptiveSettings) -> Result<Self, Invalid> {
+        let (grid, map) = (surface.grid(), surface.height_nm());
+        let p = settings.pitch_mm;
+        let axes = [&grid.x, &grid.y];
+        let reach = axes.map(|a| settings.overscan_mm.max(0.5 * p).max(0.5 * a.step_mm()));
+
+        // Extent of the valid pixels, overscan included, a whole number of cells.
+        let mut ends = [[usize::MAX, 0]; 2];
+        for ((r, c), _) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            for (end, i) in ends.iter_mut().zip([c, r]) {
+                *end = [end[0].min(i), end[1].max(i)];
+            }
+        }
+        let extent = [0, 1].map(|a| axes[a].at(ends[a][1]) - axes[a].at(ends[a][0]));
+        let whole = [0, 1].map(|a| extent[a] + 2.0 * reach[a]);
+        let cells = whole.map(|w| (w * CELLS_PER_PITCH / p - 1e-9).ceil().max(1.0));
+        let total = cells[0] * cells[1];
+        if total.is_nan() || total > MAX_CELLS {
+            return Err(Invalid::whole(
+                "pitch_mm",
+                format!(
+                    "{p} over {:.6} x {:.6} mm is too fine for this method",
+                    whole[0], whole[1]
+                ),
+                "check the units, or give a larger pitch",
+            ));
+        }
+        let side_mm = [0, 1].map(|a| whole[a] / cells[a]);
+        let count = cells.map(|n| n as usize + 2 * MARGIN_CELLS);
+        let low_mm =
+            [0, 1].map(|a| axes[a].at(ends[a][0]) - reach[a] - MARGIN_CELLS as f64 * side_mm[a]);
+        let mut field = Self {
+            low_mm,
+            side_mm,
+            count,
+            island: Vec::new(),
+            island_area_mm2: Vec::new(),
+            aperture: Vec::new(),
+            spacing_mm: vec![0.0; count[0] * count[1]],
+        };
+
+        // sum[r][c]: valid pixels in the rows before r and the columns before c.
+        let (ny, nx) = map.dim();
+        let mut sum = vec![0_u32; (ny + 1) * (nx + 1)];
+        for ((r, c), z) in map.indexed_iter() {
+            let k = (r + 1) * (nx + 1) + c + 1;
+            sum[k] = u32::from(!z.is_nan()) + sum[k - 1] + sum[k - nx - 1] - sum[k - nx - 2];
+        }
+        let any = |rows: &Range<usize>, columns: &Range<usize>| {
+            let at = |r: usize, c: usize| sum[r * (nx + 1) + c];
+            at(rows.end, columns.end) + at(rows.start, columns.start)
+                > at(rows.start, columns.end) + at(rows.end, columns.start)
+        };
+        let near = |a: usize, reach: f64| -> Vec<Range<usize>> {
+            (0..count[a]).map(|i| within(axes[a], field.centre_along(a, i), reach)).collect()
+        };
+        let mask = |reach: [f64; 2]| -> Vec<bool> {
+            let (columns, rows) = (near(0, reach[0]), near(1, reach[1]));
+            rows.iter()
+                .flat_map(|r| columns.iter().map(|c| any(r, c)).collect::<Vec<_>>())
+                .collect()
+        };
+        let inside = close(mask(reach), count);
+        let aperture = mask(axes.map(|a| 0.5 * a.step_mm()));
+        field.aperture = aperture;
+        field.label(&inside);
+        Ok(field)
+    }
+
+    /// Numbers the islands: 4-connected parts.
+    fn label(&mut self, inside: &[bool]) {
+        let [nx, _] = self.count;
+        self.island = vec![OUTSIDE; inside.len()];
+        let mut queue = VecDeque::new();
+        for start in 0..inside.len() {
+            if !inside[start] || self.island[start] != OUTSIDE {
+                continue;
+            }
+            let number = self.island_area_mm2.len() as u32;
+            self.island[start] = number;
+            queue.push_back(start);
+            let mut cells = 0;
+            while let Some(k) = queue.pop_front() {
+                cells += 1;
+                // The margin keeps every neighbour in the lattice.
+                for next in [k - 1, k + 1, k - nx, k + nx] {
+                    if inside[next] && self.island[next] == OUTSIDE {
+                        self.island[next] = number;
+                        queue.push_back(next);
+                    }
+                }
+            }
+            self.island_area_mm2.push(f64::from(cells) * self.side_mm[0] * self.side_mm[1]);
+        }
+    }
+
+    /// rho of every cell.
+    fn density(&self, surface: &Surface, settings: &RandomAdaptiveSettings) -> Vec<f64> {
+        let (grid, map) = (surface.grid(), surface.height_nm());
+        let mut weighted = vec![0.0; self.island.len()];
+        let mut weight = weighted.clone();
+        for ((r, c), z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            let k = self.cell([grid.x.at(c), grid.y.at(r)]).expect("pixels are in the lattice");
+            weighted[k] += z;
+            weight[k] += 1.0;
+        }
+        // r = (G * z) / (G * 1): a pixel that is wider than the cells is smoothed over itself.
+        let step = [grid.x.step_mm(), grid.y.step_mm()];
+        for a in [0, 1] {
+            let sigma = (2.0 * settings.pitch_mm).max(step[a]) / self.side_mm[a];
+            smooth(&mut weighted, self.count, a, sigma);
+            smooth(&mut weight, self.count, a, sigma);
+        }
+        let known = |k: &usize| self.aperture[*k] && weight[*k] > 0.0;
+        let removal = |k: usize| weighted[k] / weight[k];
+        let cells: Vec<usize> = (0..weight.len()).filter(known).collect();
+        let lowest = cells.iter().map(|k| removal(*k)).fold(0.0, f64::min);
+        let mean = cells.iter().map(|k| removal(*k) - lowest).sum::<f64>() / cells.len() as f64;
+        if cells.is_empty() || mean <= 0.0 {
+            return vec![1.0; weight.len()];
+        }
+        let nearest = self.nearest(&cells);
+        // rho = (clamp(r, mean r / 4, 4 mean r) / mean r)^b
+        let law = |k: &usize| {
+            let ratio = (removal(*k) - lowest) / mean;
+            ratio.clamp(LOWEST_RATIO, HIGHEST_RATIO).powf(settings.contrast)
+        };
+        nearest.iter().map(law).collect()
+    }
+
+    /// The nearest of `sources` to every cell, by two sweeps that hand on the neighbours' nearest.
+    fn nearest(&self, sources: &[usize]) -> Vec<usize> {
+        let [nx, ny] = self.count;
+        let mut best = vec![usize::MAX; nx * ny];
+        sources.iter().for_each(|k| best[*k] = *k);
+        let distance = |k: usize, source: usize| {
+            let d = |p: usize, q: usize, side: f64| p.abs_diff(q) as f64 * side;
+            let x = d(k % nx, source % nx, self.side_mm[0]);
+            x.hypot(d(k / nx, source / nx, self.side_mm[1]))
+        };
+        self.sweep(|k, neighbour| {
+            let offer = best[neighbour];
+            let closer = offer != usize::MAX
+                && (best[k] == usize::MAX || distance(k, offer) < distance(k, best[k]));
+            if closer {
+                best[k] = offer;
+            }
+        });
+        best
+    }
+
+    /// d(x) <= d(y) + slope |x - y|, along the eight directions of the lattice.
+    fn limit_slope(&mut self) {
+        let mut d = std::mem::take(&mut self.spacing_mm);
+        let [nx, _] = self.count;
+        let [sx, sy] = self.side_mm;
+        let length = [[0.0, sx], [sy, sx.hypot(sy)]];
+        self.sweep(|k, n| {
+            let away = length[(k / nx).abs_diff(n / nx)][(k % nx).abs_diff(n % nx)];
+            d[k] = d[k].min(d[n] + MAX_SLOPE * away);
+        });
+        self.spacing_mm = d;
+    }
+
+    /// Calls `update(cell, neighbour)` for the four neighbours before a cell, forwards, and for
+    /// the four after it, backwards.
+    fn sweep(&self, mut update: impl FnMut(usize, usize)) {
+        let [nx, ny] = self.count.map(|n| n as isize);
+        let mut at = |i: isize, j: isize, sign: isize| {
+            for (di, dj) in [(-1, 0), (-1, -1), (0, -1), (1, -1)] {
+                let (m, n) = (i + sign * di, j + sign * dj);
+                if (0..nx).contains(&m) && (0..ny).contains(&n) {
+                    update((j * nx + i) as usize, (n * nx + m) as usize);
+                }
+            }
+        };
+        (0..ny).for_each(|j| {
+            (0..nx).for_each(|i| at(i, j, 1));
+            (0..nx).rev().for_each(|i| at(i, j, 1));
+        });
+        (0..ny).rev().for_each(|j| {
+            (0..nx).rev().for_each(|i| at(i, j, -1));
+            (0..nx).for_each(|i| at(i, j, -1));
+        });
+    }
+
+    fn centre_along(&self, a: usize, i: usize) -> f64 {
+        self.low_mm[a] + (i as f64 + 0.5) * self.side_mm[a]
+    }
+
+    /// Corner (i, j) of the lattice, mm.
+    pub(super) fn corner(&self, [i, j]: [usize; 2]) -> [f64; 2] {
+        let at = |a: usize, i: usize| self.low_mm[a] + i as f64 * self.side_mm[a];
+        [at(0, i), at(1, j)]
+    }
+
+    /// Centre of cell k, mm.
+    pub(super) fn centre(&self, k: usize) -> [f64; 2] {
+        [self.centre_along(0, k % self.count[0]), self.centre_along(1, k / self.count[0])]
+    }
+
+    fn cell(&self, p: [f64; 2]) -> Option<usize> {
+        let i = [0, 1].map(|a| ((p[a] - self.low_mm[a]) / self.side_mm[a]).floor());
+        let within = |a: usize| i[a] >= 0.0 && i[a] < self.count[a] as f64;
+        (within(0) && within(1)).then(|| i[1] as usize * self.count[0] + i[0] as usize)
+    }
+
+    /// Number of the island at `p`; none outside the region.
+    pub(super) fn island(&self, p: [f64; 2]) -> Option<usize> {
+        let island = self.island[self.cell(p)?];
+        (island != OUTSIDE).then_some(island as usize)
+    }
+
+    /// Number of the island of cell `k`.
+    pub(super) fn island_of_cell(&self, k: usize) -> Option<usize> {
+        (self.island[k] != OUTSIDE).then_some(self.island[k] as usize)
+    }
+
+    /// Whether `p` is in the clear aperture: its cell's nearest pixel is valid.
+    pub(super) fn in_aperture(&self, p: [f64; 2]) -> bool {
+        self.cell(p).is_some_and(|k| self.aperture[k])
+    }
+
+    /// Area of the clear aperture, mm^2.
+    pub(super) fn aperture_mm2(&self) -> f64 {
+        let cells = self.aperture.iter().filter(|a| **a).count();
+        cells as f64 * self.side_mm[0] * self.side_mm[1]
+    }
+
+    /// Mean of 1/d over the clear aperture, 1/mm.
+    pub(super) fn mean_inverse_spacing(&self) -> f64 {
+        let cells = || (0..self.aperture.len()).filter(|k| self.aperture[*k]);
+        cells().map(|k| 1.0 / self.spacing_mm[k]).sum::<f64>() / cells().count().max(1) as f64
+    }
+
+    /// Cells of the region.
+    pub(super) fn cells(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.island.len()).filter(|k| self.island[*k] != OUTSIDE)
+    }
+
+    /// d at `p`, mm; beyond the lattice that of its edge.
+    pub(super) fn spacing_mm(&self, p: [f64; 2]) -> f64 {
+        let i = [0, 1].map(|a| {
+            let i = ((p[a] - self.low_mm[a]) / self.side_mm[a]).floor();
+            i.clamp(0.0, (self.count[a] - 1) as f64) as usize
+        });
+        self.spacing_mm[i[1] * self.count[0] + i[0]]
+    }
+}
+
+/// Pixels of `axis` within `reach` of `x`.
+fn within(axis: &Axis, x: f64, reach: f64) -> Range<usize> {
+    let at = |v: f64| ((v - axis.start_mm()) / axis.step_mm()).clamp(-1.0, axis.len() as f64);
+    // A pixel that rounding puts 1e-9 of a step too far is within.
+    let first = (at(x - reach) - 1e-9).ceil().max(0.0) as usize;
+    let end = ((at(x + reach) + 1e-9).floor() + 1.0).max(0.0) as usize;
+    first..end.min(axis.len()).max(first)
+}
+
+/// Closing by a square: dilation, then erosion.
+fn close(mut mask: Vec<bool>, count: [usize; 2]) -> Vec<bool> {
+    for grow in [true, false] {
+        for a in [0, 1] {
+            let before = mask.clone();
+            let stride = if a == 0 { 1 } else { count[0] };
+            for k in 0..mask.len() {
+                let i = k / stride % count[a];
+                let low = k - stride * i.min(CLOSING_CELLS);
+                let high = k + stride * (count[a] - 1 - i).min(CLOSING_CELLS);
+                mask[k] = (low..=high).step_by(stride).any(|m| before[m] == grow) == grow;
+            }
+        }
+    }
+    mask
+}
+
+/// Convolution along one axis with a Gaussian of `sigma` cells, cut off at 4 sigma.
+fn smooth(values: &mut Vec<f64>, count: [usize; 2], axis: usize, sigma: f64) {
+    let reach = (4.0 * sigma).ceil() as usize;
+    let tap = |d: usize| (-0.5 * (d as f64 / sigma).powi(2)).exp();
+    let taps: Vec<f64> = (0..=reach).map(tap).collect();
+    let stride = if axis == 0 { 1 } else { count[0] };
+    let n = count[axis];
+    let mut out = vec![0.0; values.len()];
+    for (k, sum) in out.iter_mut().enumerate() {
+        let i = k / stride % n;
+        for m in i.saturating_sub(reach)..(i + reach + 1).min(n) {
+            *sum += taps[m.abs_diff(i)] * values[k - i * stride + m * stride];
+        }
+    }
+    *values = out;
+}

@@ -1,0 +1,358 @@
+//! The tour: a short closed path through random points.
+//!
+//! Points by darts of the radius 0.83 d; from each the nearest one that is left; then 2-opt and
+//! Or-opt (moves of one to three points, either way round) over the nearest neighbours until
+//! neither shortens the tour; pairs of crossing steps exchanged, which always shortens, until
+//! there are none; points moved into steps that are still long; long steps cut into equal parts.
+//!
+//! Source: J. L. Bentley, ORSA J. Comput. 4 (1992) 387 (neighbour lists, don't-look bits).
+
+use std::collections::VecDeque;
+
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    Loop, Point,
+    crossing::crossings,
+    distance,
+    field::Field,
+    points::{Buckets, darts},
+};
+
+/// Radius of the darts per spacing of the path.
+const RADIUS_PER_SPACING: f64 = 0.83;
+/// Neighbours per point.
+const NEIGHBOURS: usize = 12;
+/// Steps above this many spacings are long.
+pub(super) const LONG: f64 = 2.2;
+/// Most points that Or-opt moves at once.
+const MOVED: usize = 3;
+/// Times that long steps are repaired and crossings exchanged.
+const REPAIRS: usize = 4;
+
+/// One closed path per island.
+pub(super) fn tour(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
+    let spacing = |p: Point| scale * field.spacing_mm(p);
+    let points = darts(field, &|p| RADIUS_PER_SPACING * spacing(p), rng);
+    let mut islands = vec![Vec::new(); field.island_area_mm2.len()];
+    for p in points {
+        if let Some(island) = field.island(p) {
+            islands[island].push(p);
+        }
+    }
+    islands.retain(|points| points.len() >= 3);
+    islands.into_iter().map(|points| closed(points, &spacing)).collect()
+}
+
+fn closed(points: Vec<Point>, spacing: &impl Fn(Point) -> f64) -> Loop {
+    let visits = points.len();
+    let near = neighbours(&points);
+    let order = nearest_neighbour(&points);
+    let mut tour = Tour::new(points, order);
+    tour.shorten(&near);
+    tour.uncross();
+    for _ in 0..REPAIRS {
+        if tour.repair(&near, spacing) == 0 {
+            break;
+        }
+        tour.uncross();
+    }
+    let node_mm: Vec<Point> = tour.order.iter().map(|c| tour.points[*c as usize]).collect();
+    Loop { node_mm: cut_long(&node_mm, spacing), visits }
+}
+
+fn buckets(points: &[Point]) -> Buckets {
+    let end = |worst: f64, pick: fn(f64, f64) -> f64| {
+        [0, 1].map(|a| points.iter().map(|p| p[a]).fold(worst, pick))
+    };
+    let (low, high) = (end(f64::MAX, f64::min), end(f64::MIN, f64::max));
+    let area = (high[0] - low[0]) * (high[1] - low[1]);
+    let longer = (high[0] - low[0]).max(high[1] - low[1]);
+    // About one point per bucket.
+    let side = (area / points.len() as f64).sqrt().max(longer / points.len() as f64);
+    Buckets::new(points, low, high, side)
+}
+
+fn neighbours(points: &[Point]) -> Vec<Vec<u32>> {
+    let buckets = buckets(points);
+    let wanted = NEIGHBOURS.min(points.len() - 1);
+    let of = |i: usize| {
+        let p = points[i];
+        let mut reach = buckets.side();
+        let mut near: Vec<(f64, u32)> = Vec::new();
+        // Enough of them within the circle that the square of buckets surely holds.
+        while near.iter().filter(|n| n.0 <= reach).count() < wanted {
+            reach *= 1.5;
+            let others = buckets.around(p, reach).filter(|j| *j != i);
+            near = others.map(|j| (distance(points[j], p), j as u32)).collect();
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.iter().take(wanted).map(|n| n.1).collect()
+    };
+    (0..points.len()).map(of).collect()
+}
+
+fn nearest_neighbour(points: &[Point]) -> Vec<u32> {
+    let mut left = buckets(points);
+    let mut order = vec![0];
+    left.remove(0, points[0]);
+    let mut at = points[0];
+    while let Some(next) = left.nearest(points, at) {
+        order.push(next as u32);
+        at = points[next];
+        left.remove(next, at);
+    }
+    order
+}
+
+/// Equal parts where a step is longer than [`LONG`] spacings.
+fn cut_long(nodes: &[Point], spacing: &impl Fn(Point) -> f64) -> Vec<Point> {
+    let mut out = Vec::new();
+    for (i, a) in nodes.iter().enumerate() {
+        let b = nodes[(i + 1) % nodes.len()];
+        let at = |f: f64| [0, 1].map(|x| a[x] + f * (b[x] - a[x]));
+        let smallest = spacing(*a).min(spacing(at(0.5))).min(spacing(b));
+        let parts = (distance(*a, b) / (LONG * smallest)).ceil().max(1.0);
+        out.extend((0..parts as usize).map(|k| at(k as f64 / parts)));
+    }
+    out
+}
+
+/// A cyclic order of points, and where each stands in it.
+struct Tour {
+    points: Vec<Point>,
+    order: Vec<u32>,
+    place: Vec<u32>,
+}
+
+impl Tour {
+    fn new(points: Vec<Point>, order: Vec<u32>) -> Self {
+        let mut place = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(i, c)| place[*c as usize] = i as u32);
+        Self { points, order, place }
+    }
+
+    fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    fn next(&self, c: u32) -> u32 {
+        let i = self.place[c as usize] as usize + 1;
+        self.order[if i == self.len() { 0 } else { i }]
+    }
+
+    fn previous(&self, c: u32) -> u32 {
+        let i = self.place[c as usize] as usize;
+        self.order[if i == 0 { self.len() - 1 } else { i - 1 }]
+    }
+
+    fn distance(&self, a: u32, b: u32) -> f64 {
+        distance(self.points[a as usize], self.points[b as usize])
+    }
+
+    /// Reverses the path from a to b (in the order of the tour), or the rest of the tour.
+    fn reverse(&mut self, a: u32, b: u32) {
+        let n = self.len();
+        let (mut i, mut j) = (self.place[a as usize] as usize, self.place[b as usize] as usize);
+        let inner = (j + n - i) % n + 1;
+        let mut swaps = inner / 2;
+        if 2 * inner > n {
+            (i, j) = ((j + 1) % n, (i + n - 1) % n);
+            swaps = (n - inner) / 2;
+        }
+        for _ in 0..swaps {
+            self.order.swap(i, j);
+            self.place[self.order[i] as usize] = i as u32;
+            self.place[self.order[j] as usize] = j as u32;
+            i = if i + 1 == n { 0 } else { i + 1 };
+            j = if j == 0 { n - 1 } else { j - 1 };
+        }
+    }
+
+    /// Exchanges the steps a -> a' and b -> b' for a -> b and a' -> b'.
+    fn exchange(&mut self, a: u32, b: u32) {
+        let from = self.next(a);
+        self.reverse(from, b);
+    }
+
+    /// 2-opt and Or-opt until neither finds a shorter tour.
+    fn shorten(&mut self, near: &[Vec<u32>]) {
+        let mut queue: VecDeque<u32> = self.order.iter().copied().collect();
+        let mut queued = vec![true; self.len()];
+        while let Some(c) = queue.pop_front() {
+            queued[c as usize] = false;
+            while let Some(touched) = self.two_opt(c, near).or_else(|| self.or_opt(c, near)) {
+                for t in touched {
+                    if !std::mem::replace(&mut queued[t as usize], true) {
+                        queue.push_back(t);
+                    }
+                }
+            }
+        }
+    }
+
+    fn two_opt(&mut self, a: u32, near: &[Vec<u32>]) -> Option<[u32; 6]> {
+        for ahead in [true, false] {
+            let step = |t: &Self, c| if ahead { t.next(c) } else { t.previous(c) };
+            let a_next = step(self, a);
+            let old = self.distance(a, a_next);
+            for &b in &near[a as usize] {
+                let new = self.distance(a, b);
+                if new >= old {
+                    break;
+                }
+                let b_next = step(self, b);
+                if b == a_next || b_next == a {
+                    continue;
+                }
+                let change = new + self.distance(a_next, b_next) - old - self.distance(b, b_next);
+                if change < -TINY * old {
+                    if ahead {
+                        self.exchange(a, b)
+                    } else {
+                        self.exchange(a_next, b_next)
+                    }
+                    return Some([a, a_next, b, b_next, a, b]);
+                }
+            }
+        }
+        None
+    }
+
+    /// Moves one to three points that begin or end with `a` next to a neighbour of `a`.
+    fn or_opt(&mut self, a: u32, near: &[Vec<u32>]) -> Option<[u32; 6]> {
+        for moved in 1..=MOVED.min(self.len().saturating_sub(3)) {
+            for ahead in [true, false] {
+                // The path a .. z, and what is before and after it.
+                let mut z = a;
+                for _ in 1..moved {
+                    z = if ahead { self.next(z) } else { self.previous(z) };
+                }
+                let (first, last) = if ahead { (a, z) } else { (z, a) };
+                let (before, after) = (self.previous(first), self.next(last));
+                let gain = self.distance(before, first) + self.distance(last, after)
+                    - self.distance(before, after);
+                for &b in &near[a as usize] {
+                    let joined = self.distance(a, b);
+                    if joined >= gain {
+                        break;
+                    }
+                    let offset = (self.place[b as usize] + self.len() as u32
+                        - self.place[first as usize])
+                        % self.len() as u32;
+                    if (offset as usize) < moved {
+                        continue;
+                    }
+                    // a beside b, z beside the next or the one before b.
+                    for c in [self.next(b), self.previous(b)] {
+                        let within = c == first || c == last;
+                        let change = joined + self.distance(z, c) - self.distance(b, c) - gain;
+                        if !within && change < -TINY * gain {
+                            self.relocate([before, first, last, after], [b, c], a);
+                            return Some([before, after, b, c, a, z]);
+                        }
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    /// Takes first .. last out and puts it between the neighbours b and c, `end` beside b.
+    fn relocate(&mut self, [before, first, last, after]: [u32; 4], [b, c]: [u32; 2], end: u32) {
+        // before [first .. last] [after .. x] y -> before [after .. x] [first .. last] y
+        let (x, y) = if self.next(b) == c { (b, c) } else { (c, b) };
+        let first_by_x = (end == first) == (b == x);
+        let n = self.len() as u32;
+        let ahead = |t: &Self, c: u32| (t.place[c as usize] + n - t.place[last as usize]) % n;
+        let behind = |t: &Self, c: u32| (t.place[first as usize] + n - t.place[c as usize]) % n;
+        if ahead(self, x) <= behind(self, y) {
+            // before F..L after..x y: reverse (F..x), then its parts.
+            self.reverse(first, x);
+            // before x..after L..F y
+            self.forward_reverse(before, x, after);
+            // before after..x L..F y
+            if first_by_x {
+                self.forward_reverse(x, last, first);
+            }
+        } else {
+            // x y..before F..L after: reverse (y..L), then its parts.
+            self.reverse(y, last);
+            // x L..F before..y after
+            self.forward_reverse(first, before, y);
+            // x L..F y..before after
+            if first_by_x {
+                self.forward_reverse(x, last, first);
+            }
+        }
+    }
+
+    /// Reverses the path between `a` and `b`, the one of the two ends that follows `outer` first,
+    /// whichever way the tour now runs.
+    fn forward_reverse(&mut self, outer: u32, a: u32, b: u32) {
+        if self.next(outer) == a { self.reverse(a, b) } else { self.reverse(b, a) }
+    }
+
+    /// Exchanges crossing steps until there are none.
+    fn uncross(&mut self) {
+        // Every exchange shortens the tour, so this ends; rounding is stopped by the count.
+        for _ in 0..self.len() {
+            let nodes: Vec<Point> = self.order.iter().map(|c| self.points[*c as usize]).collect();
+            let pairs = crossings(&[nodes]);
+            let ends: Vec<_> = pairs
+                .iter()
+                .map(|p| p.map(|s| (self.order[s.1], self.order[(s.1 + 1) % self.len()])))
+                .collect();
+            let mut exchanged = 0;
+            for [(a, a_next), (b, b_next)] in ends {
+                // Both steps are still there, either way round.
+                if self.next(a) == a_next && self.next(b) == b_next {
+                    self.exchange(a, b);
+                    exchanged += 1;
+                } else if self.next(a_next) == a && self.next(b_next) == b {
+                    self.exchange(a_next, b_next);
+                    exchanged += 1;
+                }
+            }
+            if exchanged == 0 {
+                return;
+            }
+        }
+    }
+
+    /// Moves points into long steps where no step becomes long by it; how many.
+    fn repair(&mut self, near: &[Vec<u32>], spacing: &impl Fn(Point) -> f64) -> usize {
+        let long = |t: &Self, a: u32, b: u32| {
+            let local = spacing(t.points[a as usize]).min(spacing(t.points[b as usize]));
+            t.distance(a, b) > LONG * local
+        };
+        let mut moved = 0;
+        for a in 0..self.len() as u32 {
+            let b = self.next(a);
+            if self.len() < 5 || !long(self, a, b) {
+                continue;
+            }
+            let near = near[a as usize].iter().chain(&near[b as usize]).copied();
+            let cost = |c: u32| {
+                let (before, after) = (self.previous(c), self.next(c));
+                let short = [(a, c), (c, b), (before, after)].iter().all(|s| !long(self, s.0, s.1));
+                let change =
+                    self.distance(a, c) + self.distance(c, b) + self.distance(before, after)
+                        - self.distance(before, c)
+                        - self.distance(c, after);
+                (c != a && c != b && short).then_some((change, c))
+            };
+            if let Some((_, c)) = near.filter_map(cost).min_by(|x, y| x.0.total_cmp(&y.0)) {
+                let (before, after) = (self.previous(c), self.next(c));
+                if before != b && after != a {
+                    self.relocate([before, c, c, after], [a, b], c);
+                    moved += 1;
+                }
+            }
+        }
+        moved
+    }
+}
+
+/// A move counts when it gains this share: more than rounding.
+const TINY: f64 = 1e-9;

@@ -1,0 +1,619 @@
+//! What can be said about any tool path before the dwell time is known.
+//!
+//! ```text
+//! length            sum of |P_{i+1} - P_i| over the segments with the tool on
+//! effective pitch   (area of the valid pixels) / (length whose dwell point lies in one of them)
+//! coverage          max over the valid pixels of min over the segments with the tool on of
+//!                   |pixel centre - segment|
+//! turn              angle between the directions of two segments that follow each other with the
+//!                   tool on; segments without a length have none
+//! crossings         pairs of segments with the tool on that have a point in common, other than
+//!                   neighbours, and the first and the last segment of a closed line
+//! least time        sum over the segments of max over the axes of |d| / v_max
+//! ```
+//!
+//! A percentile of n sorted values is the value number ceil(q n). Whether two segments meet is
+//! decided without rounding: the sign of the cross product `(b - a) x (c - a)` is that of
+//! `ax by - ax cy - cx by - ay bx + ay cx + cy bx`, summed exactly wherever its rounded value is
+//! within its error bound (J. R. Shewchuk, Discrete Comput. Geom. 18 (1997) 305).
+//!
+//! The pitch that keeps the ripple of parallel lines below `r` (peak to valley over mean) for a
+//! Gaussian TIF of standard deviation sigma, from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first
+//! harmonic of Poisson's sum (at these pitches the third is below 1e-20):
+//!
+//! ```text
+//! p = sigma sqrt(2 pi^2 / ln(4 / r)),     sigma = sqrt(VRR / (2 pi peak))
+//! ```
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | P | `point_mm` | (n+1, 2) | mm |
+//! | r | `RIPPLE` | - | 1 |
+//! | sigma | `sigma_mm` | - | mm |
+
+use std::f64::consts::PI;
+
+use planish_types::{Limits, Surface, Tif, ToolPath};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Ripple that the pitch limit allows, peak to valley over mean: 0.1 %.
+const RIPPLE: f64 = 1e-3;
+
+/// Cells per axis of the search grid: at most 1024 x 1024 lists of segments.
+const MAX_CELLS: f64 = 1024.0;
+
+/// Most cells that a segment touches, on average: 4 for segments as long as the cells are wide.
+const TOUCHED: f64 = 8.0;
+
+/// Numbers about a path.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PathStatistics {
+    /// Velocity control points (segments + 1).
+    pub points: usize,
+    /// Length with the tool on, mm.
+    pub length_mm: f64,
+    /// Length with the tool lifted, mm.
+    pub lift_length_mm: f64,
+    /// Passes.
+    pub passes: usize,
+    /// Runs of segments with the tool lifted.
+    pub lifts: usize,
+    /// Shortest segment with the tool on, mm.
+    pub shortest_step_mm: f64,
+    /// Half of the segments with the tool on are at most so long, mm.
+    pub median_step_mm: f64,
+    /// 99 % of the segments with the tool on are at most so long, mm.
+    pub p99_step_mm: f64,
+    /// Longest segment with the tool on, mm.
+    pub longest_step_mm: f64,
+    /// Mean turn between neighbouring segments, degrees; 0 without neighbours.
+    pub mean_turn_deg: f64,
+    /// 90 % of the turns are at most so large, degrees.
+    pub p90_turn_deg: f64,
+    /// 99 % of the turns are at most so large, degrees.
+    pub p99_turn_deg: f64,
+    /// Largest turn, degrees.
+    pub largest_turn_deg: f64,
+    /// Pairs of segments that meet without being neighbours.
+    pub crossings: usize,
+    /// Area of the valid pixels over the length within them, mm; none when no dwell point lies
+    /// in a valid pixel.
+    pub effective_pitch_mm: Option<f64>,
+    /// Largest distance of a valid pixel's centre from a segment with the tool on, mm; none
+    /// without such a segment.
+    pub coverage_mm: Option<f64>,
+}
+
+/// What bounds the pitch.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PitchLimit {
+    /// A sixth of the TIF's smaller size, mm; larger pitches leave visible lines.
+    pub tif_size_sixth_mm: f64,
+    /// Pitch at which a Gaussian TIF of the same peak and volume leaves a ripple of 0.1 % of the
+    /// mean removal, peak to valley, mm. A TIF that ends abruptly leaves more.
+    pub ripple_mm: f64,
+}
+
+/// Statistics of `path` over the clear aperture: the valid pixels of `surface`.
+pub fn statistics(path: &ToolPath, surface: &Surface) -> PathStatistics {
+    let lengths = |on: bool| {
+        let chosen = (0..path.len()).filter(move |i| path.tool_on()[*i] == on);
+        chosen.map(|i| path.segment_length_mm(i))
+    };
+    // An empty sum of floats is -0.
+    let length = |on| lengths(on).fold(0.0, |sum, l| sum + l);
+    let changes = path.pass_idx().windows(2).filter(|w| w[0] != w[1]).count();
+    let lifted = |i: usize| !path.tool_on()[i];
+    let (steps, turns) = (sorted(lengths(true).collect()), sorted(turns_deg(path)));
+    PathStatistics {
+        points: path.point_mm().len(),
+        length_mm: length(true),
+        lift_length_mm: length(false),
+        passes: changes + 1,
+        lifts: (0..path.len()).filter(|i| lifted(*i) && (*i == 0 || !lifted(i - 1))).count(),
+        shortest_step_mm: percentile(&steps, 0.0),
+        median_step_mm: percentile(&steps, 0.5),
+        p99_step_mm: percentile(&steps, 0.99),
+        longest_step_mm: percentile(&steps, 1.0),
+        mean_turn_deg: turns.iter().fold(0.0, |sum, t| sum + t) / turns.len().max(1) as f64,
+        p90_turn_deg: percentile(&turns, 0.9),
+        p99_turn_deg: percentile(&turns, 0.99),
+        largest_turn_deg: percentile(&turns, 1.0),
+        crossings: crossings(path),
+        effective_pitch_mm: effective_pitch_mm(path, surface),
+        coverage_mm: coverage_mm(path, surface),
+    }
+}
+
+/// The time below which no motion can pass all points of the path, lifts included, s: every
+/// segment at the largest velocity that the axes allow.
+pub fn time_lower_bound_s(path: &ToolPath, limits: &Limits) -> f64 {
+    let v_max = limits.max_velocity_mm_per_s();
+    // sum of max |d| / v_max
+    let each = (0..path.len()).map(|i| {
+        let d = path.displacement_mm(i);
+        (d[0].abs() / v_max[0]).max(d[1].abs() / v_max[1])
+    });
+    each.sum()
+}
+
+fn sorted(mut values: Vec<f64>) -> Vec<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values
+}
+
+/// The value number ceil(q n) of n sorted values, the first for q = 0; 0 without any.
+fn percentile(sorted: &[f64], q: f64) -> f64 {
+    let rank = (q * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.max(1) - 1).copied().unwrap_or(0.0)
+}
+
+fn turns_deg(path: &ToolPath) -> Vec<f64> {
+    let mut turns = Vec::with_capacity(path.len());
+    // The direction in which the tool last moved, unless it was lifted since.
+    let mut before: Option<[f64; 2]> = None;
+    for i in 0..path.len() {
+        let d = path.displacement_mm(i);
+        if !path.tool_on()[i] {
+            before = None;
+        } else if d != [0.0, 0.0] {
+            if let Some(b) = before {
+                let (cross, dot) = (b[0] * d[1] - b[1] * d[0], b[0] * d[0] + b[1] * d[1]);
+                turns.push(cross.abs().atan2(dot).to_degrees());
+            }
+            before = Some(d);
+        }
+    }
+    turns
+}
+
+/// What bounds the pitch for this TIF.
+pub fn pitch_limit(tif: &Tif) -> PitchLimit {
+    let [x, y] = tif.half_size_mm();
+    let sigma_mm = (tif.vrr_nm_mm2_per_s() / (2.0 * PI * tif.peak_nm_per_s())).sqrt();
+    PitchLimit {
+        tif_size_sixth_mm: 2.0 * x.min(y) / 6.0,
+        ripple_mm: sigma_mm * (2.0 * PI * PI / (4.0 / RIPPLE).ln()).sqrt(),
+    }
+}
+
+fn effective_pitch_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
+    let grid = surface.grid();
+    let valid = |p: [f64; 2]| {
+        let index = |axis: &planish_types::Axis, v: f64| {
+            let i = ((v - axis.start_mm()) / axis.step_mm()).round();
+            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
+        };
+        match (index(&grid.y, p[1]), index(&grid.x, p[0])) {
+            (Some(r), Some(c)) => !surface.height_nm()[[r, c]].is_nan(),
+            _ => false,
+        }
+    };
+    let inside = |i: &usize| path.tool_on()[*i] && valid(path.dwell_point_mm()[*i]);
+    let length: f64 = (0..path.len()).filter(inside).map(|i| path.segment_length_mm(i)).sum();
+    let area_mm2 = surface.statistics().valid_count as f64 * grid.pixel_mm2();
+    (length > 0.0).then(|| area_mm2 / length)
+}
+
+fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
+    let point = path.point_mm();
+    let on = (0..path.len()).filter(|i| path.tool_on()[*i]);
+    let segments: Vec<_> = on.map(|i| [point[i], point[i + 1]]).collect();
+    let cells = Cells::new(&segments)?;
+    let (x, y) = (surface.grid().x, surface.grid().y);
+    let rows: Vec<_> = surface.height_nm().outer_iter().collect();
+    let worst = rows.par_iter().enumerate().map(|(r, row)| {
+        let valid = row.iter().enumerate().filter(|(_, v)| !v.is_nan());
+        valid.map(|(c, _)| cells.distance_mm([x.at(c), y.at(r)])).fold(0.0, f64::max)
+    });
+    Some(worst.reduce(|| 0.0, f64::max))
+}
+
+fn crossings(path: &ToolPath) -> usize {
+    let point = path.point_mm();
+    let on = (0..path.len()).filter(|i| path.tool_on()[*i] && point[*i] != point[i + 1]);
+    let segments: Vec<_> = on.map(|i| [point[i], point[i + 1]]).collect();
+    // Where a closed line ends, the segment with which it began.
+    let follows = |i: usize| segments[i - 1][1] == segments[i][0];
+    let mut closes = vec![usize::MAX; segments.len()];
+    let mut first = 0;
+    for i in 0..segments.len() {
+        if i > 0 && !follows(i) {
+            first = i;
+        }
+        if segments[i][1] == segments[first][0] {
+            closes[i] = first;
+        }
+    }
+    let Some(cells) = Cells::new(&segments) else { return 0 };
+    let in_cell = |k: usize| {
+        let members = cells.members(k);
+        let mut count = 0;
+        for (n, i) in members.iter().map(|i| *i as usize).enumerate() {
+            for j in members[n + 1..].iter().map(|j| *j as usize) {
+                let neighbours = (j == i + 1 && follows(j)) || closes[j] == i;
+                let (a, b) = (&segments[i], &segments[j]);
+                if neighbours || !boxes_overlap(a, b) {
+                    continue;
+                }
+                // Once per pair: in the cell of the lowest corner that the boxes share.
+                let low = |c: usize| a[0][c].min(a[1][c]).max(b[0][c].min(b[1][c]));
+                let [x, y] = cells.cell([low(0), low(1)]);
+                let here = (y * cells.count[0] as isize + x) as usize == k;
+                count += usize::from(here && meet(a, b));
+            }
+        }
+        count
+    };
+    (0..cells.start.len() - 1).into_par_iter().map(in_cell).sum()
+}
+
+fn boxes_overlap(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
+    (0..2).all(|c| {
+        a[0][c].max(a[1][c]) >= b[0][c].min(b[1][c]) && b[0][c].max(b[1][c]) >= a[0][c].min(a[1][c])
+    })
+}
+
+/// Whether two segments, whose boxes overlap, have a point in common.
+fn meet(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
+    side(a[0], a[1], b[0]) * side(a[0], a[1], b[1]) <= 0
+        && side(b[0], b[1], a[0]) * side(b[0], b[1], a[1]) <= 0
+}
+
+/// The sign of `(b - a) x (c - a)`: 1 with `c` on the left of the line from `a` to `b`.
+fn side(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> i32 {
+    let (left, right) = ((a[0] - c[0]) * (b[1] - c[1]), (a[1] - c[1]) * (b[0] - c[0]));
+    // Shewchuk's bound of the rounding error, with eps = 2^-53.
+    let unit = 0.5 * f64::EPSILON;
+    let bound = (3.0 + 16.0 * unit) * unit * (left.abs() + right.abs());
+    let rounded = left - right;
+    if rounded.abs() > bound {
+        return if rounded > 0.0 { 1 } else { -1 };
+    }
+    // ax by - ax cy - cx by - ay bx + ay cx + cy bx
+    let products =
+        [(a[0], b[1]), (-a[0], c[1]), (-c[0], b[1]), (-a[1], b[0]), (a[1], c[0]), (c[1], b[0])];
+    // Parts that do not overlap, ascending; their sum is exact.
+    let mut sum = [0.0_f64; 12];
+    let mut count = 0;
+    for (u, v) in products {
+        let high = u * v;
+        for term in [u.mul_add(v, -high), high] {
+            let mut carry = term;
+            for part in &mut sum[..count] {
+                let total = carry + *part;
+                let back = total - carry;
+                *part = (carry - (total - back)) + (*part - back);
+                carry = total;
+            }
+            sum[count] = carry;
+            count += 1;
+        }
+    }
+    let leading = sum.iter().rev().find(|part| **part != 0.0);
+    leading.map_or(0, |part| if *part > 0.0 { 1 } else { -1 })
+}
+
+/// Segments sorted into the square cells that their bounding boxes touch.
+struct Cells<'a> {
+    segments: &'a [[[f64; 2]; 2]],
+    origin_mm: [f64; 2],
+    side_mm: f64,
+    count: [usize; 2],
+    /// Cell (i, j) holds `member[start[k]..start[k + 1]]`, k = j * count[0] + i.
+    start: Vec<u32>,
+    member: Vec<u32>,
+}
+
+impl<'a> Cells<'a> {
+    /// `None` without segments.
+    fn new(segments: &'a [[[f64; 2]; 2]]) -> Option<Self> {
+        let ends = || segments.iter().flatten();
+        let low = [0, 1].map(|a| ends().map(|p| p[a]).fold(f64::MAX, f64::min));
+        let high = [0, 1].map(|a| ends().map(|p| p[a]).fold(f64::MIN, f64::max));
+        let sizes = || segments.iter().map(|[a, b]| [0, 1].map(|c| (b[c] - a[c]).abs()));
+        let extent = (high[0] - low[0]).max(high[1] - low[1]);
+        let mean = sizes().map(|d| d[0].max(d[1])).sum::<f64>() / segments.len() as f64;
+        let mut side_mm = mean.max(extent / MAX_CELLS);
+        if segments.is_empty() || side_mm <= 0.0 {
+            return None;
+        }
+        // As fine as the segments, but so that the lists of the cells stay short when few of them
+        // are much longer than the others.
+        let touched =
+            |side: f64| sizes().map(|d| (d[0] / side + 1.0) * (d[1] / side + 1.0)).sum::<f64>();
+        while touched(side_mm) > TOUCHED * segments.len() as f64 {
+            side_mm *= 2.0;
+        }
+        let count = [0, 1].map(|a| ((high[a] - low[a]) / side_mm) as usize + 1);
+        let mut cells = Self {
+            segments,
+            origin_mm: low,
+            side_mm,
+            count,
+            start: Vec::new(),
+            member: Vec::new(),
+        };
+        let mut start = vec![0_u32; count[0] * count[1] + 1];
+        segments.iter().for_each(|s| cells.touched(s).for_each(|k| start[k + 1] += 1));
+        for k in 1..start.len() {
+            start[k] += start[k - 1];
+        }
+        let mut next = start.clone();
+        let mut member = vec![0; start[start.len() - 1] as usize];
+        for (i, segment) in segments.iter().enumerate() {
+            for k in cells.touched(segment) {
+                member[next[k] as usize] = i as u32;
+                next[k] += 1;
+            }
+        }
+        (cells.start, cells.member) = (start, member);
+        Some(cells)
+    }
+
+    fn cell(&self, p: [f64; 2]) -> [isize; 2] {
+        [0, 1].map(|a| ((p[a] - self.origin_mm[a]) / self.side_mm).floor() as isize)
+    }
+
+    fn touched(&self, [a, b]: &[[f64; 2]; 2]) -> impl Iterator<Item = usize> + use<> {
+        let (p, q) = (self.cell(*a), self.cell(*b));
+        let columns = p[0].min(q[0])..=p[0].max(q[0]);
+        let width = self.count[0] as isize;
+        (p[1].min(q[1])..=p[1].max(q[1]))
+            .flat_map(move |j| columns.clone().map(move |i| (j * width + i) as usize))
+    }
+
+    /// Distance of a point from the nearest segment, mm.
+    fn distance_mm(&self, p: [f64; 2]) -> f64 {
+        let centre = self.cell(p);
+        let count = self.count.map(|n| n as isize);
+        // Rings of cells outwards; the first that meets the grid, and the last.
+        let beyond = |a: usize| (-centre[a]).max(centre[a] - count[a] + 1).max(0);
+        let first = beyond(0).max(beyond(1));
+        let farthest = |a: usize| centre[a].max(count[a] - 1 - centre[a]);
+        let last = farthest(0).max(farthest(1));
+        let mut best = f64::INFINITY;
+        for ring in first..=last {
+            // What lies in this ring is at least (ring - 1) cells away.
+            if (ring - 1) as f64 * self.side_mm > best {
+                break;
+            }
+            for j in (centre[1] - ring).max(0)..=(centre[1] + ring).min(count[1] - 1) {
+                let whole_row = (j - centre[1]).abs() == ring;
+                let stride = if whole_row { 1 } else { 2 * ring };
+                let mut i = centre[0] - ring;
+                while i <= centre[0] + ring {
+                    if (0..count[0]).contains(&i) {
+                        best = best.min(self.nearest_in((j * count[0] + i) as usize, p));
+                    }
+                    i += stride.max(1);
+                }
+            }
+        }
+        best
+    }
+
+    /// Segments that touch a cell, ascending.
+    fn members(&self, k: usize) -> &[u32] {
+        &self.member[self.start[k] as usize..self.start[k + 1] as usize]
+    }
+
+    fn nearest_in(&self, k: usize, p: [f64; 2]) -> f64 {
+        self.members(k)
+            .iter()
+            .map(|i| distance(p, &self.segments[*i as usize]))
+            .fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Distance of `p` from the segment `a b`.
+fn distance(p: [f64; 2], [a, b]: &[[f64; 2]; 2]) -> f64 {
+    let (d, q) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let square = d[0] * d[0] + d[1] * d[1];
+    // f = clamp(<q, d> / <d, d>): the foot of the perpendicular, or the nearer end.
+    let f = if square > 0.0 { ((q[0] * d[0] + q[1] * d[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
+    (q[0] - f * d[0]).hypot(q[1] - f * d[1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array2;
+    use planish_types::{Axis, Grid};
+    use proptest::prelude::*;
+
+    fn surface(nx: usize, ny: usize, step: f64) -> Surface {
+        let grid =
+            Grid { x: Axis::new(0.0, step, nx).unwrap(), y: Axis::new(0.0, step, ny).unwrap() };
+        Surface::new(grid, Array2::zeros((ny, nx))).unwrap()
+    }
+
+    #[test]
+    fn a_path_counted_by_hand() {
+        // Two lines of 3 mm, 2 mm apart, a lift of sqrt(4 + 9) mm between them.
+        let points = vec![[0.0, 0.0], [1.5, 0.0], [3.0, 0.0], [0.0, 2.0], [3.0, 2.0]];
+        let on = vec![true, true, false, true];
+        let path = ToolPath::through(points, on, vec![0, 0, 0, 1]).unwrap();
+        let s = statistics(&path, &surface(31, 21, 0.1));
+        assert_eq!((s.points, s.length_mm, s.passes, s.lifts), (5, 6.0, 2, 1));
+        assert_eq!((s.shortest_step_mm, s.longest_step_mm), (1.5, 3.0));
+        assert_eq!(s.lift_length_mm, 13.0_f64.sqrt());
+        // The middle row, 1 mm from either line.
+        assert!((s.coverage_mm.unwrap() - 1.0).abs() < 1e-12);
+        // 31 * 21 pixels of 0.01 mm^2 over 6 mm.
+        assert!((s.effective_pitch_mm.unwrap() - 1.085).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_path_with_the_tool_off_covers_nothing() {
+        let path = ToolPath::through(vec![[0.0, 0.0], [1.0, 0.0]], vec![false], vec![0]).unwrap();
+        let s = statistics(&path, &surface(3, 3, 1.0));
+        assert_eq!((s.coverage_mm, s.effective_pitch_mm, s.length_mm), (None, None, 0.0));
+    }
+
+    #[test]
+    fn pitch_limits_of_a_gaussian() {
+        let axis = Axis::new(-6.0, 0.1, 121).unwrap();
+        let rate = Array2::from_shape_fn((121, 121), |(r, c)| {
+            (-0.5 * (axis.at(c).powi(2) + axis.at(r).powi(2))).exp()
+        });
+        let limit = pitch_limit(&Tif::new(Grid { x: axis, y: axis }, rate).unwrap());
+        assert!((limit.tif_size_sixth_mm - 2.0).abs() < 1e-12);
+        // sigma = 1 mm to 1e-7 (the tail beyond 6 sigma): the ripple at this pitch, by its own sum.
+        let p = limit.ripple_mm;
+        let line = |y: f64| -> f64 {
+            (-40..=40).map(|k| (-0.5 * (y - f64::from(k) * p).powi(2)).exp()).sum()
+        };
+        let mean = (2.0 * PI).sqrt() / p;
+        assert!(((line(0.0) - line(0.5 * p)) / mean / RIPPLE - 1.0).abs() < 1e-5);
+    }
+
+    fn through(points: &[[f64; 2]]) -> ToolPath {
+        let n = points.len() - 1;
+        ToolPath::through(points.to_vec(), vec![true; n], vec![0; n]).unwrap()
+    }
+
+    #[test]
+    fn percentiles_and_turns_counted_by_hand() {
+        // Steps 1, 2, 3, 4 with turns of 90, 45 and 180 degrees, a step of no length among them.
+        let h = 0.5_f64.sqrt();
+        let points = [
+            [0.0, 0.0],
+            [1.0, 0.0],
+            [1.0, 2.0],
+            [1.0, 2.0],
+            [1.0 + 3.0 * h, 2.0 + 3.0 * h],
+            [1.0 - h, 2.0 - h],
+        ];
+        let s = statistics(&through(&points), &surface(31, 21, 0.1));
+        assert_eq!((s.shortest_step_mm, s.median_step_mm), (0.0, 2.0));
+        // Rounding of h.
+        assert!((s.longest_step_mm - 4.0).abs() < 1e-12 && s.p99_step_mm == s.longest_step_mm);
+        assert!(
+            (s.mean_turn_deg - 105.0).abs() < 1e-9 && (s.largest_turn_deg - 180.0).abs() < 1e-9
+        );
+        assert_eq!((percentile(&[1.0, 2.0, 3.0], 0.9), percentile(&[], 0.5)), (3.0, 0.0));
+        // A lift has no turn.
+        let lifted =
+            ToolPath::through(points.to_vec(), vec![true, false, true, true, true], vec![0; 5]);
+        assert!(
+            (statistics(&lifted.unwrap(), &surface(9, 9, 0.1)).mean_turn_deg - 180.0).abs() < 1e-9
+        );
+    }
+
+    #[test]
+    fn the_least_time_is_that_of_the_slower_axis() {
+        let axis = |name: &str, v| planish_types::AxisLimits {
+            name: name.into(),
+            max_velocity_mm_per_s: v,
+            max_acceleration_mm_per_s2: 1.0,
+            max_jerk_mm_per_s3: None,
+        };
+        let machine = Limits {
+            name: "m".into(),
+            axes: vec![axis("x", 4.0), axis("y", 2.0)],
+            min_segment_s: 0.0,
+        };
+        let path = through(&[[0.0, 0.0], [8.0, 2.0], [7.0, -4.0]]);
+        assert_eq!(time_lower_bound_s(&path, &machine), 2.0 + 3.0);
+    }
+
+    #[test]
+    fn crossings_counted_by_hand() {
+        let count = |points: &[[f64; 2]]| crossings(&through(points));
+        let square = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]];
+        assert_eq!(count(&square), 0, "a closed line");
+        assert_eq!(count(&[&square[..], &[[0.0, -1.0]]].concat()), 1, "and on from its start");
+        assert_eq!(count(&[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [2.0, 3.0], [2.0, -1.0]]), 1);
+        assert_eq!(
+            count(&[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [2.0, 3.0], [2.0, 0.0]]),
+            1,
+            "touch"
+        );
+        assert_eq!(count(&[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [2.0, 3.0], [2.0, 1e-300]]), 0);
+        // A star of five points.
+        let star: Vec<[f64; 2]> =
+            (0..6).map(|k| f64::from(k) * 0.8 * PI).map(|a| [a.cos(), a.sin()]).collect();
+        let closed = [&star[..5], &star[..1]].concat();
+        assert_eq!(count(&closed), 5);
+        // The same segments with the crossing one lifted.
+        let points = vec![[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [2.0, 3.0], [2.0, -1.0]];
+        let lifted = ToolPath::through(points, vec![true, true, true, false], vec![0; 4]).unwrap();
+        assert_eq!(crossings(&lifted), 0);
+    }
+
+    #[test]
+    fn the_side_of_a_line_is_decided_below_rounding() {
+        // Points next to the diagonal of a square: the naive cross product is 0 or has the wrong
+        // sign for most of them (L. Kettner et al., Comput. Geom. 40 (2008) 61).
+        let ulp = f64::EPSILON / 4.0;
+        for (i, j) in (0..40).flat_map(|i| (0..40).map(move |j| (i, j))) {
+            let c = [0.5 + f64::from(i) * ulp, 0.5 + f64::from(j) * ulp];
+            // x and y are multiples of 2^-54 above 1/2 where rounding keeps them so.
+            let expected = (c[1] - c[0]).partial_cmp(&0.0).unwrap() as i32;
+            assert_eq!(side([12.0, 12.0], [24.0, 24.0], c), expected, "{i} {j}");
+            assert_eq!(side([24.0, 24.0], [12.0, 12.0], c), -expected, "{i} {j}");
+            assert_eq!(side(c, [12.0, 12.0], [24.0, 24.0]), expected, "{i} {j}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn coverage_is_the_brute_force_maximum(
+            points in prop::collection::vec(prop::array::uniform2(-3.0..8.0_f64), 2..40),
+            lift in any::<u64>(),
+        ) {
+            let n = points.len() - 1;
+            let on: Vec<bool> = (0..n).map(|i| i == 0 || lift >> i & 1 == 1).collect();
+            let path = ToolPath::through(points.clone(), on.clone(), vec![0; n]).unwrap();
+            let map = surface(14, 9, 0.4);
+            let mut worst = 0.0_f64;
+            for (r, c) in (0..9).flat_map(|r| (0..14).map(move |c| (r, c))) {
+                let p = [map.grid().x.at(c), map.grid().y.at(r)];
+                let each = (0..n).filter(|i| on[*i]);
+                let near = each.map(|i| distance(p, &[points[i], points[i + 1]]));
+                worst = worst.max(near.fold(f64::INFINITY, f64::min));
+            }
+            prop_assert_eq!(coverage_mm(&path, &map), Some(worst));
+        }
+
+        #[test]
+        fn crossings_are_those_of_all_pairs(
+            // On a coarse lattice, so that segments touch, overlap and have no length too.
+            points in prop::collection::vec(prop::array::uniform2(0..12_i32), 2..40),
+            far in any::<bool>(),
+        ) {
+            let stretch = if far { 37.0 } else { 1.0 };
+            let points: Vec<[f64; 2]> = points
+                .iter()
+                .enumerate()
+                .map(|(i, p)| p.map(|v| f64::from(v) * if i == 3 { stretch } else { 1.0 }))
+                .collect();
+            let path = through(&points);
+            let kept: Vec<_> = points
+                .windows(2)
+                .filter(|w| w[0] != w[1])
+                .map(|w| [w[0], w[1]])
+                .collect();
+            let mut count = 0;
+            for j in 0..kept.len() {
+                for i in 0..j {
+                    let neighbours = j == i + 1 || (i == 0 && kept[j][1] == kept[0][0]);
+                    // In whole numbers the cross product is exact.
+                    let cross = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| {
+                        ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).signum()
+                            * f64::from(u8::from(
+                                (b[0] - a[0]) * (c[1] - a[1]) != (b[1] - a[1]) * (c[0] - a[0]),
+                            ))
+                    };
+                    let ([a, b], [c, d]) = (kept[i], kept[j]);
+                    let crossed = cross(a, b, c) * cross(a, b, d) <= 0.0
+                        && cross(c, d, a) * cross(c, d, b) <= 0.0;
+                    count += usize::from(!neighbours && crossed && boxes_overlap(&kept[i], &kept[j]));
+                }
+            }
+            prop_assert_eq!(crossings(&path), count);
+        }
+    }
+}

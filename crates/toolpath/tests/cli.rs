@@ -1,0 +1,320 @@
+//! The binary from end to end, and the reference mirror where `PLANISH_REFERENCE` names the
+//! folder that holds it.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use ndarray::{Array1, Array2, ArrayD};
+use planish_handoff::{
+    artifact::{self, Manifest},
+    kind::Dtype,
+    npy::{self, ArrayData},
+};
+use planish_types::ToolPath;
+
+fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
+    fs::create_dir_all(dir).unwrap();
+    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
+}
+
+fn save_axis(dir: &Path, name: &str, start: f64, step: f64, n: usize) {
+    save(dir, name, Array1::from_iter((0..n).map(|i| start + step * i as f64)).into_dyn());
+}
+
+/// A map of 20 x 10 mm, and a Gaussian TIF of 6 x 6 mm.
+fn write_inputs(dir: &Path) {
+    let surface = dir.join("surface");
+    save(&surface, "height_nm", Array2::zeros((21, 41)).into_dyn());
+    save_axis(&surface, "x_mm", 0.0, 0.5, 41);
+    save_axis(&surface, "y_mm", 0.0, 0.5, 21);
+    let tif = dir.join("tif");
+    let at = |i: usize| -3.0 + 0.25 * i as f64;
+    let rate = Array2::from_shape_fn((25, 25), |(r, c)| (-at(r).powi(2) - at(c).powi(2)).exp());
+    save(&tif, "rate_nm_per_s", rate.into_dyn());
+    save_axis(&tif, "x_mm", -3.0, 0.25, 25);
+    save_axis(&tif, "y_mm", -3.0, 0.25, 25);
+}
+
+fn run(dir: &Path, arguments: &[&str]) -> Output {
+    call(dir, "raster", arguments)
+}
+
+fn call(dir: &Path, method: &str, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-toolpath"))
+        .current_dir(dir)
+        .arg(method)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn read(dir: &Path) -> (ToolPath, Manifest) {
+    let loaded = artifact::read::<ToolPath>(dir).unwrap();
+    (loaded.value, loaded.manifest.unwrap())
+}
+
+const BASIC: [&str; 6] = ["--surface", "surface", "--pitch-mm", "1", "--step-mm", "1"];
+
+#[test]
+fn the_overscan_defaults_to_half_the_tif_and_the_manifest_has_the_statistics() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let output = run(tmp.path(), &[&BASIC[..], &["--tif", "tif", "--out", "out"]].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let (path, manifest) = read(&tmp.path().join("out"));
+    // x -3 .. 23, y -3 .. 13: 17 lines of 27 nodes.
+    assert_eq!(path.point_mm().len(), 17 * 27);
+    assert_eq!((path.point_mm()[0], path.point_mm()[26]), ([-3.0, -3.0], [23.0, -3.0]));
+    assert_eq!(manifest.settings["overscan_mm"], 3.0);
+    let o = &manifest.outcome;
+    assert_eq!((&o["points"], &o["passes"], &o["lifts"]), (&459.into(), &17.into(), &0.into()));
+    for (key, value) in [("length_mm", 458.0), ("lift_length_mm", 0.0), ("longest_step_mm", 1.0)] {
+        // Rounding of coordinates up to 23 mm, summed over 458 segments.
+        assert!((o[key].as_f64().unwrap() - value).abs() < 1e-11, "{key}: {o}");
+    }
+    assert!((o["coverage_mm"].as_f64().unwrap() - 0.5).abs() < 1e-12);
+    // 21.5 x 10.5 pixels' area, with pixels of 0.5 mm, over 11 lines of 20 or 21 mm within them.
+    assert!((o["effective_pitch_mm"].as_f64().unwrap() - 1.0).abs() < 0.05, "{o}");
+    assert_eq!(o["pitch_limit"]["tif_size_sixth_mm"], 1.0);
+    assert_eq!(o["warnings"].as_array().unwrap().len(), 0);
+
+    let again = run(tmp.path(), &[&BASIC[..], &["--tif", "tif", "--out", "out"]].concat());
+    assert!(String::from_utf8(again.stdout).unwrap().contains("unchanged"));
+}
+
+#[test]
+fn every_flag_reaches_the_library() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let flags = [
+        "--overscan-mm",
+        "1.5",
+        "--scan",
+        "y",
+        "--turn",
+        "semicircle",
+        "--line-origin-mm",
+        "-0.25",
+        "--out",
+        "out",
+    ];
+    let output = run(tmp.path(), &[&BASIC[..], &flags].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let (path, manifest) = read(&tmp.path().join("out"));
+    assert_eq!(path.point_mm()[0], [-1.25, -1.5]);
+    assert_eq!(manifest.settings["scan"], "y");
+    // The semicircle beyond the end of the first line.
+    assert!(path.point_mm().iter().any(|p| (p[1] - 12.0).abs() < 1e-12 && p[0] < 0.0));
+}
+
+#[test]
+fn a_coarse_pitch_is_warned_of() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let flags = ["--surface", "surface", "--tif", "tif", "--pitch-mm", "30", "--step-mm", "1"];
+    let output = run(tmp.path(), &[&flags[..], &["--out", "out"]].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("one line only") && said.contains("sixth of the TIF"), "{said}");
+    assert_eq!(read(&tmp.path().join("out")).1.outcome["warnings"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn bad_input_ends_with_2_a_message_and_no_output() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let with = |pitch, step, rest: &[&'static str]| {
+        [&["--surface", "surface", "--pitch-mm", pitch, "--step-mm", step], rest].concat()
+    };
+    let cases = [
+        (with("1", "1", &[]), "--tif"),
+        (with("0", "1", &["--overscan-mm", "1"]), "pitch_mm: is 0"),
+        (with("-1", "1", &["--overscan-mm", "1"]), "pitch_mm: is -1"),
+        (with("1", "NaN", &["--overscan-mm", "1"]), "step_mm: is NaN"),
+        (with("1", "1", &["--overscan-mm", "-2"]), "overscan_mm: is -2"),
+        (with("1e-8", "1", &["--overscan-mm", "1"]), "more than 20000000 segments"),
+        (with("1", "1", &["--tif", "surface"]), "rate_nm_per_s"),
+        (with("1", "one", &["--overscan-mm", "1"]), "invalid value"),
+    ];
+    for (arguments, message) in cases {
+        let output = run(tmp.path(), &[&arguments[..], &["--out", "out"]].concat());
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains(message), "{arguments:?}: {said}");
+        assert!(!tmp.path().join("out").exists(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_maze_is_seeded_and_says_what_it_did() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let common = ["--surface", "surface", "--tif", "tif", "--pitch-mm", "1"];
+    let maze = |out: &str, flags: &[&str]| {
+        let output = call(tmp.path(), "maze", &[&common[..], flags, &["--out", out]].concat());
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        read(&tmp.path().join(out))
+    };
+    let (path, manifest) = maze("one", &["--seed", "4"]);
+    // 20 x 10 mm and 3 mm around: 27 x 17 cells, one left out.
+    assert_eq!(path.len(), 27 * 17 - 1);
+    assert_eq!(path.point_mm()[0], path.point_mm()[path.len()]);
+    let o = &manifest.outcome;
+    assert_eq!((&o["cells"], &o["cells_left_out"]), (&459.into(), &1.into()));
+    assert_eq!((&o["crossings"], &o["lifts"]), (&0.into(), &0.into()));
+    let settings = &manifest.settings;
+    assert_eq!((&settings["seed"], &settings["step_mm"]), (&4.into(), &1.0.into()));
+    assert_eq!(settings["tree"]["depth-first"]["straightness"], 0.0);
+    assert_eq!(maze("again", &["--seed", "4"]).0, path);
+    assert_ne!(maze("other", &["--seed", "5"]).0, path);
+    let wilson = maze("wilson", &["--tree", "wilson", "--open", "--corner-radius-mm", "0.25"]);
+    assert_eq!(wilson.1.settings["step_mm"], 0.25);
+    assert_ne!(wilson.0.point_mm()[0], wilson.0.point_mm()[wilson.0.len()]);
+    let straight = maze("straight", &["--straightness", "1", "--seed", "4"]);
+    let turn = |m: &Manifest| m.outcome["mean_turn_deg"].as_f64().unwrap();
+    assert!(turn(&straight.1) < turn(&manifest) - 2.0);
+}
+
+#[test]
+fn bad_mazes_end_with_2_a_message_and_no_output() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let cases: [(&[&str], &str); 6] = [
+        (&["--pitch-mm", "50", "--tif", "tif"], "smaller pitch or a larger overscan"),
+        (&["--pitch-mm", "1"], "--tif"),
+        (&["--pitch-mm", "1", "--tif", "tif", "--corner-radius-mm", "0.6"], "at most half"),
+        (&["--pitch-mm", "1", "--tif", "tif", "--straightness", "-1"], "straightness: is -1"),
+        (
+            &["--pitch-mm", "1", "--tif", "tif", "--tree", "wilson", "--straightness", "0.5"],
+            "depth-first",
+        ),
+        (&["--pitch-mm", "1", "--tif", "tif", "--seed", "x"], "invalid value"),
+    ];
+    for (flags, message) in cases {
+        let arguments = [&["--surface", "surface"], flags, &["--out", "out"]].concat();
+        let output = call(tmp.path(), "maze", &arguments);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains(message), "{arguments:?}: {said}");
+        assert!(!tmp.path().join("out").exists(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_spiral_covers_the_map() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let flags = [&BASIC[..], &["--tif", "tif", "--out", "out"]].concat();
+    let output = call(tmp.path(), "spiral", &flags);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let (path, manifest) = read(&tmp.path().join("out"));
+    // Half the diagonal of 20 x 10 mm, and 3 mm.
+    let end = path.point_mm()[path.len()];
+    assert!(((end[0] - 10.0).hypot(end[1] - 5.0) - 125_f64.sqrt() - 3.0).abs() < 1e-9);
+    assert_eq!(manifest.outcome["crossings"], 0);
+    let flags = ["--surface", "surface", "--pitch-mm", "0", "--step-mm", "1"];
+    let bad = call(tmp.path(), "spiral", &[&flags[..], &["--tif", "tif", "--out", "bad"]].concat());
+    assert_eq!(bad.status.code(), Some(2));
+    assert!(!tmp.path().join("bad").exists());
+}
+
+#[test]
+fn inspect_prints_the_statistics_of_any_path() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    // Two lines that cross, by hand and without a manifest.
+    let dir = tmp.path().join("path");
+    let points = [[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [10.0, -5.0]];
+    save(&dir, "point_mm", Array2::from(points.to_vec()).into_dyn());
+    let middles = [[10.0, 0.0], [20.0, 5.0], [15.0, 2.5]];
+    save(&dir, "dwell_point_mm", Array2::from(middles.to_vec()).into_dyn());
+    let on = ArrayData::U8(Array1::from(vec![1, 1, 1]).into_dyn());
+    fs::write(dir.join("tool_on.npy"), on.to_npy()).unwrap();
+    let pass = ArrayData::I64(Array1::from(vec![0, 0, 0]).into_dyn());
+    fs::write(dir.join("pass_idx.npy"), pass.to_npy()).unwrap();
+    let machine = r#"{"name": "m", "axes": [
+        {"name": "x", "max_velocity_mm_per_s": 10, "max_acceleration_mm_per_s2": 1},
+        {"name": "y", "max_velocity_mm_per_s": 5, "max_acceleration_mm_per_s2": 1}]}"#;
+    fs::write(tmp.path().join("m.json"), machine).unwrap();
+    let flags = ["--tool-path", "path", "--surface", "surface", "--machine", "m.json"];
+    let output = call(tmp.path(), "inspect", &flags);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&found["points"], &found["crossings"]), (&4.into(), &1.into()));
+    // 20 / 10 + 10 / 5 + max(10 / 10, 15 / 5) s.
+    assert_eq!(found["least_time_s"], 7.0);
+    assert_eq!(found["longest_step_mm"], 20.0);
+}
+
+#[test]
+fn a_picture_is_written_once() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    run(tmp.path(), &[&BASIC[..], &["--overscan-mm", "1", "--out", "path"]].concat());
+    let flags = ["--tool-path", "path", "--surface", "surface", "--out", "path.svg"];
+    let output = call(tmp.path(), "draw", &flags);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let picture = fs::read_to_string(tmp.path().join("path.svg")).unwrap();
+    assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
+    let again = call(tmp.path(), "draw", &flags);
+    assert_eq!(again.status.code(), Some(2));
+    assert!(String::from_utf8(again.stderr).unwrap().contains("--force"));
+    assert_eq!(
+        call(tmp.path(), "draw", &[&flags[..], &["--force"]].concat()).status.code(),
+        Some(0)
+    );
+    let nowhere = ["--tool-path", "path", "--out", "no/such/path.svg"];
+    assert_eq!(call(tmp.path(), "draw", &nowhere).status.code(), Some(2));
+}
+
+fn load(path: &Path) -> ArrayD<f64> {
+    match npy::read(path, Dtype::F64).unwrap().0 {
+        ArrayData::F64(a) => a,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn the_lines_of_the_published_raster_come_back() {
+    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
+        eprintln!("skipped: PLANISH_REFERENCE is not set");
+        return;
+    };
+    let mirror = Path::new(&reference).join("nsls2-mirror");
+    let tmp = tempfile::tempdir().unwrap();
+    let flags = ["--pitch-mm", "1", "--step-mm", "1", "--overscan-mm", "5", "--out", "out"];
+    let origin = ["--line-origin-mm", "-4.329889", "--surface"];
+    let output = run(tmp.path(), &[&flags[..], &origin, &[mirror.to_str().unwrap()]].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let (path, _) = read(&tmp.path().join("out"));
+
+    // Published: from the largest y, from left to right; ours is its reverse, which also starts
+    // on the left (26 lines).
+    let published = load(&mirror.join("raster_path_mm.npy"));
+    let published: Vec<_> = published.outer_iter().rev().map(|p| [p[0], p[1]]).collect();
+    let lines = |points: &[[f64; 2]]| {
+        let mut lines: Vec<f64> = points.iter().map(|p| p[1]).collect();
+        lines.dedup();
+        lines
+    };
+    let (ours, theirs) = (lines(path.point_mm()), lines(&published));
+    assert_eq!((ours.len(), theirs.len()), (26, 26));
+    for (a, b) in ours.iter().zip(&theirs) {
+        // The origin was given to 1e-6 mm.
+        assert!((a - b).abs() < 1e-6, "{a} {b}");
+    }
+    // Published nodes: -5 .. 97 in steps of 1. Ours: the region ends at 92.33167 + 5, in equal
+    // steps of at most 1.
+    let n = 103;
+    let step = (92.33167 + 10.0) / f64::from(n);
+    for (i, p) in path.point_mm().iter().enumerate() {
+        let (line, k) = (i / 104, (i % 104) as f64);
+        let x = if line % 2 == 0 { -5.0 + k * step } else { 97.33167 - k * step };
+        // x_mm is given to 1e-5 mm.
+        assert!((p[0] - x).abs() < 1e-5, "{i}: {p:?}");
+    }
+    assert_eq!(path.point_mm().len(), 26 * 104);
+}
