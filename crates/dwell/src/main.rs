@@ -1,0 +1,140 @@
+//! `planish-dwell`: dwell times for a desired removal along a tool path.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use planish_dwell::{
+    bounded_least_squares::{self, Bound, Settings},
+    columns::Columns,
+};
+use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
+use planish_types::{DwellTime, Surface, Tif, ToolPath};
+use serde_json::json;
+
+/// Find the dwell times that remove what is desired
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    #[command(subcommand)]
+    solver: Solver,
+}
+
+#[derive(Subcommand)]
+enum Solver {
+    /// Smallest RMS residual with a free piston and bounds on every dwell time
+    BoundedLeastSquares(BoundedLeastSquares),
+}
+
+#[derive(Args)]
+struct BoundedLeastSquares {
+    /// Desired removal [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Tool path [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    tool_path: PathBuf,
+    /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
+    #[arg(long, value_name = "FILE")]
+    weight: Option<PathBuf>,
+    /// Least dwell time of every dwell point, s [default: 0]
+    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
+    min_dwell_s: Option<f64>,
+    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
+    #[arg(long, value_name = "T")]
+    min_dwell_s_per_mm: Option<f64>,
+    /// Largest dwell time of every dwell point, s
+    #[arg(long, value_name = "T", conflicts_with = "max_dwell_s_per_mm")]
+    max_dwell_s: Option<f64>,
+    /// Largest dwell time per length of the segment, s/mm
+    #[arg(long, value_name = "T")]
+    max_dwell_s_per_mm: Option<f64>,
+    /// What a dwell time is spent on
+    #[arg(long, value_enum, default_value = "segment")]
+    columns: ColumnKind,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    tikhonov: f64,
+    /// Weight of the roughness of the dwell-time density along the path
+    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
+    smoothness: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ColumnKind {
+    /// Uniform motion along the segment
+    Segment,
+    /// Standing at the dwell point
+    Point,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    run(|| match &cli.solver {
+        Solver::BoundedLeastSquares(arguments) => bounded_least_squares(arguments),
+    })
+}
+
+fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
+    let bound = |seconds: Option<f64>, per_mm: Option<f64>| {
+        seconds.map(Bound::Seconds).or(per_mm.map(Bound::SecondsPerMm))
+    };
+    let defaults = Settings::default();
+    let settings = Settings {
+        columns: match cli.columns {
+            ColumnKind::Segment => Columns::Segment,
+            ColumnKind::Point => Columns::Point,
+        },
+        min_dwell: bound(cli.min_dwell_s, cli.min_dwell_s_per_mm).unwrap_or(defaults.min_dwell),
+        max_dwell: bound(cli.max_dwell_s, cli.max_dwell_s_per_mm),
+        tikhonov: cli.tikhonov,
+        smoothness: cli.smoothness,
+        ..defaults
+    };
+    let mut stage = Stage::new(
+        "planish-dwell",
+        env!("CARGO_PKG_VERSION"),
+        "bounded-least-squares",
+        &cli.output,
+    );
+    stage.settings(settings);
+    let surface: Surface = stage.read("surface", &cli.surface)?;
+    let tif: Tif = stage.read("tif", &cli.tif)?;
+    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
+    let weight = cli.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()?;
+    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
+        return Ok(status);
+    }
+
+    let solution = bounded_least_squares::solve(&surface, &tif, &path, weight.as_ref(), &settings)?;
+
+    let r = &solution.report;
+    let status = if r.end == "iteration-limit" {
+        Status::Negative(format!(
+            "not converged: after {} iterations a dwell time would still move by {:.1e} s",
+            r.iterations, r.kkt_residual_s
+        ))
+    } else {
+        Status::Done
+    };
+    stage.write("", &solution.dwell, json!({ "report": r }), &status)?;
+    say(format!(
+        "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \
+         iterations, KKT residual {:.1e} s; {} at the lower bound, {} out of reach -> {}",
+        solution.dwell.dwell_s().len(),
+        r.total_time_s,
+        r.model_rms_nm,
+        r.algorithm,
+        r.end,
+        r.iterations,
+        r.kkt_residual_s,
+        r.at_lower_bound,
+        r.dead,
+        cli.output.out.display()
+    ));
+    Ok(status)
+}
