@@ -1,0 +1,346 @@
+//! One constant acceleration, then constant velocity, in every segment.
+//!
+//! Per axis: start with the velocity `v0` that the previous segment left, go the displacement `s`
+//! in the time `d` by accelerating with the full `a = +-a_max` for a time `tau`, then keeping the
+//! velocity `v`. With `r = s - v0 d`, what constant velocity would miss:
+//!
+//! ```text
+//! a = sign(r) a_max
+//! v = v0 + a d - sign(a) sqrt(a^2 d^2 - 2 a r),   tau = (v - v0) / a      if 2 |r| <= a_max d^2   (1)
+//! ```
+//!
+//! Otherwise the time is too short for the machine. If the axis comes too late it takes
+//!
+//! ```text
+//! v = sign(s) sqrt(v0^2 + 2 a s),   d' = (v - v0) / a > d                                         (2)
+//! ```
+//!
+//! and so does the other axis. If it cannot brake in time it goes too far, by
+//! `|r| - a_max d^2 / 2`, and the next segment starts from there. There is no look-ahead, and no
+//! limit on the velocity: `verify` says what the machine thinks of it. The motion ends with a
+//! brake to rest, tool off.
+//!
+//! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 3-7,
+//! with signed accelerations, the sign of the displacement on the root of Eq. 7, and without the
+//! early arrival of Eq. 7 when braking (a motion cannot stop on the spot to wait).
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | s | displacement of the segment | (n) | mm |
+//! | d | its dwell time | (n) | s |
+//! | v0, v | velocity before and after | (n) | mm/s |
+
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{ScheduleError, break_times, check_lengths};
+
+/// What the recursion could not do.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Segments that took longer than their dwell time.
+    pub late_segments: usize,
+    /// Time that they took in addition: missed dwell, s.
+    pub added_s: f64,
+    /// Largest addition, s.
+    pub largest_added_s: f64,
+    /// Segments that ended beyond their control point for want of braking, per axis.
+    pub missed_points: [usize; 2],
+    /// Largest distance to the control point at a segment's end, per axis, mm.
+    pub largest_missed_mm: [f64; 2],
+    /// Segments in which the axis left the interval between its ends, per axis.
+    pub overshoot_segments: [usize; 2],
+    /// Largest distance from that interval, per axis, mm.
+    pub largest_overshoot_mm: [f64; 2],
+    /// Time of the brake at the end, s.
+    pub brake_s: f64,
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+}
+
+/// The motion and what it could not do.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What it could not do.
+    pub report: Report,
+}
+
+/// Motion of one axis in one segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Phase {
+    /// Signed acceleration, mm/s^2.
+    acceleration: f64,
+    /// Time of the acceleration, s.
+    tau_s: f64,
+    /// Time of the segment, s.
+    duration_s: f64,
+    /// Velocity after the acceleration, mm/s.
+    velocity: f64,
+}
+
+/// Schedules `path` with the times `dwell` and the accelerations of `limits`.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    let a_max = limits.max_acceleration_mm_per_s2();
+    let mut report = Report::default();
+    // Shorter pieces would vanish in the rounding of the break times.
+    let mut pieces = Pieces { least_s: 64.0 * f64::EPSILON * dwell.total_s(), ..Pieces::default() };
+    let mut position = path.point_mm()[0];
+    let mut velocity = [0.0; 2];
+    for (i, &dwell_s) in dwell.dwell_s().iter().enumerate() {
+        let target = path.point_mm()[i + 1];
+        let s = [0, 1].map(|a| target[a] - position[a]);
+        if dwell_s == 0.0 && s == [0.0; 2] {
+            report.dropped.push(i);
+            continue;
+        }
+        let phases = coupled(s, velocity, dwell_s, a_max);
+        let duration_s = phases[0].duration_s;
+        let start = (position, velocity);
+        pieces.add(start.0, start.1, phases, duration_s, path.tool_on()[i], i as i64);
+        for axis in 0..2 {
+            let p = &phases[axis];
+            position[axis] += p.travel(velocity[axis], duration_s);
+            report.overshoot(axis, p, start.1[axis], [start.0[axis], target[axis]], duration_s);
+            report.missed(axis, position[axis] - target[axis]);
+            if (position[axis] - target[axis]).abs() <= ROUNDING_MM {
+                position[axis] = target[axis];
+            }
+            velocity[axis] = p.velocity;
+        }
+        let added = duration_s - dwell_s;
+        if added > 0.0 {
+            report.late_segments += 1;
+            report.added_s += added;
+            report.largest_added_s = report.largest_added_s.max(added);
+        }
+    }
+    report.brake_s = (0..2).map(|a| velocity[a].abs() / a_max[a]).fold(0.0, f64::max);
+    if report.brake_s > 0.0 {
+        let brake = [0, 1].map(|a| Phase {
+            acceleration: -a_max[a].copysign(velocity[a]),
+            tau_s: velocity[a].abs() / a_max[a],
+            duration_s: report.brake_s,
+            velocity: 0.0,
+        });
+        pieces.add(position, velocity, brake, report.brake_s, false, -1);
+    }
+    if pieces.duration_s.is_empty() {
+        return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    let trajectory = Trajectory::new(
+        break_times(&pieces.duration_s),
+        pieces.coefficient_mm,
+        pieces.tool_on,
+        pieces.dwell_index,
+    )?;
+    Ok(Schedule { trajectory, report })
+}
+
+/// Distances below this are rounding of coordinates up to 1e3 mm, not misses.
+const ROUNDING_MM: f64 = 1e-9;
+
+/// Both axes in the same time: the later one decides.
+fn coupled(s: [f64; 2], v0: [f64; 2], dwell_s: f64, a_max: [f64; 2]) -> [Phase; 2] {
+    let mut duration_s = dwell_s;
+    loop {
+        let phases = [0, 1].map(|a| phase(s[a], v0[a], duration_s, a_max[a]));
+        let later = phases[0].duration_s.max(phases[1].duration_s);
+        if later <= duration_s {
+            return phases;
+        }
+        duration_s = later;
+    }
+}
+
+/// (1), or (2) when the time is too short.
+fn phase(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
+    let r = s - v0 * d;
+    if r.abs() <= 1e-15 * s.abs().max(1.0) {
+        return Phase { acceleration: 0.0, tau_s: 0.0, duration_s: d, velocity: v0 };
+    }
+    let a = a_max.copysign(r);
+    let radicand = a * a * d * d - 2.0 * a * r;
+    if radicand >= 0.0 {
+        // v = v0 + a d - sign(a) sqrt(a^2 d^2 - 2 a r), without the cancellation of a d:
+        // v - v0 = 2 r / (d + sqrt(d^2 - 2 r / a))
+        let change = 2.0 * r / (d + radicand.sqrt() / a_max);
+        return Phase { acceleration: a, tau_s: change / a, duration_s: d, velocity: v0 + change };
+    }
+    // Too late: r and s point the same way, or the axis has to turn and come back.
+    if r * s > 0.0 {
+        let v = (v0 * v0 + 2.0 * a * s).sqrt().copysign(s);
+        let duration_s = (v - v0) / a;
+        Phase { acceleration: a, tau_s: duration_s, duration_s, velocity: v }
+    } else {
+        // Cannot brake in time: goes too far.
+        Phase { acceleration: a, tau_s: d, duration_s: d, velocity: v0 + a * d }
+    }
+}
+
+impl Phase {
+    /// Displacement after the time `t`.
+    fn travel(&self, v0: f64, t: f64) -> f64 {
+        let tau = self.tau_s.min(t);
+        v0 * tau + 0.5 * self.acceleration * tau * tau + self.velocity * (t - tau)
+    }
+}
+
+impl Report {
+    fn missed(&mut self, axis: usize, distance: f64) {
+        if distance.abs() > ROUNDING_MM {
+            self.missed_points[axis] += 1;
+            self.largest_missed_mm[axis] = self.largest_missed_mm[axis].max(distance.abs());
+        }
+    }
+
+    /// Extremes are at the end of the acceleration, at its turning point, and at the ends.
+    fn overshoot(&mut self, axis: usize, p: &Phase, v0: f64, ends: [f64; 2], duration_s: f64) {
+        let turn = -v0 / p.acceleration;
+        let turn = if turn > 0.0 && turn < p.tau_s { turn } else { 0.0 };
+        let (low, high) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+        let beyond = [turn, p.tau_s, duration_s]
+            .map(|t| ends[0] + p.travel(v0, t))
+            .map(|x| (low - x).max(x - high))
+            .into_iter()
+            .fold(0.0, f64::max);
+        if beyond > ROUNDING_MM {
+            self.overshoot_segments[axis] += 1;
+            self.largest_overshoot_mm[axis] = self.largest_overshoot_mm[axis].max(beyond);
+        }
+    }
+}
+
+/// The trajectory so far.
+#[derive(Debug, Default)]
+struct Pieces {
+    /// Shortest piece, s.
+    least_s: f64,
+    duration_s: Vec<f64>,
+    coefficient_mm: Vec<[[f64; 4]; 2]>,
+    tool_on: Vec<bool>,
+    dwell_index: Vec<i64>,
+}
+
+impl Pieces {
+    /// A segment of two axes, cut where one of them ends its acceleration.
+    fn add(
+        &mut self,
+        position: [f64; 2],
+        velocity: [f64; 2],
+        phases: [Phase; 2],
+        duration_s: f64,
+        tool_on: bool,
+        dwell_index: i64,
+    ) {
+        let mut cuts = vec![0.0, phases[0].tau_s, phases[1].tau_s, duration_s];
+        cuts.retain(|t| (0.0..=duration_s).contains(t));
+        cuts.sort_by(f64::total_cmp);
+        cuts.dedup_by(|later, earlier| *later - *earlier <= self.least_s);
+        if let Some(last) = cuts.last_mut().filter(|t| **t < duration_s) {
+            *last = duration_s;
+        }
+        for piece in cuts.windows(2) {
+            let c = [0, 1].map(|a| {
+                let p = &phases[a];
+                let accelerating = 0.5 * (piece[0] + piece[1]) < p.tau_s;
+                let v =
+                    if accelerating { velocity[a] + p.acceleration * piece[0] } else { p.velocity };
+                let half = if accelerating { 0.5 * p.acceleration } else { 0.0 };
+                [position[a] + p.travel(velocity[a], piece[0]), v, half, 0.0]
+            });
+            self.duration_s.push(piece[1] - piece[0]);
+            self.coefficient_mm.push(c);
+            self.tool_on.push(tool_on);
+            self.dwell_index.push(dwell_index);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_segment_from_rest_by_hand() {
+        // v0 = 0, a = 2, d = 1, s = 1/2: v = 2 - sqrt(4 - 2)
+        let p = phase(0.5, 0.0, 1.0, 2.0);
+        assert!((p.velocity - (2.0 - 2.0_f64.sqrt())).abs() < 1e-15);
+        assert!((p.travel(0.0, 1.0) - 0.5).abs() < 1e-15);
+        assert!((p.tau_s - (1.0 - 0.5_f64.sqrt())).abs() < 1e-15);
+        // The mirror image.
+        assert_eq!(phase(-0.5, 0.0, 1.0, 2.0).velocity, -p.velocity);
+        // Constant velocity.
+        assert_eq!(phase(3.0, 1.5, 2.0, 9.0).velocity, 1.5);
+    }
+
+    #[test]
+    fn too_late_takes_longer_in_both_directions() {
+        // 1 mm from rest at 2 mm/s^2 takes 1 s.
+        for sign in [1.0, -1.0] {
+            let p = phase(sign, 0.0, 0.4, 2.0);
+            assert!((p.duration_s - 1.0).abs() < 1e-15 && (p.velocity - 2.0 * sign).abs() < 1e-15);
+            assert!((p.travel(0.0, p.duration_s) - sign).abs() < 1e-15);
+        }
+        // Moving the wrong way first: v0 = -1, s = 1: v = sqrt(1 + 4), d = (v + 1) / 2.
+        let p = phase(1.0, -1.0, 0.1, 2.0);
+        assert!((p.velocity - 5.0_f64.sqrt()).abs() < 1e-15);
+        assert!((p.travel(-1.0, p.duration_s) - 1.0).abs() < 1e-14);
+    }
+
+    #[test]
+    fn too_fast_to_brake_goes_too_far() {
+        // v0 = 10, d = 1, a = 2: 9 mm at least, asked for 5.
+        let p = phase(5.0, 10.0, 1.0, 2.0);
+        assert_eq!((p.travel(10.0, 1.0), p.velocity, p.duration_s), (9.0, 8.0, 1.0));
+    }
+
+    #[test]
+    fn the_motion_is_continuous_and_ends_at_rest_at_every_join() {
+        let points = vec![[0.0, 0.0], [1.0, 0.5], [1.0, 2.0], [-1.0, 2.5], [-1.2, 0.0]];
+        let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
+        let dwell = DwellTime::new(vec![0.5, 0.7, 0.3, 1.0]).unwrap();
+        let axis = |name: &str, a: f64| planish_types::AxisLimits {
+            name: name.into(),
+            max_velocity_mm_per_s: 100.0,
+            max_acceleration_mm_per_s2: a,
+            max_jerk_mm_per_s3: None,
+        };
+        let limits = Limits {
+            name: "m".into(),
+            axes: vec![axis("x", 20.0), axis("y", 15.0)],
+            min_segment_s: 0.0,
+        };
+        let s = schedule(&path, &dwell, &limits).unwrap();
+        let t = &s.trajectory;
+        let velocity = |i: usize, a: usize, u: f64| {
+            let c = t.coefficient_mm()[i][a];
+            c[1] + 2.0 * c[2] * u
+        };
+        for i in 0..t.len() {
+            let h = t.segment(i).duration_s;
+            for a in 0..2 {
+                let (end, v_end) = (t.segment(i).position_mm(h)[a], velocity(i, a, h));
+                let (next, v_next) = if i + 1 < t.len() {
+                    (t.segment(i + 1).position_mm(0.0)[a], velocity(i + 1, a, 0.0))
+                } else {
+                    (end, 0.0)
+                };
+                // Rounding of positions of a few mm and velocities of a few 10 mm/s.
+                assert!((end - next).abs() < 1e-12, "position after piece {i}");
+                assert!(
+                    (v_end - v_next).abs() < 1e-11,
+                    "velocity after piece {i}: {v_end} {v_next}"
+                );
+            }
+        }
+        assert!(s.report.late_segments > 0 && s.report.brake_s > 0.0);
+        assert_eq!(*t.dwell_index().last().unwrap(), -1);
+    }
+}

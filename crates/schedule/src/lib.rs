@@ -1,0 +1,77 @@
+//! Tool path and dwell times become a motion.
+//!
+//! Every scheduler is a file of the same shape: `Settings`, `schedule`, and what it reports
+//! beside the trajectory.
+//!
+//! | scheduler | motion |
+//! |---|---|
+//! | [`pvt`] | cubic Hermite segments through the control points at the dwell times |
+//! | [`constant_acceleration`] | one constant acceleration, then constant velocity, per segment |
+//! | [`position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
+
+pub mod constant_acceleration;
+pub mod position;
+pub mod pvt;
+
+use planish_types::{DwellTime, Invalid, ToolPath};
+
+/// Why a motion could not be made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ScheduleError {
+    /// The inputs do not belong together.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// The dwell times ask for more than the machine can do, and stretching was forbidden.
+    #[error(
+        "no motion within the limits at the given dwell times: segment {segment} \
+         ({length_mm:.6} mm in {dwell_s:.6} s) {reason}; allow stretching or raise its dwell time"
+    )]
+    Infeasible {
+        /// Index of the segment that is furthest from feasible.
+        segment: usize,
+        /// Its length, mm.
+        length_mm: f64,
+        /// Its dwell time, s.
+        dwell_s: f64,
+        /// Which limit stands in the way.
+        reason: String,
+    },
+    /// Stretching did not end.
+    #[error(
+        "no motion within the limits after {rounds} rounds of stretching; the worst segment is \
+         {segment} at {excess:.6} of its limit; check the machine's limits"
+    )]
+    NotConverged {
+        /// Rounds of stretching.
+        rounds: usize,
+        /// Worst segment.
+        segment: usize,
+        /// Its use of the limit; 1 = at the limit.
+        excess: f64,
+    },
+}
+
+/// Refuses a dwell time that belongs to another path.
+fn check_lengths(path: &ToolPath, dwell: &DwellTime) -> Result<(), Invalid> {
+    let (segments, times) = (path.len(), dwell.dwell_s().len());
+    if segments == times {
+        return Ok(());
+    }
+    Err(Invalid::whole(
+        "dwell_s",
+        format!("has {times} elements, the tool path {segments} dwell points"),
+        "give the dwell time of this path",
+    ))
+}
+
+/// Break times of consecutive durations, from 0.
+fn break_times(duration_s: &[f64]) -> Vec<f64> {
+    let mut breaks = Vec::with_capacity(duration_s.len() + 1);
+    let mut time = 0.0;
+    breaks.push(time);
+    for d in duration_s {
+        time += d;
+        breaks.push(time);
+    }
+    breaks
+}

@@ -1,0 +1,54 @@
+//! Position mode: stand at each dwell point for its dwell time.
+//!
+//! ```text
+//! P(t) = dwell_point[i]   for the time dwell[i]
+//! ```
+//!
+//! No machine can do this: it jumps between the points, in no time. It is what a dwell solver
+//! with point columns believes, and the ideal that an executed motion is compared with.
+
+use planish_types::{DwellTime, Invalid, ToolPath, Trajectory};
+
+use crate::{ScheduleError, break_times, check_lengths};
+
+/// Stands at the dwell points of `path`; segments without dwell time are left out.
+pub fn schedule(path: &ToolPath, dwell: &DwellTime) -> Result<Trajectory, ScheduleError> {
+    check_lengths(path, dwell)?;
+    let served: Vec<usize> = (0..path.len()).filter(|i| dwell.dwell_s()[*i] > 0.0).collect();
+    if served.is_empty() {
+        return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    let durations: Vec<f64> = served.iter().map(|i| dwell.dwell_s()[*i]).collect();
+    let at = |i: &usize| path.dwell_point_mm()[*i].map(|p| [p, 0.0, 0.0, 0.0]);
+    Ok(Trajectory::new(
+        break_times(&durations),
+        served.iter().map(at).collect(),
+        served.iter().map(|i| path.tool_on()[*i]).collect(),
+        served.iter().map(|i| *i as i64).collect(),
+    )?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stands_at_the_dwell_points_not_the_control_points() {
+        let points = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let path = ToolPath::through(points, vec![true, true, false], vec![0; 3]).unwrap();
+        let dwell = DwellTime::new(vec![0.5, 0.0, 2.0]).unwrap();
+        let t = schedule(&path, &dwell).unwrap();
+        assert_eq!((t.len(), t.total_time_s()), (2, 2.5));
+        assert_eq!(t.segment(0).position_mm(0.3), [0.5, 0.0]);
+        assert_eq!(t.segment(1).position_mm(1.7), [0.5, 1.0]);
+        assert_eq!((t.segment(1).tool_on, t.segment(1).dwell_index), (false, 2));
+    }
+
+    #[test]
+    fn a_dwell_time_of_another_path_is_refused() {
+        let path = ToolPath::through(vec![[0.0; 2], [1.0, 0.0]], vec![true], vec![0]).unwrap();
+        let message = |v| schedule(&path, &DwellTime::new(v).unwrap()).unwrap_err().to_string();
+        assert!(message(vec![1.0, 1.0]).contains("has 2 elements, the tool path 1"));
+        assert!(message(vec![0.0]).contains("zero everywhere"));
+    }
+}

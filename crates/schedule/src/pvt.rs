@@ -1,0 +1,749 @@
+//! Position-velocity-time: cubic segments through the control points at the dwell times.
+//!
+//! The tool passes control point `p_i` at the time that the dwell times give; only its velocities
+//! `v_i` there are free. Segment `i` from `p` to `p + dp` in the time `h` is the cubic Hermite
+//! polynomial, with `u` the local time,
+//!
+//! ```text
+//! p(u) = p + v0 u + (3 dp/h^2 - (2 v0 + v1)/h) u^2 + (-2 dp/h^3 + (v0 + v1)/h^2) u^3    (1)
+//! a+ = 6 dp/h^2 - (4 v0 + 2 v1)/h       acceleration at its start                      (2)
+//! a- = -6 dp/h^2 + (2 v0 + 4 v1)/h      acceleration at its end
+//! v(u) = quadratic Bezier curve of (v0, V, v1),  V = 3 dp/h - v0 - v1                   (3)
+//! ```
+//!
+//! and the velocities minimise the acceleration energy, a tridiagonal problem per axis:
+//!
+//! ```text
+//! min sum_i integral_0^h a^2 du = v' H v - 2 g' v + const                               (4)
+//! H_ii = 4/h_i + 4/h_{i+1},  H_{i,i+1} = 2/h_{i+1},  g_i = 6 dp_i/h_i^2 + 6 dp_{i+1}/h_{i+1}^2
+//! ```
+//!
+//! with `v_0 = v_N = 0`. Its free minimiser has `a-` = `a+` at every node: the clamped cubic
+//! spline. Where a limit is exceeded, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
+//! segments as a quadratic program; where that has no solution, the program with the least excess
+//! over the limits says which segments need more time, and the report how much they got.
+//!
+//! Modes: *smooth* is (4); *monotone* adds that no axis reverses inside a segment, so the tool
+//! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
+//! where they differ), and `sign(dp) V >= 0`.
+//!
+//! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18,
+//! in the node velocities instead of polynomial coefficients: positions and times are then exact,
+//! where the source's least squares trades them against accelerations, unit against unit.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | h | `duration_s` | (N) | s |
+//! | dp | `displacement_mm` | (N) | mm |
+//! | v | `velocity_mm_per_s` | (N+1) | mm/s |
+
+use clarabel::{
+    algebra::CscMatrix,
+    solver::{
+        DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus,
+        SupportedConeT::{self, NonnegativeConeT, ZeroConeT},
+    },
+};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{ScheduleError, break_times, check_lengths};
+
+/// What the motion shall be like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Least acceleration energy.
+    Smooth,
+    /// Least acceleration energy without reversal inside a segment.
+    Monotone,
+}
+
+/// How to schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// What the motion shall be like.
+    pub mode: Mode,
+    /// Give segments more time where the limits need it; else such dwell times are refused.
+    pub stretch: bool,
+}
+
+/// A segment that was given more time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Stretched {
+    /// Index of the segment (= dwell point).
+    pub segment: usize,
+    /// Whether the tool removes there: then the stretch is an error of the dwell time.
+    pub tool_on: bool,
+    /// Dwell time, s.
+    pub dwell_s: f64,
+    /// Time in the schedule, s.
+    pub scheduled_s: f64,
+}
+
+/// What was done.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Segments that were given more time, in order.
+    pub stretched: Vec<Stretched>,
+    /// Time that the stretching added with the tool on, s.
+    pub added_tool_on_s: f64,
+    /// Time that the stretching added with the tool lifted, s.
+    pub added_tool_off_s: f64,
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+    /// Solver of (4) for [x, y] in the last round.
+    pub solver: [Solver; 2],
+    /// Rounds of stretching.
+    pub rounds: usize,
+}
+
+/// How (4) was solved for an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Solver {
+    /// No bound is active: one tridiagonal solve.
+    Tridiagonal,
+    /// Bounds are active: interior point method.
+    QuadraticProgram,
+}
+
+/// The motion and what was done to get it.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What was done.
+    pub report: Report,
+}
+
+/// Part of the limit that the schedule leaves free, for the tolerance of the interior point
+/// method (1e-8 relative) and the rounding of the judge.
+const MARGIN: f64 = 1e-6;
+
+/// Most rounds of stretching. A round multiplies the time of a segment in excess by up to 1.5,
+/// so 100 rounds cover 17 orders of magnitude.
+const MAX_ROUNDS: usize = 100;
+
+/// Schedules `path` with the times `dwell` within `limits`.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    let mut timing = Timing::new(path, dwell, limits);
+    if timing.kept.is_empty() {
+        let problem = "is zero everywhere on a path at rest";
+        return Err(Invalid::whole("dwell_s", problem, "give a dwell time").into());
+    }
+    if let Some(error) = timing.refusal(path, dwell, limits).filter(|_| !settings.stretch) {
+        return Err(error);
+    }
+    let axes = [0, 1].map(|axis| AxisProblem {
+        displacement_mm: timing.kept.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
+        mode: settings.mode,
+        max_velocity: (1.0 - MARGIN) * limits.max_velocity_mm_per_s()[axis],
+        max_acceleration: (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2()[axis],
+    });
+
+    for rounds in 0..=MAX_ROUNDS {
+        // Durations as the difference of the break times, so that the segments join to rounding.
+        let break_time_s = break_times(&timing.duration_s);
+        let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
+        let (x, y) = rayon::join(|| axes[0].solve(&h), || axes[1].solve(&h));
+        match (x, y) {
+            (Ok(x), Ok(y)) => {
+                let solver = [x.solver, y.solver];
+                let segments = (0..h.len()).map(|k| {
+                    let start = path.point_mm()[timing.kept[k]];
+                    let hermite = |axis: usize, v: &[f64]| {
+                        hermite(start[axis], axes[axis].displacement_mm[k], v[k], v[k + 1], h[k])
+                    };
+                    [hermite(0, &x.velocity), hermite(1, &y.velocity)]
+                });
+                let trajectory = Trajectory::new(
+                    break_time_s,
+                    segments.collect(),
+                    timing.kept.iter().map(|i| path.tool_on()[*i]).collect(),
+                    timing.kept.iter().map(|i| *i as i64).collect(),
+                )?;
+                return Ok(Schedule {
+                    trajectory,
+                    report: timing.report(path, dwell, solver, rounds),
+                });
+            }
+            (x, y) => {
+                let excess = x.err().into_iter().chain(y.err()).reduce(|mut a, b| {
+                    a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(b));
+                    a
+                });
+                let excess = excess.unwrap_or_default();
+                let (k, worst) = (excess.iter().copied().enumerate())
+                    .fold((0, 0.0), |m, (k, e)| if e > m.1 { (k, e) } else { m });
+                let segment = timing.kept[k];
+                if !settings.stretch {
+                    return Err(ScheduleError::Infeasible {
+                        segment,
+                        length_mm: path.segment_length_mm(segment),
+                        dwell_s: dwell.dwell_s()[segment],
+                        reason: format!("needs its time stretched by a factor {worst:.4} or more"),
+                    });
+                }
+                if rounds == MAX_ROUNDS {
+                    return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
+                }
+                timing.stretch(&excess);
+            }
+        }
+    }
+    unreachable!("the last round returns")
+}
+
+/// Segments and the time they get.
+#[derive(Debug)]
+struct Timing {
+    /// Segments that take time.
+    kept: Vec<usize>,
+    /// Their time, s; > 0.
+    duration_s: Vec<f64>,
+}
+
+impl Timing {
+    /// `h >= |dp| / v_max` on both axes, `h >= min_segment_s`.
+    fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
+        let (mut kept, mut duration_s) = (Vec::new(), Vec::new());
+        for (i, t) in dwell.dwell_s().iter().enumerate() {
+            let h = t.max(least_time(path, limits, i));
+            if h > 0.0 {
+                kept.push(i);
+                duration_s.push(h);
+            }
+        }
+        Self { kept, duration_s }
+    }
+
+    /// The segment that is furthest from what its mean speed or duration may be.
+    fn refusal(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+    ) -> Option<ScheduleError> {
+        let short = |i: &usize| least_time(path, limits, *i) - dwell.dwell_s()[*i];
+        let worst = self.kept.iter().copied().max_by(|a, b| short(a).total_cmp(&short(b)))?;
+        (short(&worst) > 0.0).then(|| ScheduleError::Infeasible {
+            segment: worst,
+            length_mm: path.segment_length_mm(worst),
+            dwell_s: dwell.dwell_s()[worst],
+            reason: format!(
+                "needs at least {:.6} s for the mean velocity and the shortest segment",
+                least_time(path, limits, worst)
+            ),
+        })
+    }
+
+    /// `h <- 1.002 min(excess, 1.5) h` where the excess is above 1: algorithms that scale a
+    /// segment's time by k divide its velocity by k and its acceleration by k^2.
+    fn stretch(&mut self, excess: &[f64]) {
+        for (h, e) in self.duration_s.iter_mut().zip(excess) {
+            if *e > 1.0 {
+                *h *= 1.002 * e.min(1.5);
+            }
+        }
+    }
+
+    fn report(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        solver: [Solver; 2],
+        rounds: usize,
+    ) -> Report {
+        let stretched: Vec<Stretched> = (self.kept.iter().zip(&self.duration_s))
+            .map(|(&segment, &scheduled_s)| Stretched {
+                segment,
+                tool_on: path.tool_on()[segment],
+                dwell_s: dwell.dwell_s()[segment],
+                scheduled_s,
+            })
+            .filter(|s| s.scheduled_s > s.dwell_s)
+            .collect();
+        let added = |on: bool| {
+            let of = stretched.iter().filter(|s| s.tool_on == on);
+            of.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
+        };
+        Report {
+            added_tool_on_s: added(true),
+            added_tool_off_s: added(false),
+            dropped: (0..path.len()).filter(|i| self.kept.binary_search(i).is_err()).collect(),
+            stretched,
+            solver,
+            rounds,
+        }
+    }
+}
+
+/// Least time of segment `i`: its mean velocity within the limits, and the controller's least.
+fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
+    let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
+    let axis = |a: usize| dp[a].abs() / v[a];
+    axis(0).max(axis(1)).max(limits.min_segment_s)
+}
+
+/// Coefficients of (1).
+fn hermite(p: f64, dp: f64, v0: f64, v1: f64, h: f64) -> [f64; 4] {
+    [p, v0, (3.0 * dp / h - 2.0 * v0 - v1) / h, (-2.0 * dp / h + v0 + v1) / (h * h)]
+}
+
+/// How the limits of the machine enter the quadratic program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Bounds {
+    /// They hold.
+    Hard,
+    /// They are exceeded as little as possible.
+    Elastic,
+}
+
+/// Bounds above this, in units of the largest mean velocity, are not active.
+const INACTIVE: f64 = 1e4;
+
+/// Weight of the energy beside the excess over the limits: small, but enough to choose among the
+/// motions with the least excess.
+const ELASTIC_ENERGY: f64 = 1e-4;
+
+/// (4) for one axis; N segments.
+#[derive(Debug)]
+struct AxisProblem {
+    displacement_mm: Vec<f64>,
+    mode: Mode,
+    max_velocity: f64,
+    max_acceleration: f64,
+}
+
+/// Node velocities (N+1) and how they were found.
+#[derive(Debug)]
+struct Solved {
+    velocity: Vec<f64>,
+    solver: Solver,
+}
+
+impl AxisProblem {
+    /// Node velocities within the limits at the durations `h`, or how much each segment exceeds
+    /// them: the factor by which its time should grow.
+    fn solve(&self, h: &[f64]) -> Result<Solved, Vec<f64>> {
+        let free = self.clamped_spline(h);
+        let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
+        if allowed && self.excess(&free, h).iter().all(|e| *e <= 1.0) {
+            return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
+        }
+        if let Some(velocity) = self.quadratic_program(h, Bounds::Hard) {
+            return Ok(Solved { velocity, solver: Solver::QuadraticProgram });
+        }
+        let velocity = self.quadratic_program(h, Bounds::Elastic).unwrap_or(free);
+        let mut excess = self.excess(&velocity, h);
+        if excess.iter().all(|e| *e <= 1.0) {
+            // Only the solver's tolerance stands in the way.
+            excess.iter_mut().for_each(|e| *e = 1.0 + MARGIN);
+        }
+        Err(excess)
+    }
+
+    /// The free minimiser of (4): H v = g by elimination; H is diagonally dominant.
+    fn clamped_spline(&self, h: &[f64]) -> Vec<f64> {
+        let n = h.len();
+        let dp = &self.displacement_mm;
+        let mut v = vec![0.0; n + 1];
+        // Forward elimination of nodes 1 .. n-1; v_0 = v_n = 0.
+        let mut upper = vec![0.0; n + 1];
+        for i in 1..n {
+            let (a, b) = (h[i - 1], h[i]);
+            let below = 2.0 / a;
+            let pivot = 4.0 / a + 4.0 / b - below * upper[i - 1];
+            let g = 6.0 * dp[i - 1] / (a * a) + 6.0 * dp[i] / (b * b);
+            upper[i] = 2.0 / b / pivot;
+            v[i] = (g - below * v[i - 1]) / pivot;
+        }
+        for i in (1..n).rev() {
+            v[i] -= upper[i] * v[i + 1];
+        }
+        v
+    }
+
+    /// Factor by which the time of each segment should grow: the velocity is inversely
+    /// proportional to it, the acceleration to its square.
+    fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
+        (0..h.len())
+            .map(|i| {
+                let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
+                let (start, end) = accelerations(dp, v0, v1, h);
+                let a = start.abs().max(end.abs()) / self.max_acceleration;
+                a.sqrt().max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity)
+            })
+            .collect()
+    }
+
+    /// Signs that the velocity of each node may have: [negative, positive].
+    fn allowed_signs(&self, i: usize) -> [bool; 2] {
+        let n = self.displacement_mm.len();
+        if i == 0 || i == n {
+            return [false, false];
+        }
+        if self.mode == Mode::Smooth {
+            return [true, true];
+        }
+        let (before, after) = (self.displacement_mm[i - 1], self.displacement_mm[i]);
+        [before < 0.0 && after < 0.0, before > 0.0 && after > 0.0]
+    }
+
+    fn is_monotone(&self, v: &[f64], h: &[f64]) -> bool {
+        let sign_ok = |i: usize| {
+            let [negative, positive] = self.allowed_signs(i);
+            (v[i] >= 0.0 || negative) && (v[i] <= 0.0 || positive)
+        };
+        let middle_ok = |i: usize| {
+            let dp = self.displacement_mm[i];
+            dp * (3.0 * dp / h[i] - v[i] - v[i + 1]) >= 0.0
+        };
+        (0..v.len()).all(sign_ok) && (0..h.len()).all(middle_ok)
+    }
+
+    /// (4) under the bounds of the mode and of the machine; `None` when there is no solution. The
+    /// limit of the velocity holds at chosen times `u` first; times at which it is exceeded are
+    /// added until it holds everywhere.
+    fn quadratic_program(&self, h: &[f64], bounds: Bounds) -> Option<Vec<f64>> {
+        let mut times: Vec<(usize, f64)> = (0..h.len()).map(|i| (i, 0.5)).collect();
+        // Each added time is where the velocity of that segment was largest; the third or fourth
+        // lies within rounding of the earlier ones.
+        for _ in 0..8 {
+            let v = self.quadratic_program_at(h, bounds, &times)?;
+            let excess = self.excess(&v, h);
+            if bounds == Bounds::Elastic || excess.iter().all(|e| *e <= 1.0 + 0.5 * MARGIN) {
+                return Some(v);
+            }
+            let before = times.len();
+            for i in 0..h.len() {
+                let (peak, u) = peak_velocity(self.displacement_mm[i], v[i], v[i + 1], h[i]);
+                if peak > self.max_velocity {
+                    times.push((i, u));
+                }
+            }
+            if times.len() == before {
+                return None;
+            }
+        }
+        None
+    }
+
+    /// The program in x = v / scale, so that all numbers are of order 1 whatever the units and the
+    /// machine.
+    ///
+    /// Elastic bounds: the limits of segment i may be exceeded by the fraction e_i >= 0, a
+    /// variable of its own, at the price of h_i e_i, about twice the time that it costs to mend;
+    /// the energy hardly counts against it. The excesses are then few and cheap.
+    fn quadratic_program_at(
+        &self,
+        h: &[f64],
+        bounds: Bounds,
+        times: &[(usize, f64)],
+    ) -> Option<Vec<f64>> {
+        let (n, dp) = (h.len(), &self.displacement_mm);
+        let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
+        if mean == 0.0 {
+            return Some(vec![0.0; n + 1]); // an axis at rest
+        }
+        let scale = mean;
+        let energy = (1..n).map(|i| 4.0 / h[i - 1] + 4.0 / h[i]).fold(4.0 / h[0], f64::max);
+        let elastic = bounds == Bounds::Elastic;
+        let (variables, energy) =
+            if elastic { (2 * n + 1, energy / ELASTIC_ENERGY) } else { (n + 1, energy) };
+        let excess = |i: usize, amount: f64| elastic.then_some((n + 1 + i, -amount));
+
+        // H, upper triangle by columns, and g.
+        let mut p = Triplets::default();
+        let mut q = vec![0.0; variables];
+        let mean_s = h.iter().sum::<f64>() / n as f64;
+        q[n + 1..].iter_mut().zip(h).for_each(|(q, h)| *q = h / mean_s);
+        for i in 0..n {
+            let w = 1.0 / (h[i] * energy);
+            p.add(i, i, 4.0 * w);
+            p.add(i + 1, i + 1, 4.0 * w);
+            p.add(i, i + 1, 2.0 * w);
+            let g = 6.0 * dp[i] / (h[i] * scale) * w;
+            q[i] -= g;
+            q[i + 1] -= g;
+        }
+
+        // Rows: A x + s = b, first s = 0, then s >= 0.
+        let (mut equal, mut below) = (Rows::default(), Rows::default());
+        for i in 0..=n {
+            match self.allowed_signs(i) {
+                [false, false] => equal.add(&[(i, 1.0)], 0.0),
+                [true, true] => {}
+                [_, positive] => below.add(&[(i, if positive { -1.0 } else { 1.0 })], 0.0),
+            }
+        }
+        for i in 0..n {
+            let d = dp[i] / (h[i] * scale);
+            if self.mode == Mode::Monotone && dp[i] != 0.0 {
+                // sign(dp) (v0 + v1) <= 3 |dp| / h
+                below.add(&[(i, dp[i].signum()), (i + 1, dp[i].signum())], 3.0 * d.abs());
+            }
+            // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
+            let a = self.max_acceleration * h[i] / scale;
+            below.add_both(&[(i, -4.0), (i + 1, -2.0)], excess(i, a), 6.0 * d, a);
+            below.add_both(&[(i, 2.0), (i + 1, 4.0)], excess(i, a), -6.0 * d, a);
+            if let Some((e, _)) = excess(i, 1.0) {
+                below.add(&[(e, -1.0)], 0.0);
+            }
+        }
+        let v_max = self.max_velocity / scale;
+        for i in 1..n {
+            below.add_both(&[(i, 1.0)], excess(i, v_max), 0.0, v_max);
+        }
+        for &(i, u) in times {
+            // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
+            let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
+            let d = dp[i] / (h[i] * scale);
+            let row = [(i, w * w - m), (i + 1, u * u - m)];
+            below.add_both(&row, excess(i, v_max), 3.0 * m * d, v_max);
+        }
+        let cones: Vec<SupportedConeT<f64>> =
+            vec![ZeroConeT(equal.bound.len()), NonnegativeConeT(below.bound.len())];
+        let equalities = equal.bound.len();
+        let mut a = equal.entries;
+        for (r, c, v) in below.entries.0 {
+            a.add(r + equalities, c, v);
+        }
+        let mut b = equal.bound;
+        b.extend(below.bound);
+
+        let settings = DefaultSettingsBuilder::default()
+            .verbose(false)
+            .presolve_enable(false)
+            .build()
+            .expect("the settings are valid");
+        let p = p.into_matrix(variables, variables);
+        let a = a.into_matrix(b.len(), variables);
+        let mut solver = DefaultSolver::new(&p, &q, &a, &b, &cones, settings).ok()?;
+        solver.solve();
+        let solution = &solver.solution;
+        matches!(solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved).then(|| {
+            self.exact_at_fixed_nodes(solution.x[..=n].iter().map(|x| x * scale).collect())
+        })
+    }
+
+    /// Velocities that are fixed at zero are zero, and none has a forbidden sign by the solver's
+    /// tolerance.
+    fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
+        for (i, v) in v.iter_mut().enumerate() {
+            let [negative, positive] = self.allowed_signs(i);
+            *v = v.clamp(
+                if negative { f64::NEG_INFINITY } else { 0.0 },
+                if positive { f64::INFINITY } else { 0.0 },
+            );
+        }
+        v
+    }
+}
+
+/// (2): (a+, a-).
+fn accelerations(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
+    let mean = 6.0 * dp / (h * h);
+    (mean - (4.0 * v0 + 2.0 * v1) / h, -mean + (2.0 * v0 + 4.0 * v1) / h)
+}
+
+/// Largest |velocity| of a segment by (3), and the u in [0, 1] where it is.
+fn peak_velocity(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
+    let middle = 3.0 * dp / h - v0 - v1;
+    let mut peak = if v0.abs() >= v1.abs() { (v0.abs(), 0.0) } else { (v1.abs(), 1.0) };
+    // v'(u) = 0 at u = (v0 - V) / (v0 - 2V + v1), where v = (v0 v1 - V^2) / (v0 - 2V + v1)
+    let curvature = v0 - 2.0 * middle + v1;
+    let u = (v0 - middle) / curvature;
+    if u > 0.0 && u < 1.0 {
+        let value = (1.0 - u) * ((1.0 - u) * v0 + u * middle) + u * ((1.0 - u) * middle + u * v1);
+        if value.abs() > peak.0 {
+            peak = (value.abs(), u);
+        }
+    }
+    peak
+}
+
+/// Entries of a sparse matrix in any order; equal places add up.
+#[derive(Debug, Default)]
+struct Triplets(Vec<(usize, usize, f64)>);
+
+impl Triplets {
+    fn add(&mut self, row: usize, column: usize, value: f64) {
+        self.0.push((row, column, value));
+    }
+
+    fn into_matrix(self, rows: usize, columns: usize) -> CscMatrix<f64> {
+        let (mut r, mut c, mut v) = (Vec::new(), Vec::new(), Vec::new());
+        for (row, column, value) in self.0 {
+            r.push(row);
+            c.push(column);
+            v.push(value);
+        }
+        CscMatrix::new_from_triplets(rows, columns, r, c, v)
+    }
+}
+
+/// Rows `sum value x <= bound`.
+#[derive(Debug, Default)]
+struct Rows {
+    entries: Triplets,
+    bound: Vec<f64>,
+}
+
+impl Rows {
+    /// A row divided by its largest coefficient.
+    fn add(&mut self, row: &[(usize, f64)], bound: f64) {
+        let size = row.iter().map(|(_, v)| v.abs()).fold(0.0, f64::max);
+        if size == 0.0 {
+            return;
+        }
+        for (column, value) in row {
+            self.entries.add(self.bound.len(), *column, value / size);
+        }
+        self.bound.push(bound / size);
+    }
+
+    /// `|constant + sum value x| <= bound`, with the entry `elastic` added on both sides. A bound
+    /// far beyond the numbers of the problem is left out: it would spoil the conditioning.
+    fn add_both(
+        &mut self,
+        row: &[(usize, f64)],
+        elastic: Option<(usize, f64)>,
+        constant: f64,
+        bound: f64,
+    ) {
+        if bound > INACTIVE * (1.0 + constant.abs()) {
+            return;
+        }
+        for sign in [1.0, -1.0] {
+            let mut signed: Vec<_> = row.iter().map(|(c, v)| (*c, sign * v)).collect();
+            signed.extend(elastic);
+            self.add(&signed, bound - sign * constant);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A limit that is never active, within a few orders of magnitude of the numbers.
+    const FREE: f64 = 1e4;
+
+    fn problem(points: &[f64], mode: Mode, max_acceleration: f64) -> AxisProblem {
+        let displacement_mm = points.windows(2).map(|w| w[1] - w[0]).collect();
+        AxisProblem { displacement_mm, mode, max_velocity: FREE, max_acceleration }
+    }
+
+    fn velocities(points: &[f64], h: &[f64], mode: Mode, max_acceleration: f64) -> Vec<f64> {
+        problem(points, mode, max_acceleration).solve(h).unwrap().velocity
+    }
+
+    fn close(a: &[f64], b: &[f64], tolerance: f64) {
+        assert_eq!(a.len(), b.len());
+        assert!(a.iter().zip(b).all(|(x, y)| (x - y).abs() < tolerance), "{a:?} {b:?}");
+    }
+
+    #[test]
+    fn smooth_is_the_clamped_cubic_spline() {
+        // Solved by hand: 4 v1 + v2 = 9, v1 + 4 v2 = 9.
+        let v = velocities(&[0.0, 1.0, 3.0, 4.0], &[1.0; 3], Mode::Smooth, FREE);
+        close(&v, &[0.0, 1.8, 1.8, 0.0], 1e-14);
+        let a: Vec<(f64, f64)> = [1.0, 2.0, 1.0]
+            .iter()
+            .enumerate()
+            .map(|(i, dp)| accelerations(*dp, v[i], v[i + 1], 1.0))
+            .collect();
+        for (found, expected) in a.iter().zip([(2.4, 1.2), (1.2, -1.2), (-1.2, -2.4)]) {
+            assert!((found.0 - expected.0).abs() + (found.1 - expected.1).abs() < 1e-13, "{a:?}");
+        }
+        assert!((peak_velocity(2.0, 1.8, 1.8, 1.0).0 - 2.1).abs() < 1e-14);
+        let v = velocities(&[0.0, 1.0, 2.0, 3.0, 2.0], &[1.0; 4], Mode::Smooth, FREE);
+        close(&v, &[0.0, 1.178_571_43, 1.285_714_29, -0.321_428_57, 0.0], 1e-8);
+    }
+
+    #[test]
+    fn monotone_never_reverses_and_has_the_least_energy() {
+        // Minimisers of (4) under the signs, from the optimality conditions of each case; the
+        // interior point method reaches 1e-8 of the objective, about 1e-4 of the velocity.
+        let mono = |p: &[f64], h: &[f64], a: f64| velocities(p, h, Mode::Monotone, a);
+        close(&mono(&[0.0, 1.0, 2.0, 3.0, 2.0], &[1.0; 4], FREE), &[0.0, 1.2, 1.2, 0.0, 0.0], 1e-4);
+        let (p, h) = ([0.0, 1.0, 2.0, 3.0, 4.0], [1.0, 0.3, 1.0, 1.0]);
+        close(&mono(&p, &h, FREE), &[0.0, 3.0, 2.75, 0.25, 0.0], 1e-4);
+        close(&mono(&p, &h, 8.0), &[0.0, 3.0, 2.9, 0.1, 0.0], 1e-4);
+        close(&mono(&[0.0, 1.0, 1.0, 3.0], &[1.0, 0.5, 2.0], FREE), &[0.0; 4], 1e-12);
+    }
+
+    #[test]
+    fn the_quadratic_program_without_active_bounds_is_the_tridiagonal_solution() {
+        let p = [0.0, 0.7, 1.9, 2.4, 2.2, -1.0, -1.5, 0.3];
+        let h = [0.3, 0.4, 0.11, 0.7, 0.9, 0.25, 0.6];
+        let problem = problem(&p, Mode::Smooth, FREE);
+        let (a, b) =
+            (problem.clamped_spline(&h), problem.quadratic_program(&h, Bounds::Hard).unwrap());
+        // Two independent methods; the interior point method stops at 1e-8 of the objective.
+        close(&a, &b, 1e-5);
+    }
+
+    #[test]
+    fn an_active_limit_holds_and_costs_energy_but_no_time() {
+        let p = [0.0, 1.0, 3.0, 4.0];
+        let h = [1.0; 3];
+        let free = velocities(&p, &h, Mode::Smooth, FREE);
+        let bounded = problem(&p, Mode::Smooth, 2.2).solve(&h).unwrap();
+        assert_eq!(bounded.solver, Solver::QuadraticProgram);
+        let energy = |v: &[f64]| -> f64 {
+            (0..3)
+                .map(|i| {
+                    let (a, b) = accelerations(p[i + 1] - p[i], v[i], v[i + 1], 1.0);
+                    (a * a + a * b + b * b) / 3.0
+                })
+                .sum()
+        };
+        assert!(
+            problem(&p, Mode::Smooth, 2.2)
+                .excess(&bounded.velocity, &h)
+                .iter()
+                .all(|e| *e < 1.0 + 1e-6)
+        );
+        assert!(energy(&bounded.velocity) > energy(&free));
+        // Below 2 no velocities exist: 1 mm from rest, 2 mm, 1 mm to rest in 1 s each.
+        assert!(problem(&p, Mode::Smooth, 1.5).solve(&h).is_err());
+    }
+
+    #[test]
+    fn stretching_costs_no_more_time_than_stopping_in_between() {
+        // 1 mm from rest in 1 ms, then 1 mm in 1 s: the second segment can brake with ease.
+        let mut h = vec![1.0 / 250.0, 1.0];
+        let mut p = problem(&[0.0, 1.0, 2.0], Mode::Smooth, 2000.0);
+        p.max_velocity = 250.0;
+        for _ in 0..40 {
+            match p.solve(&h) {
+                Ok(_) => break,
+                Err(e) => h.iter_mut().zip(e).for_each(|(h, e)| *h *= 1.002 * e.clamp(1.0, 1.5)),
+            }
+        }
+        assert!(p.solve(&h).is_ok());
+        // From rest 1 mm takes at least sqrt(2 / 2000) = 31.6 ms, and sqrt(6 / 2000) = 54.8 ms to
+        // rest: what the second segment gets is less than the difference.
+        assert!(h[0] > 0.0316 && h[0] < 0.0549 && h[1] < 1.0233, "{h:?}");
+    }
+
+    #[test]
+    fn the_peak_between_nodes_is_bounded_not_only_the_nodes() {
+        // Rest to rest: the nodes are at zero, the middle at 1.5 times the mean velocity.
+        let mut one = problem(&[0.0, 1.0], Mode::Smooth, FREE);
+        one.max_velocity = 1.49;
+        let excess = one.solve(&[1.0]).unwrap_err();
+        assert!((excess[0] - 1.5 / 1.49).abs() < 1e-12);
+        one.max_velocity = 1.51;
+        assert!(one.solve(&[1.0]).is_ok());
+    }
+}

@@ -1,0 +1,441 @@
+//! The binary from its flags to its files and exit codes. Motions are judged by formulas of this
+//! file, not by those of the schedulers.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use ndarray::{Array1, Array2};
+use planish_handoff::{Artifact, OutputArgs, Stage, Status, artifact, npy::ArrayData};
+use planish_types::{DwellTime, Segment, ToolPath, Trajectory};
+use serde_json::{Value, json};
+
+fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
+    let output = OutputArgs { out: dir.join(name), force: true, wall_time: None };
+    let stage = Stage::new("test", "0", name, &output);
+    stage.write("", value, json!({}), &Status::Done).unwrap();
+}
+
+/// The reference machine: an ion beam.
+fn ion_beam() -> Value {
+    let axis = |name: &str, velocity: f64, acceleration: f64| {
+        json!({
+            "name": name,
+            "max_velocity_mm_per_s": velocity,
+            "max_acceleration_mm_per_s2": acceleration
+        })
+    };
+    json!({"name": "ion-beam", "axes": [axis("x", 250.0, 2000.0), axis("y", 150.0, 1000.0)]})
+}
+
+const V_MAX: [f64; 2] = [250.0, 150.0];
+const A_MAX: [f64; 2] = [2000.0, 1000.0];
+
+fn prepare(dir: &Path, points: &[[f64; 2]], dwell_s: &[f64]) {
+    let n = points.len() - 1;
+    let path = ToolPath::through(points.to_vec(), vec![true; n], vec![0; n]).unwrap();
+    write(dir, "tool_path", &path);
+    write(dir, "dwell", &DwellTime::new(dwell_s.to_vec()).unwrap());
+    fs::write(dir.join("machine.json"), ion_beam().to_string()).unwrap();
+}
+
+fn schedule(dir: &Path, scheduler: &str, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-schedule"))
+        .current_dir(dir)
+        .arg(scheduler)
+        .args(["--tool-path", "tool_path", "--dwell", "dwell", "--machine", "machine.json"])
+        .args(["--out", "trajectory"])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// The motion and the outcome in its manifest.
+fn scheduled(dir: &Path, scheduler: &str, more: &[&str]) -> (Trajectory, Value) {
+    let output = schedule(dir, scheduler, more);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let loaded = artifact::read::<Trajectory>(&dir.join("trajectory")).unwrap();
+    let manifest = loaded.manifest.unwrap();
+    assert_eq!(manifest.method, scheduler);
+    assert_eq!(manifest.outcome["status"], "done");
+    (loaded.value, manifest.outcome)
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("not a number: {value}"))
+}
+
+/// p, v and a of a segment's axis at its local time.
+fn state(c: &[f64; 4], u: f64) -> [f64; 3] {
+    [
+        c[0] + u * (c[1] + u * (c[2] + u * c[3])),
+        c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u),
+        2.0 * c[2] + 6.0 * c[3] * u,
+    ]
+}
+
+/// The motion starts and ends at rest, passes every control point at the end of its segment, is
+/// continuous in position and velocity, and keeps the limits everywhere: the velocity is a
+/// parabola, largest at an end or its vertex; the acceleration is linear, largest at an end.
+fn judge(t: &Trajectory, points: &[[f64; 2]]) {
+    assert_eq!(t.len(), points.len() - 1);
+    for axis in 0..2 {
+        let mut before = [points[0][axis], 0.0];
+        for (i, s) in t.segments().enumerate() {
+            let (c, h) = (&s.coefficient_mm[axis], s.duration_s);
+            let (start, end) = (state(c, 0.0), state(c, h));
+            // Rounding of positions up to 1e2 mm and velocities up to 1e2 mm/s.
+            assert!((start[0] - before[0]).abs() < 1e-11, "segment {i}: jump to {}", start[0]);
+            assert!((start[1] - before[1]).abs() < 1e-9, "segment {i}: step to {}", start[1]);
+            assert!((end[0] - points[i + 1][axis]).abs() < 1e-11, "segment {i}: {}", end[0]);
+            let vertex = -c[2] / (3.0 * c[3]);
+            let inner = if vertex > 0.0 && vertex < h { state(c, vertex)[1] } else { 0.0 };
+            let v = start[1].abs().max(end[1].abs()).max(inner.abs());
+            let a = start[2].abs().max(end[2].abs());
+            assert!(v <= V_MAX[axis] && a <= A_MAX[axis], "segment {i}: {v} mm/s, {a} mm/s^2");
+            before = [end[0], end[1]];
+        }
+        assert!(before[1].abs() < 1e-9, "ends at {} mm/s", before[1]);
+    }
+}
+
+#[test]
+fn pvt_is_the_clamped_spline_at_the_dwell_times() {
+    let tmp = tempfile::tempdir().unwrap();
+    let points = [0.0, 1.0, 3.0, 4.0].map(|x| [x, 10.0 - 2.0 * x]);
+    prepare(tmp.path(), &points, &[1.0; 3]);
+    let (t, outcome) = scheduled(tmp.path(), "pvt", &[]);
+    judge(&t, &points);
+    assert_eq!(t.break_time_s(), [0.0, 1.0, 2.0, 3.0]);
+    assert_eq!(t.dwell_index(), [0, 1, 2]);
+    // By hand: 4 v1 + v2 = 9, v1 + 4 v2 = 9 along x; -2 times that along y.
+    for (axis, factor) in [(0, 1.0), (1, -2.0)] {
+        for (i, v) in [0.0, 1.8, 1.8].iter().enumerate() {
+            let found = t.coefficient_mm()[i][axis][1];
+            assert!((found - factor * v).abs() < 1e-13, "{i}: {found}");
+        }
+    }
+    let report = &outcome["report"];
+    assert_eq!((&report["stretched"], &report["dropped"]), (&json!([]), &json!([])));
+    assert_eq!(report["solver"], json!(["tridiagonal", "tridiagonal"]));
+    assert_eq!((number(&outcome["dwell_s"]), number(&outcome["total_time_s"])), (3.0, 3.0));
+
+    let again = schedule(tmp.path(), "pvt", &[]);
+    assert_eq!(again.status.code(), Some(0));
+    assert!(text(&again.stdout).contains("unchanged"));
+    // Another method is another output.
+    let other = schedule(tmp.path(), "position", &[]);
+    assert_eq!(other.status.code(), Some(2));
+    assert!(text(&other.stderr).contains("give --force to replace it, or another --out"));
+}
+
+/// Whether the motion leaves the box of the ends of one of its segments.
+fn leaves_a_box(t: &Trajectory, points: &[[f64; 2]]) -> bool {
+    let beyond = |(i, s): (usize, Segment)| {
+        (0..=50).any(|k| {
+            let p = s.position_mm(s.duration_s * f64::from(k) / 50.0);
+            (0..2).any(|a| {
+                let (from, to) = (points[i][a], points[i + 1][a]);
+                // Velocities at reversals are exactly zero; rounding of positions.
+                p[a] < from.min(to) - 1e-11 || p[a] > from.max(to) + 1e-11
+            })
+        })
+    };
+    t.segments().enumerate().any(beyond)
+}
+
+#[test]
+fn monotone_never_leaves_the_box_of_a_segment() {
+    let tmp = tempfile::tempdir().unwrap();
+    let points = [[0.0, 0.0], [5.0, 0.0], [6.0, 0.0], [6.0, 3.0], [1.0, 3.0], [0.5, 9.0]];
+    prepare(tmp.path(), &points, &[0.4, 0.3, 0.5, 0.5, 0.7]);
+    let (t, outcome) = scheduled(tmp.path(), "pvt", &["--mode=monotone"]);
+    judge(&t, &points);
+    assert_eq!(outcome["report"]["stretched"], json!([]));
+    assert!(!leaves_a_box(&t, &points));
+    let (smooth, _) = scheduled(tmp.path(), "pvt", &["--mode=smooth", "--force"]);
+    assert!(leaves_a_box(&smooth, &points), "the case proves nothing");
+}
+
+/// 60 mm in 0.1 s between ordinary segments.
+const STEP: [[f64; 2]; 6] =
+    [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [62.0, 0.0], [63.0, 0.0], [64.0, 0.0]];
+const STEP_DWELL_S: [f64; 5] = [0.5, 0.5, 0.1, 0.5, 0.5];
+
+#[test]
+fn what_the_machine_cannot_do_is_stretched_and_the_manifest_says_where_and_by_how_much() {
+    for mode in ["smooth", "monotone"] {
+        let tmp = tempfile::tempdir().unwrap();
+        prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+        let (t, outcome) = scheduled(tmp.path(), "pvt", &["--mode", mode]);
+        judge(&t, &STEP);
+        let report = &outcome["report"];
+        let stretched = report["stretched"].as_array().unwrap();
+        let at = |i: usize| stretched.iter().find(|s| s["segment"] == i).cloned();
+        // At the limit of the velocity 60 mm take 0.24 s.
+        let step = at(2).expect("the step is stretched");
+        assert_eq!((number(&step["dwell_s"]), &step["tool_on"]), (0.1, &json!(true)));
+        assert!(number(&step["scheduled_s"]) > 0.24, "{step}");
+        // The report is the motion: every segment takes its dwell time, or what is reported.
+        let mut added = 0.0;
+        for (i, dwell_s) in STEP_DWELL_S.iter().enumerate() {
+            let expected = at(i).map_or(*dwell_s, |s| number(&s["scheduled_s"]));
+            // Rounding of break times of a few s.
+            assert!((t.segment(i).duration_s - expected).abs() < 1e-14, "{mode} segment {i}");
+            added += expected - dwell_s;
+        }
+        assert!((number(&report["added_tool_on_s"]) - added).abs() < 1e-14);
+        assert_eq!(number(&report["added_tool_off_s"]), 0.0);
+        assert!((number(&outcome["total_time_s"]) - 2.1 - added).abs() < 1e-14);
+        assert!(number(&report["rounds"]) >= 1.0);
+        // Rest to rest takes 0.424 s; no more is needed whatever the neighbours do.
+        assert!(added < 0.7, "{mode}: {added} s");
+    }
+}
+
+#[test]
+fn from_rest_to_rest_the_stretch_is_that_of_the_cubic() {
+    let tmp = tempfile::tempdir().unwrap();
+    let points = [[0.0, 3.0], [60.0, 3.0]];
+    prepare(tmp.path(), &points, &[0.1]);
+    let (t, outcome) = scheduled(tmp.path(), "pvt", &[]);
+    judge(&t, &points);
+    // Acceleration 6 d / h^2 <= 2000: h >= 0.424 s; velocity 1.5 d / h <= 250: h >= 0.36 s.
+    let least = (6.0_f64 * 60.0 / 2000.0).sqrt();
+    let h = number(&outcome["report"]["stretched"][0]["scheduled_s"]);
+    // At most one step of 0.2 % too far.
+    assert!(h >= least && h <= 1.003 * least, "{h} {least}");
+}
+
+#[test]
+fn without_stretching_the_infeasible_is_refused_and_nothing_written() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    refused(
+        tmp.path(),
+        "pvt",
+        &["--no-stretch"],
+        &["segment 2 (60.000000 mm in 0.100000 s) needs at least 0.240000 s", "allow stretching"],
+    );
+    // Within the mean velocity, but from rest to rest not within the acceleration: 0.424 s.
+    prepare(tmp.path(), &[[0.0, 0.0], [60.0, 0.0]], &[0.3]);
+    let factor =
+        "segment 0 (60.000000 mm in 0.300000 s) needs its time stretched by a factor 1.4142";
+    for mode in ["--mode=smooth", "--mode=monotone"] {
+        let expected = [factor, "allow stretching or raise its dwell time"];
+        refused(tmp.path(), "pvt", &["--no-stretch", mode], &expected);
+    }
+    // What is feasible is not touched by the flag.
+    prepare(tmp.path(), &STEP, &[0.5, 0.5, 2.0, 0.5, 0.5]);
+    let (t, _) = scheduled(tmp.path(), "pvt", &["--no-stretch"]);
+    judge(&t, &STEP);
+    assert_eq!(t.total_time_s(), 4.0);
+}
+
+#[test]
+fn constant_acceleration_is_its_closed_form() {
+    let tmp = tempfile::tempdir().unwrap();
+    // From rest 5 mm in 0.2 s at 2000 mm/s^2: v = a d - sqrt(a^2 d^2 - 2 a s).
+    prepare(tmp.path(), &[[1.0, 2.0], [6.0, 2.0]], &[0.2]);
+    let (t, outcome) = scheduled(tmp.path(), "constant-acceleration", &[]);
+    let (a, d, s) = (2000.0_f64, 0.2, 5.0);
+    let v = a * d - (a * a * d * d - 2.0 * a * s).sqrt();
+    let report = &outcome["report"];
+    // Cancellation in v: rounding of 400 mm/s over 2000 mm/s^2.
+    assert!((number(&report["brake_s"]) - v / a).abs() < 1e-15);
+    assert!((number(&outcome["total_time_s"]) - d - v / a).abs() < 1e-15);
+    assert_eq!((&report["late_segments"], number(&report["added_s"])), (&json!(0), 0.0));
+    // Acceleration, constant velocity, brake with the tool off.
+    assert_eq!((t.dwell_index(), t.tool_on()), (&[0, 0, -1][..], &[true, true, false][..]));
+    let end = state(&t.coefficient_mm()[1][0], t.segment(1).duration_s);
+    assert!((end[0] - 6.0).abs() < 1e-13 && (end[1] - v).abs() < 1e-11, "{end:?}");
+
+    // Too late: 60 mm from rest at full acceleration take sqrt(2 s / a).
+    prepare(tmp.path(), &[[0.0, 0.0], [-60.0, 0.0]], &[0.1]);
+    let (_, outcome) = scheduled(tmp.path(), "constant-acceleration", &["--force"]);
+    let report = &outcome["report"];
+    assert_eq!(report["late_segments"], 1);
+    let late = (2.0_f64 * 60.0 / 2000.0).sqrt() - 0.1;
+    assert!((number(&report["added_s"]) - late).abs() < 1e-14, "{report}");
+}
+
+#[test]
+fn position_stands_at_the_dwell_points() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &[[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [4.0, 1.0]], &[0.25, 0.0, 0.5]);
+    let (t, outcome) = scheduled(tmp.path(), "position", &[]);
+    assert_eq!((t.break_time_s(), t.dwell_index()), (&[0.0, 0.25, 0.75][..], &[0, 2][..]));
+    assert_eq!(t.coefficient_mm()[0], [[1.0, 0.0, 0.0, 0.0], [0.0; 4]]);
+    assert_eq!(t.coefficient_mm()[1], [[3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]);
+    assert_eq!(number(&outcome["total_time_s"]), 0.75);
+}
+
+#[test]
+fn the_lifted_tool_is_off_and_its_stretch_counted_apart() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    let on = vec![true, true, false, true, true];
+    let path = ToolPath::through(STEP.to_vec(), on.clone(), vec![0, 0, 0, 1, 1]).unwrap();
+    write(tmp.path(), "tool_path", &path);
+    let (t, outcome) = scheduled(tmp.path(), "pvt", &[]);
+    judge(&t, &STEP);
+    assert_eq!(t.tool_on(), on);
+    assert!(number(&outcome["report"]["added_tool_off_s"]) > 0.14, "{outcome}");
+}
+
+#[test]
+fn segments_shorter_than_the_controllers_least_are_stretched() {
+    let tmp = tempfile::tempdir().unwrap();
+    let points = [[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]];
+    prepare(tmp.path(), &points, &[0.02, 0.5]);
+    let mut machine = ion_beam();
+    machine["min_segment_s"] = json!(0.05);
+    fs::write(tmp.path().join("machine.json"), machine.to_string()).unwrap();
+    let (t, outcome) = scheduled(tmp.path(), "pvt", &[]);
+    judge(&t, &points);
+    assert!(t.segment(0).duration_s >= 0.05);
+    assert_eq!(outcome["report"]["stretched"][0]["segment"], 0);
+}
+
+/// Exit code 2, one message with every part of `expected`, no output.
+fn refused(dir: &Path, scheduler: &str, more: &[&str], expected: &[&str]) {
+    let output = schedule(dir, scheduler, more);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    let errors: Vec<&str> = message.lines().filter(|l| l.starts_with("error: ")).collect();
+    assert_eq!(errors.len(), 1, "{message}");
+    for part in expected {
+        assert!(errors[0].contains(part), "no {part:?} in: {message}");
+    }
+    assert!(!dir.join("trajectory").exists() && output.stdout.is_empty(), "{output:?}");
+}
+
+/// Every scheduler refuses the inputs that `change` leaves.
+fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    change(tmp.path());
+    for scheduler in ["pvt", "constant-acceleration", "position"] {
+        refused(tmp.path(), scheduler, &[], expected);
+    }
+}
+
+/// Takes the manifest of an artifact away and puts `array` in.
+fn bare(artifact: &'static str, name: &'static str, array: ArrayData) -> impl Fn(&Path) {
+    move |dir| {
+        let dir = dir.join(artifact);
+        fs::remove_file(dir.join("manifest.json")).unwrap();
+        fs::write(dir.join(format!("{name}.npy")), array.to_npy()).unwrap();
+    }
+}
+
+#[test]
+fn bad_dwell_times_end_with_2_and_name_file_place_and_remedy() {
+    let array = |array| bare("dwell", "dwell_s", array);
+    let times = |t: &[f64]| array(ArrayData::F64(Array1::from(t.to_vec()).into_dyn()));
+    let file = "dwell/dwell_s.npy: ";
+    let remedy = "dwell times are not negative";
+    all_refuse(times(&[0.5, -0.25, 0.1, 0.5, 0.5]), &[file, "dwell_s[1]: is -0.25 s", remedy]);
+    all_refuse(times(&[0.5, 0.5, f64::NAN, 0.5, 0.5]), &[file, "element [2] is NaN"]);
+    all_refuse(times(&[f64::INFINITY, 0.5, 0.5, 0.5, 0.5]), &[file, "element [0] is inf"]);
+    all_refuse(times(&[]), &[file, "is empty (shape [0])"]);
+    all_refuse(
+        times(&[0.5; 4]),
+        &["dwell_s: has 4 elements, the tool path 5 dwell points; give the dwell time of this"],
+    );
+    let integers = ArrayData::I64(Array1::from(vec![1, 1, 1, 1, 1]).into_dyn());
+    all_refuse(array(integers), &[file, "dtype <i8, needs <f8; save a.astype('<f8')"]);
+    let column = ArrayData::F64(Array2::ones((5, 1)).into_dyn());
+    all_refuse(array(column), &[file, "has 2 axes (shape [5, 1]), needs 1: (n)"]);
+}
+
+#[test]
+fn bad_paths_end_with_2() {
+    let points = |p: Array2<f64>| bare("tool_path", "point_mm", ArrayData::F64(p.into_dyn()));
+    let mut bad = Array2::zeros((6, 2));
+    bad[[4, 1]] = f64::NAN;
+    all_refuse(points(bad), &["tool_path/point_mm.npy: element [4, 1] is NaN; give finite"]);
+    all_refuse(points(Array2::zeros((5, 2))), &["dwell_point_mm.npy: ", "n = 4 from point_mm"]);
+    all_refuse(points(Array2::zeros((6, 3))), &["point_mm.npy: has shape [6, 3], needs (n+1, 2)"]);
+    all_refuse(
+        |dir| {
+            fs::remove_dir_all(dir.join("tool_path")).unwrap();
+            fs::rename(dir.join("dwell"), dir.join("tool_path")).unwrap();
+        },
+        &["tool_path: holds a dwell, needs a tool_path; check the order of the flags"],
+    );
+    all_refuse(
+        |dir| fs::remove_dir_all(dir.join("dwell")).unwrap(),
+        &["dwell: does not exist; give a dwell directory"],
+    );
+}
+
+#[test]
+fn bad_machines_end_with_2() {
+    let machine = |change: &dyn Fn(&mut Value), expected: &[&str]| {
+        let mut json = ion_beam();
+        change(&mut json);
+        let write = |dir: &Path| fs::write(dir.join("machine.json"), json.to_string()).unwrap();
+        all_refuse(write, &[&["machine.json: "], expected].concat());
+    };
+    let positive = "a limit is positive and finite";
+    for (axis, key, value) in [
+        (0, "max_velocity_mm_per_s", 0.0),
+        (1, "max_velocity_mm_per_s", -150.0),
+        (0, "max_acceleration_mm_per_s2", 0.0),
+        (1, "max_acceleration_mm_per_s2", -1.5),
+        (1, "max_jerk_mm_per_s3", 0.0),
+    ] {
+        let place = format!("axes[{axis}]: {key} is {value}");
+        machine(&|m| m["axes"][axis][key] = json!(value), &[&place, positive]);
+    }
+    let two = "give exactly two axes named \"x\" and \"y\", in this order";
+    machine(&|m| drop(m["axes"].as_array_mut().unwrap().pop()), &["axes: are [\"x\"]", two]);
+    machine(&|m| m["axes"].as_array_mut().unwrap().reverse(), &["are [\"y\", \"x\"]", two]);
+    machine(&|m| m["axes"] = json!([]), &["axes: are []", two]);
+    machine(
+        &|m| m["axes"][0]["max_speed"] = json!(1.0),
+        &["unknown field `max_speed`", "max_velocity_mm_per_s"],
+    );
+    machine(&|m| m["units"] = json!("mm"), &["unknown field `units`"]);
+    machine(&|m| m["min_segment_s"] = json!(-1.0), &["min_segment_s: is -1"]);
+    machine(&|m| m["axes"][0]["max_velocity_mm_per_s"] = json!("fast"), &["invalid type: string"]);
+    machine(&|m| m["axes"][0]["max_velocity_mm_per_s"] = Value::Null, &["invalid type: null"]);
+    machine(&|m| *m = Value::Null, &["invalid type: null"]);
+    for (text, expected) in [
+        ("{\"name\": \"m\"", "EOF while parsing"),
+        ("{\"name\": \"m\"}", "missing field `axes`"),
+        ("", "EOF while parsing"),
+        ("{\"name\": \"m\", \"axes\": [], \"min_segment_s\": 1e999}", "out of range"),
+        ("{\"name\": \"m\", \"axes\": [], \"min_segment_s\": NaN}", "expected value"),
+    ] {
+        let write = |dir: &Path| fs::write(dir.join("machine.json"), text).unwrap();
+        all_refuse(write, &["machine.json: ", expected]);
+    }
+    let none = |dir: &Path| fs::remove_file(dir.join("machine.json")).unwrap();
+    all_refuse(none, &["machine.json: cannot read: No such file"]);
+}
+
+#[test]
+fn a_path_without_time_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &[[1.0, 1.0]; 3], &[0.0; 2]);
+    for scheduler in ["constant-acceleration", "position"] {
+        refused(tmp.path(), scheduler, &[], &["dwell_s: is zero everywhere; give a dwell time"]);
+    }
+}
+
+#[test]
+fn bad_flags_end_with_2() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    refused(tmp.path(), "pvt", &["--mode=fast"], &["invalid value 'fast'"]);
+    refused(tmp.path(), "position", &["--no-stretch"], &["unexpected argument '--no-stretch'"]);
+    refused(tmp.path(), "spline", &[], &["unrecognized subcommand 'spline'"]);
+}
