@@ -1,0 +1,77 @@
+//! What a trajectory removes: the time integral of the TIF along the motion.
+//!
+//! ```text
+//! removal(x) = integral over the time the tool is on of  R(x - P(t)) dt
+//! ```
+//!
+//! with the TIF `R` of [`planish_types::Tif`] and the position `P` of the trajectory, never of
+//! the dwell points. Source: the convolution model of computer-controlled optical surfacing
+//! (Jones, Appl. Opt. 16 (1977) 218), with the executed motion in place of the dwell map.
+//!
+//! Two methods, which share nothing but the definition of R:
+//!
+//! * [`gridded`]: exact quadrature ([`quadrature`]) and one FFT convolution; the default.
+//! * [`direct`]: midpoint quadrature, pixel by pixel; slow, and the oracle of the other.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | R | `tif` | (my, mx) | nm/s |
+//! | P | `trajectory` | (k, 2, 4) | mm |
+//! | removal | `removal_nm` | (ny, nx) | nm |
+
+pub mod direct;
+pub mod gridded;
+pub mod quadrature;
+
+use ndarray::Array2;
+use planish_types::{Invalid, Removal, Surface, Tif, Trajectory};
+use serde::Serialize;
+
+/// How the integral is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "method", rename_all = "kebab-case")]
+pub enum Settings {
+    /// Exact quadrature, FFT convolution.
+    Gridded,
+    /// Midpoint rule with this many equal time steps per segment, pixel by pixel.
+    Direct {
+        /// Time steps per segment; >= 1.
+        steps: usize,
+    },
+}
+
+/// The prediction, and how it was computed.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    /// Removal and residual.
+    pub removal: Removal,
+    /// How the integral was computed.
+    pub numerics: Numerics,
+}
+
+/// How an integral was computed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Numerics {
+    /// Quadrature points.
+    pub quadrature_points: usize,
+    /// Lattice steps per pixel along x and y; 1 where the TIF has the pixels of the map.
+    pub subdivision: [usize; 2],
+    /// Largest error of the TIF interpolated from the lattice, relative to its peak;
+    /// 0 where the TIF has the pixels of the map.
+    pub tif_interpolation_error: f64,
+}
+
+/// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`.
+pub fn simulate(
+    trajectory: &Trajectory,
+    tif: &Tif,
+    desired: &Surface,
+    settings: Settings,
+) -> Result<Prediction, Invalid> {
+    let grid = desired.grid();
+    let (removal_nm, numerics): (Array2<f64>, Numerics) = match settings {
+        Settings::Gridded => gridded::removal_nm(trajectory, tif, grid)?,
+        Settings::Direct { steps } => direct::removal_nm(trajectory, tif, grid, steps)?,
+    };
+    Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
+}

@@ -1,0 +1,380 @@
+//! The binary from its flags to its files and exit codes.
+
+use std::{
+    f64::consts::PI,
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use ndarray::{Array1, Array2, Array3};
+use planish_handoff::{Artifact, OutputArgs, Stage, Status, artifact, npy::ArrayData};
+use planish_types::{Axis, Grid, Removal, Surface, Tif, Trajectory};
+use serde_json::{Value, json};
+
+const PEAK: f64 = 8.0;
+const SIGMA: f64 = 1.0;
+
+fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
+    let output = OutputArgs { out: dir.join(name), force: true, wall_time: None };
+    let stage = Stage::new("test", "0", name, &output);
+    stage.write("", value, json!({}), &Status::Done).unwrap();
+}
+
+fn save(dir: &Path, name: &str, array: ArrayData) {
+    fs::create_dir_all(dir).unwrap();
+    fs::write(dir.join(format!("{name}.npy")), array.to_npy()).unwrap();
+}
+
+fn axis(start: f64, step: f64, n: usize) -> Axis {
+    Axis::new(start, step, n).unwrap()
+}
+
+/// 10 x 6 mm in pixels of 0.2 mm.
+fn map_grid() -> Grid {
+    Grid { x: axis(0.0, 0.2, 51), y: axis(0.0, 0.2, 31) }
+}
+
+/// Gaussian out to 6 sigma: 1.5e-8 of the peak is cut.
+fn tif() -> Tif {
+    let a = axis(-6.0, 0.2, 61);
+    let g = Grid { x: a, y: a };
+    Tif::new(g, Array2::from_shape_fn(g.shape(), |(r, c)| gaussian(g.x.at(c), g.y.at(r)))).unwrap()
+}
+
+fn gaussian(dx: f64, dy: f64) -> f64 {
+    PEAK * (-(dx * dx + dy * dy) / (2.0 * SIGMA * SIGMA)).exp()
+}
+
+/// A pass along x at y = 2.53 from far before to far behind the map at 4 mm/s, then 3 s elsewhere
+/// with the tool off.
+fn pass() -> Trajectory {
+    let coefficients = vec![
+        [[-20.0, 4.0, 0.0, 0.0], [2.53, 0.0, 0.0, 0.0]],
+        [[5.0, 0.0, 0.0, 0.0], [3.0, 0.0, 0.0, 0.0]],
+    ];
+    Trajectory::new(vec![0.0, 12.5, 15.5], coefficients, vec![true, false], vec![0, -1]).unwrap()
+}
+
+/// Asymmetric about both axes, with an invalid pixel.
+fn desired() -> Surface {
+    let g = map_grid();
+    let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| 10.0 + g.x.at(c) - 0.1 * g.y.at(r).exp());
+    z[[7, 11]] = f64::NAN;
+    Surface::new(g, z).unwrap()
+}
+
+fn prepare(dir: &Path) {
+    write(dir, "trajectory", &pass());
+    write(dir, "tif", &tif());
+    write(dir, "surface", &desired());
+}
+
+fn run_on(threads: &str, dir: &Path, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-simulate"))
+        .current_dir(dir)
+        .env("RAYON_NUM_THREADS", threads)
+        .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])
+        .args(["--out", "removal"])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+fn simulate(dir: &Path, more: &[&str]) -> Removal {
+    let output = run_on("2", dir, more);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    artifact::read::<Removal>(&dir.join("removal")).unwrap().value
+}
+
+fn outcome(dir: &Path) -> Value {
+    let text = fs::read_to_string(dir.join("removal/manifest.json")).unwrap();
+    serde_json::from_str::<Value>(&text).unwrap()["outcome"].clone()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap()
+}
+
+fn largest(a: &Array2<f64>, f: impl Fn(usize, usize) -> f64) -> f64 {
+    a.indexed_iter().map(|((r, c), v)| (v - f(r, c)).abs()).fold(0.0, f64::max)
+}
+
+/// An infinite straight pass: A sigma sqrt(2 pi) / v exp(-y^2 / 2 sigma^2).
+fn trough(y_mm: f64) -> f64 {
+    let dy = y_mm - 2.53;
+    PEAK * SIGMA * (2.0 * PI).sqrt() / 4.0 * (-dy * dy / (2.0 * SIGMA * SIGMA)).exp()
+}
+
+#[test]
+fn a_straight_pass_is_the_closed_form_and_the_lifted_tool_removes_nothing() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let removal = simulate(tmp.path(), &[]);
+    let g = map_grid();
+    let error = largest(removal.removal_nm(), |r, _| trough(g.y.at(r)));
+    // Keys' interpolation of the Gaussian at a fifth of sigma: 4e-4 of the removal of 5 nm.
+    assert!(error < 4e-3, "{error}");
+    // residual = desired - removal to rounding; NaN stays.
+    let z = desired();
+    for ((r, c), v) in removal.residual().height_nm().indexed_iter() {
+        let expected = z.height_nm()[[r, c]] - removal.removal_nm()[[r, c]];
+        assert!((v - expected).abs() < 1e-13 || (v.is_nan() && (r, c) == (7, 11)), "{r} {c}: {v}");
+    }
+    let outcome = outcome(tmp.path());
+    let statistics = removal.residual().statistics();
+    assert_eq!(outcome["status"], "done");
+    for (key, value) in [
+        ("rms_nm", statistics.rms),
+        ("pv_nm", statistics.pv),
+        ("rms_detilted_nm", removal.residual().detilted_rms_nm()),
+    ] {
+        // The parser of JSON may miss the last bit of a number.
+        assert!((number(&outcome[key]) / value - 1.0).abs() < 1e-15, "{key}: {outcome}");
+    }
+    assert_eq!(number(&outcome["total_time_s"]), 15.5);
+    assert_eq!(outcome["numerics"]["tif_interpolation_error"], 0.0);
+
+    let again = run_on("2", tmp.path(), &[]);
+    assert_eq!(again.status.code(), Some(0));
+    assert!(text(&again.stdout).contains("unchanged"));
+}
+
+#[test]
+fn a_resting_tool_removes_its_tif_at_pixel_minus_tool() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    // Asymmetric: the sign of the offset shows.
+    let g = Grid { x: axis(-0.8, 0.2, 9), y: axis(-0.4, 0.2, 8) };
+    let rate = |dx: f64, dy: f64| 5.0 + 2.0 * dx - dy + dx * dy;
+    let tif = Tif::new(g, Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.at(c), g.y.at(r))));
+    write(tmp.path(), "tif", &tif.unwrap());
+    let c = [[3.33, 0.0, 0.0, 0.0], [2.71, 0.0, 0.0, 0.0]];
+    let rest = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![0]).unwrap();
+    write(tmp.path(), "trajectory", &rest);
+    let removal = simulate(tmp.path(), &[]);
+    let map = map_grid();
+    let error = largest(removal.removal_nm(), |r, c| {
+        let (dx, dy) = (map.x.at(c) - 3.33, map.y.at(r) - 2.71);
+        let inside = (-0.8..=0.8).contains(&dx) && (-0.4..=1.0).contains(&dy);
+        if inside { 2.5 * rate(dx, dy) } else { 0.0 }
+    });
+    // Keys reproduces quadratics; rounding of an FFT of values up to 20.
+    assert!(error < 1e-11, "{error}");
+}
+
+#[test]
+fn the_direct_method_converges_to_the_gridded_one_with_the_second_order_of_the_midpoint_rule() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    // A curved, accelerated motion inside the map.
+    let c = vec![[[2.0, 1.0, 0.7, -0.2], [1.0, 2.0, -0.3, 0.1]]];
+    let t = Trajectory::new(vec![0.0, 2.0], c, vec![true], vec![0]).unwrap();
+    write(tmp.path(), "trajectory", &t);
+    let gridded = simulate(tmp.path(), &[]);
+    let error = |steps: &str| {
+        let direct = simulate(tmp.path(), &["--method=direct", "--steps", steps, "--force"]);
+        largest(direct.removal_nm(), |r, c| gridded.removal_nm()[[r, c]])
+    };
+    let (coarse, fine) = (error("40"), error("160"));
+    // A quarter of the step: a sixteenth of the error.
+    assert!((14.0..18.0).contains(&(coarse / fine)), "{coarse} {fine}");
+    assert!(fine < 1e-3, "{fine}");
+    let settings = fs::read_to_string(tmp.path().join("removal/manifest.json")).unwrap();
+    assert!(settings.contains("\"steps\": 160"));
+}
+
+#[test]
+fn a_tif_larger_than_the_map_removes_what_is_in_reach() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let g = Grid { x: axis(4.0, 0.2, 3), y: axis(2.0, 0.2, 4) };
+    let flat = Array2::from_shape_fn((4, 3), |(r, c)| (r * c) as f64);
+    write(tmp.path(), "surface", &Surface::new(g, flat).unwrap());
+    let removal = simulate(tmp.path(), &[]);
+    // As on the larger map.
+    let error = largest(removal.removal_nm(), |r, _| trough(g.y.at(r)));
+    assert!(error < 4e-3, "{error}");
+}
+
+#[test]
+fn bare_directories_of_a_numpy_user_are_read_with_a_warning() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let whole = simulate(tmp.path(), &[]);
+    for name in ["trajectory", "tif", "surface"] {
+        fs::remove_file(tmp.path().join(name).join("manifest.json")).unwrap();
+    }
+    let output = run_on("2", tmp.path(), &["--force"]);
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(text(&output.stderr).matches("warning: ").count(), 3, "{output:?}");
+    // The same arrays are the same input: nothing to do.
+    assert!(text(&output.stdout).contains("unchanged"));
+    // Without tool_on the tool is on: 3 s of rest at (5, 3) more.
+    fs::remove_file(tmp.path().join("trajectory/tool_on.npy")).unwrap();
+    let more = simulate(tmp.path(), &["--force"]);
+    let g = map_grid();
+    let error = largest(more.removal_nm(), |r, c| {
+        whole.removal_nm()[[r, c]] + 3.0 * gaussian(g.x.at(c) - 5.0, g.y.at(r) - 3.0)
+    });
+    // (5, 3) is a pixel centre; rounding of an FFT of values up to 30.
+    assert!(error < 1e-11, "{error}");
+}
+
+#[test]
+fn the_bytes_do_not_depend_on_the_threads() {
+    for more in [&[][..], &["--method=direct"]] {
+        let bytes: Vec<_> = ["1", "2"]
+            .iter()
+            .map(|threads| {
+                let tmp = tempfile::tempdir().unwrap();
+                prepare(tmp.path());
+                // A TIF of another pitch: the longer way.
+                let a = axis(-3.0, 0.13, 47);
+                let g = Grid { x: a, y: a };
+                let rate =
+                    Array2::from_shape_fn(g.shape(), |(r, c)| gaussian(g.x.at(c), g.y.at(r)));
+                write(tmp.path(), "tif", &Tif::new(g, rate).unwrap());
+                let segments = (0..200).map(|i| {
+                    let u = f64::from(i);
+                    [[0.05 * u, 0.7, -0.4, 0.1], [3.0 + 2.0 * (0.1 * u).sin(), -0.3, 0.2, 0.0]]
+                });
+                let breaks = (0..=200).map(|i| 0.3 * f64::from(i)).collect();
+                let t = Trajectory::new(
+                    breaks,
+                    segments.collect(),
+                    vec![true; 200],
+                    (0..200).collect(),
+                );
+                write(tmp.path(), "trajectory", &t.unwrap());
+                let output = run_on(threads, tmp.path(), more);
+                assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+                let out = tmp.path().join("removal");
+                ["removal_nm.npy", "residual_nm.npy", "manifest.json"]
+                    .map(|file| fs::read(out.join(file)).unwrap())
+            })
+            .collect();
+        assert!(bytes[0] == bytes[1], "{more:?}");
+    }
+}
+
+/// Exit code 2, one message with every part of `expected`, no output.
+fn refused_after(change: impl FnOnce(&Path), more: &[&str], expected: &[&str]) {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    change(tmp.path());
+    let output = run_on("2", tmp.path(), more);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    let errors: Vec<&str> = message.lines().filter(|l| l.starts_with("error: ")).collect();
+    assert_eq!(errors.len(), 1, "{message}");
+    for part in expected {
+        assert!(errors[0].contains(part), "no {part:?} in: {message}");
+    }
+    assert!(!tmp.path().join("removal").exists() && output.stdout.is_empty(), "{output:?}");
+}
+
+/// An input without its manifest, for tests that put their own arrays in.
+fn bare(dir: &Path, name: &str) -> std::path::PathBuf {
+    fs::remove_file(dir.join(name).join("manifest.json")).unwrap();
+    dir.join(name)
+}
+
+#[test]
+fn bad_trajectories_end_with_2_and_name_file_place_and_remedy() {
+    let trajectory = |name: &'static str, array: ArrayData| {
+        move |dir: &Path| save(&bare(dir, "trajectory"), name, array)
+    };
+    let times = |t: [f64; 3]| ArrayData::F64(Array1::from(t.to_vec()).into_dyn());
+    let file = "trajectory/break_time_s.npy: ";
+    refused_after(
+        trajectory("break_time_s", times([0.0, 2.0, 1.0])),
+        &[],
+        &[file, "break_time_s[2]: is 1 after 2; break times ascend strictly"],
+    );
+    refused_after(
+        trajectory("break_time_s", times([0.0, f64::NAN, 1.0])),
+        &[],
+        &[file, "element [1] is NaN; give finite values"],
+    );
+    let mut c = Array3::zeros((2, 2, 4));
+    c[[1, 0, 3]] = f64::INFINITY;
+    refused_after(
+        trajectory("coefficient_mm", ArrayData::F64(c.into_dyn())),
+        &[],
+        &["trajectory/coefficient_mm.npy: element [1, 0, 3] is inf; give finite values"],
+    );
+    refused_after(
+        trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((2, 4, 2)).into_dyn())),
+        &[],
+        &["trajectory/coefficient_mm.npy: has shape [2, 4, 2], needs (k, 2, 4)"],
+    );
+    refused_after(
+        trajectory("dwell_index", ArrayData::F64(Array1::zeros(2).into_dyn())),
+        &[],
+        &["trajectory/dwell_index.npy: ", "dtype <f8, needs <i8; save a.astype('<i8')"],
+    );
+    refused_after(
+        trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((0, 2, 4)).into_dyn())),
+        &[],
+        &["trajectory/coefficient_mm.npy: is empty (shape [0, 2, 4])"],
+    );
+}
+
+#[test]
+fn bad_maps_tifs_and_flags_end_with_2() {
+    let map = |input: &'static str, name: &'static str, value: f64, shape: (usize, usize)| {
+        move |dir: &Path| {
+            let array = Array2::from_elem(shape, value);
+            save(&bare(dir, input), name, ArrayData::F64(array.into_dyn()));
+        }
+    };
+    let (rate, height) = ("tif/rate_nm_per_s.npy: ", "surface/height_nm.npy: ");
+    let tif = |value| map("tif", "rate_nm_per_s", value, (61, 61));
+    refused_after(tif(0.0), &[], &[rate, "no positive rate (largest 0 nm/s)", "check its sign"]);
+    refused_after(tif(f64::NAN), &[], &[rate, "element [0, 0] is NaN; give finite values"]);
+    let surface = |value| map("surface", "height_nm", value, (31, 51));
+    refused_after(surface(f64::NAN), &[], &[height, "every pixel is NaN; give at least one"]);
+    refused_after(surface(f64::INFINITY), &[], &[height, "element [0, 0] is inf"]);
+    let turned = map("surface", "height_nm", 0.0, (51, 31));
+    refused_after(turned, &[], &["surface/x_mm.npy: has shape [51]", "nx = 31 from height_nm"]);
+    let swap = |dir: &Path| {
+        fs::rename(dir.join("tif"), dir.join("t")).unwrap();
+        fs::rename(dir.join("surface"), dir.join("tif")).unwrap();
+        fs::rename(dir.join("t"), dir.join("surface")).unwrap();
+    };
+    refused_after(swap, &[], &["tif: holds a surface, needs a tif; check the order of the flags"]);
+    refused_after(|d| fs::remove_dir_all(d.join("tif")).unwrap(), &[], &["tif: does not exist"]);
+    refused_after(|_| (), &["--method=direct", "--steps=0"], &["steps: is 0"]);
+    refused_after(|_| (), &["--method=exact"], &["invalid value 'exact'"]);
+    refused_after(|_| (), &["--steps=-1"], &["invalid value '-1'"]);
+}
+
+#[test]
+fn a_motion_out_of_reach_removes_nothing_and_says_so() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let far = |c: f64| [[1e3 + c, 1.0, 0.0, 0.0], [0.0; 4]];
+    let t = Trajectory::new(vec![0.0, 1.0], vec![far(0.0)], vec![true], vec![0]).unwrap();
+    write(tmp.path(), "trajectory", &t);
+    let removal = simulate(tmp.path(), &[]);
+    assert!(removal.removal_nm().iter().all(|r| *r == 0.0));
+    assert_eq!(outcome(tmp.path())["rms_nm"], json!(desired().statistics().rms));
+}
+
+/// 12 mm given in nm.
+#[test]
+fn a_tif_in_the_wrong_unit_is_refused() {
+    let huge = |dir: &Path| {
+        let bare = bare(dir, "tif");
+        for name in ["x_mm", "y_mm"] {
+            let a = Array1::linspace(-6e6, 6e6, 61);
+            save(&bare, name, ArrayData::F64(a.into_dyn()));
+        }
+    };
+    refused_after(huge, &[], &["rate_nm_per_s", "lattice", "check that both are in mm"]);
+}

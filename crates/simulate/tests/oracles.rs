@@ -1,0 +1,268 @@
+//! The gridded simulator against the definition, closed forms and the direct quadrature.
+
+use ndarray::Array2;
+use planish_numerics::statistics;
+use planish_simulate::{Settings, direct, gridded, simulate};
+use planish_types::{Axis, Grid, Surface, Tif, Trajectory};
+
+const PEAK: f64 = 8.0;
+const SIGMA: f64 = 0.8;
+
+fn axis(start: f64, step: f64, n: usize) -> Axis {
+    Axis::new(start, step, n).unwrap()
+}
+
+fn grid(start: [f64; 2], step: [f64; 2], n: [usize; 2]) -> Grid {
+    Grid { x: axis(start[0], step[0], n[0]), y: axis(start[1], step[1], n[1]) }
+}
+
+fn tif_from(grid: Grid, f: impl Fn(f64, f64) -> f64) -> Tif {
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| f(grid.x.at(c), grid.y.at(r)));
+    Tif::new(grid, rate).unwrap()
+}
+
+/// Gaussian of [`PEAK`] and [`SIGMA`] on `step` mm, out to 6 sigma: 1.5e-8 of the peak is cut.
+fn gaussian(step: f64) -> Tif {
+    let n = (6.0 * SIGMA / step).ceil() as usize;
+    let a = axis(-(n as f64) * step, step, 2 * n + 1);
+    tif_from(Grid { x: a, y: a }, |x, y| PEAK * (-(x * x + y * y) / (2.0 * SIGMA * SIGMA)).exp())
+}
+
+/// Asymmetric, off-centre, with a border of up to a third of the peak and a deterministic
+/// roughness: nothing a smooth approximation could represent.
+fn rough_tif(step: [f64; 2]) -> Tif {
+    let g = grid([-1.3, -0.9], step, [23, 17]);
+    tif_from(g, |x, y| 5.0 + 2.0 * x - y + (37.0 * x).sin() * (29.0 * y).cos())
+}
+
+/// Stands at each position for the given time.
+fn resting(positions: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
+    let mut breaks = vec![0.0];
+    for s in seconds {
+        breaks.push(breaks[breaks.len() - 1] + s);
+    }
+    let c = positions.iter().map(|p| [[p[0], 0.0, 0.0, 0.0], [p[1], 0.0, 0.0, 0.0]]).collect();
+    let n = positions.len();
+    Trajectory::new(breaks, c, vec![true; n], (0..n as i64).collect()).unwrap()
+}
+
+/// Straight line from `a` to `b` at constant velocity.
+fn pass(a: [f64; 2], b: [f64; 2], seconds: f64) -> Trajectory {
+    let c = [0, 1].map(|k| [a[k], (b[k] - a[k]) / seconds, 0.0, 0.0]);
+    Trajectory::new(vec![0.0, seconds], vec![c], vec![true], vec![0]).unwrap()
+}
+
+fn gridded(t: &Trajectory, tif: &Tif, g: &Grid) -> Array2<f64> {
+    gridded::removal_nm(t, tif, g).unwrap().0
+}
+
+fn by_definition(positions: &[[f64; 2]], seconds: &[f64], tif: &Tif, g: &Grid) -> Array2<f64> {
+    Array2::from_shape_fn(g.shape(), |(r, c)| {
+        positions
+            .iter()
+            .zip(seconds)
+            .map(|(p, s)| s * tif.rate_at(g.x.at(c) - p[0], g.y.at(r) - p[1]))
+            .sum()
+    })
+}
+
+fn largest(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    a.iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max)
+}
+
+/// Positions inside, on pixel centres, on the border, outside within reach, and out of reach.
+fn positions() -> (Vec<[f64; 2]>, Vec<f64>) {
+    let mut p =
+        vec![[0.0, 0.0], [3.0, 2.0], [-1.05, 4.03], [8.3, -0.91], [50.0, 1.0], [4.0, -70.0]];
+    // A deterministic scatter (golden ratio) over the map and a TIF's width around it.
+    p.extend((0..60).map(|i| {
+        let u = (f64::from(i) * 0.618_034) % 1.0;
+        [-2.0 + 11.0 * u, -2.0 + 8.0 * f64::from(i) / 60.0]
+    }));
+    let seconds = (0..p.len()).map(|i| 0.1 + 0.01 * i as f64).collect();
+    (p, seconds)
+}
+
+#[test]
+fn a_resting_tool_leaves_its_own_image_unflipped() {
+    // The argument of R is (pixel - tool): an L in the TIF is an L in the removal.
+    let tif = rough_tif([0.1, 0.1]);
+    let g = grid([0.0, 0.0], [0.1, 0.1], [60, 50]);
+    let removal = gridded(&resting(&[[3.0, 2.0]], &[2.0]), &tif, &g);
+    for (j, i) in [(0, 0), (3, 20), (16, 5), (16, 22)] {
+        // Tool on a pixel: sample (j, i) with the offset (-1.3 + 0.1 i, -0.9 + 0.1 j).
+        let (r, c) = (20 - 9 + j, 30 - 13 + i);
+        let expected = 2.0 * tif.rate_nm_per_s()[[j, i]];
+        assert!((removal[[r, c]] - expected).abs() < 1e-12, "{} {expected}", removal[[r, c]]);
+    }
+    assert!(removal[[10, 30]].abs() < 1e-12 && removal[[28, 30]].abs() < 1e-12);
+}
+
+#[test]
+fn exact_for_any_tif_on_the_pixels_of_the_map() {
+    for step in [[0.1, 0.1], [0.13, 0.07]] {
+        let tif = rough_tif(step);
+        let g = grid([-0.4, 0.3], step, [71, 53]);
+        let (p, s) = positions();
+        let error = largest(&gridded(&resting(&p, &s), &tif, &g), &by_definition(&p, &s, &tif, &g));
+        // Removals up to about 100 nm through an FFT: 1e-12 is a few hundred roundings.
+        assert!(error < 1e-11, "step {step:?}: {error} nm");
+    }
+}
+
+#[test]
+fn a_tif_on_other_pixels_is_accurate_to_what_is_reported_and_ends_where_it_ends() {
+    // Smooth, but ending with a step of 14 % of the peak.
+    let shape = |x: f64, y: f64| PEAK * (-(x * x + 1.3 * y * y) / (2.0 * SIGMA * SIGMA)).exp();
+    for (tif_step, map_step) in [(0.11, 0.1), (0.05, 0.17), (0.23, 0.1)] {
+        let n = (1.6 / tif_step) as usize;
+        let a = axis(-(n as f64) * tif_step, tif_step, 2 * n + 1);
+        let tif = tif_from(Grid { x: a, y: a }, shape);
+        let g = grid([-0.4, 0.3], [map_step; 2], [51, 43]);
+        let (p, s) = positions();
+        let (removal, numerics) = gridded::removal_nm(&resting(&p, &s), &tif, &g).unwrap();
+        let expected = by_definition(&p, &s, &tif, &g);
+        let seconds: f64 = s.iter().sum();
+        // Every second may contribute the reported interpolation error of the TIF, at the most.
+        // (2x: it is sampled in the middle of the cells.)
+        let bound = 2.0 * numerics.tif_interpolation_error * PEAK * seconds;
+        let error = largest(&removal, &expected);
+        assert!(error <= bound, "{tif_step} on {map_step}: {error} nm above {bound} nm");
+        // A leak of the border would be 1 nm/s.
+        assert!(numerics.tif_interpolation_error <= gridded::TIF_TOLERANCE, "{numerics:?}");
+    }
+}
+
+/// `erf` by the Maclaurin series; |x| < 5.
+fn erf(x: f64) -> f64 {
+    let mut term = x;
+    let mut sum = x;
+    for n in 1..200 {
+        let n = f64::from(n);
+        term *= -x * x / n;
+        sum += term / (2.0 * n + 1.0);
+    }
+    sum * 2.0 / std::f64::consts::PI.sqrt()
+}
+
+#[test]
+fn a_finite_pass_of_a_gaussian_follows_the_error_function() {
+    // A sigma sqrt(pi/2) / v exp(-y^2/2 sigma^2) [erf((x-a)/(sigma sqrt 2)) - erf((x-b)/..)]
+    let (a, b, y0, seconds) = (1.0, 4.0, 1.37, 2.0);
+    let closed_form = |x: f64, y: f64| {
+        let v = (b - a) / seconds;
+        let e = |edge: f64| erf((x - edge) / (SIGMA * 2.0_f64.sqrt()));
+        PEAK * SIGMA * (std::f64::consts::FRAC_PI_2).sqrt() / v
+            * (-(y - y0) * (y - y0) / (2.0 * SIGMA * SIGMA)).exp()
+            * (e(a) - e(b))
+    };
+    let error = |step: f64| {
+        let g = grid([0.0, 0.0], [step; 2], [(5.0 / step) as usize, (3.0 / step) as usize]);
+        let removal = gridded(&pass([a, y0], [b, y0], seconds), &gaussian(step), &g);
+        removal
+            .indexed_iter()
+            .map(|((r, c), v)| (v - closed_form(g.x.at(c), g.y.at(r))).abs())
+            .fold(0.0, f64::max)
+    };
+    // The quadrature is exact; Keys' interpolation of the samples has order 3 in the pixel.
+    let (coarse, fine) = (error(0.1), error(0.05));
+    assert!((coarse / fine).log2() > 2.7, "order {}", (coarse / fine).log2());
+    // 0.05 mm = sigma / 16, removal up to 10 nm: the reference mirror has sigma / 18.
+    assert!(fine < 1e-3, "{fine} nm");
+}
+
+#[test]
+fn the_removed_volume_is_the_vrr_times_the_time_for_any_motion_inside() {
+    let tif = gaussian(0.1);
+    let g = grid([0.0, 0.0], [0.1; 2], [140, 130]);
+    // A curved, accelerated motion that stays more than the TIF's half size inside.
+    let c = [[6.0, 1.0, -0.3, 0.02], [6.5, -1.2, 0.1, 0.05]];
+    let t = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![0]).unwrap();
+    let volume = gridded(&t, &tif, &g).sum() * g.pixel_mm2();
+    let expected = tif.vrr_nm_mm2_per_s() * 2.5;
+    // Keys' weights sum to one, so the sum over the pixels is exact but for the 1.5e-8 of the peak
+    // at which the samples end.
+    assert!((volume / expected - 1.0).abs() < 1e-9, "{volume} {expected}");
+}
+
+#[test]
+fn parallel_lines_leave_the_ripple_of_the_poisson_sum() {
+    // Lines of pitch d at feed v: mean V/(v d), ripple PV = 4 mean exp(-2 pi^2 sigma^2 / d^2).
+    let (d, v) = (2.0 * SIGMA, 5.0);
+    let step = SIGMA / 20.0;
+    let tif = gaussian(step);
+    let half = 30.0 * SIGMA;
+    let mut breaks = vec![0.0];
+    let mut c = Vec::new();
+    for i in -12..=12 {
+        c.push([[-half, v, 0.0, 0.0], [f64::from(i) * d, 0.0, 0.0, 0.0]]);
+        breaks.push(breaks[breaks.len() - 1] + 2.0 * half / v);
+    }
+    let n = c.len();
+    let t = Trajectory::new(breaks, c, vec![true; n], vec![0; n]).unwrap();
+    let g = grid([0.0, -d], [step; 2], [2, (2.0 * d / step) as usize + 1]);
+    let removal = gridded(&t, &tif, &g);
+    let s = statistics::statistics(removal.column(0).insert_axis(ndarray::Axis(1))).unwrap();
+    let gaussian_volume = 2.0 * std::f64::consts::PI * PEAK * SIGMA * SIGMA;
+    let mean = gaussian_volume / (v * d);
+    let pv = 4.0 * mean * (-2.0 * (std::f64::consts::PI * SIGMA / d).powi(2)).exp();
+    // First harmonic only: the next one is exp(-6 pi^2 / 4 * ...) < 1e-6 of it.
+    assert!((s.pv / pv - 1.0).abs() < 1e-3, "{} {pv}", s.pv);
+    assert!((removal.mean().unwrap() / mean - 1.0).abs() < 2e-3);
+}
+
+/// A wavy path over the map.
+fn wavy() -> Trajectory {
+    let mut breaks = vec![0.0];
+    let mut c = Vec::new();
+    for i in 0..6 {
+        let (x, s) = (f64::from(i), if i % 2 == 0 { 1.0 } else { -1.0 });
+        c.push([[x, 2.0, 0.5, -1.0], [2.0, 3.0 * s, -6.0 * s, 0.7]]);
+        breaks.push(breaks[breaks.len() - 1] + 0.7);
+    }
+    let n = c.len();
+    Trajectory::new(breaks, c, vec![true; n], vec![0; n]).unwrap()
+}
+
+#[test]
+fn the_direct_quadrature_converges_to_the_gridded_result() {
+    let g = grid([0.0, 0.0], [0.1; 2], [70, 45]);
+    let t = wavy();
+    let errors = |tif: &Tif| {
+        let exact = gridded(&t, tif, &g);
+        [8, 16, 32].map(|m| largest(&direct::removal_nm(&t, tif, &g, m).unwrap().0, &exact))
+    };
+    // A TIF that ends smoothly: the midpoint rule has order 2.
+    let [_, b, c] = errors(&gaussian(0.1));
+    let order = (b / c).log2();
+    assert!((1.9..2.1).contains(&order), "order {order}");
+    // A TIF with a border: order 1, and still towards the gridded result.
+    let [a, _, c] = errors(&rough_tif([0.1, 0.1]));
+    let order = (a / c).log2() / 2.0;
+    assert!((0.6..1.7).contains(&order), "order {order}");
+}
+
+#[test]
+fn a_lifted_tool_and_time_reversal() {
+    let tif = rough_tif([0.1, 0.1]);
+    let g = grid([0.0, 0.0], [0.1; 2], [40, 30]);
+    let t = pass([-1.0, 0.4], [4.5, 2.7], 3.0);
+    let back = pass([4.5, 2.7], [-1.0, 0.4], 3.0);
+    assert!(largest(&gridded(&t, &tif, &g), &gridded(&back, &tif, &g)) < 1e-12);
+    let lifted =
+        Trajectory::new(vec![0.0, 3.0], t.coefficient_mm().to_vec(), vec![false], vec![-1])
+            .unwrap();
+    assert!(gridded(&lifted, &tif, &g).iter().all(|v| v.abs() < 1e-15));
+}
+
+#[test]
+fn the_residual_is_desired_minus_removal() {
+    let g = grid([0.0, 0.0], [0.1; 2], [40, 30]);
+    let desired = Surface::new(g, Array2::from_elem(g.shape(), 7.0)).unwrap();
+    let (tif, t) = (gaussian(0.1), pass([0.0, 1.0], [4.0, 1.0], 1.0));
+    let p = simulate(&t, &tif, &desired, Settings::Gridded).unwrap();
+    let sum = p.removal.removal_nm() + p.removal.residual().height_nm();
+    assert!(sum.iter().all(|v| (v - 7.0).abs() < 1e-14));
+    assert!(p.removal.removal_nm()[[10, 20]] > 1.0);
+    assert!(simulate(&t, &tif, &desired, Settings::Direct { steps: 0 }).is_err());
+}
