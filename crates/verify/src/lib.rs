@@ -1,0 +1,265 @@
+//! Does a trajectory keep the limits of a machine? Proven from the polynomials, never from samples.
+//!
+//! ```text
+//! p(u) = c0 + c1 u + c2 u^2 + c3 u^3      u in [0, h], per segment and axis
+//! v = p',  a = p'',  j = p'''             largest and smallest value: ends and roots of the
+//!                                         next derivative inside (0, h)
+//! step at a break = value after - value before
+//! ```
+//!
+//! The machine is at rest before the first and after the last break, so the velocity and the
+//! acceleration there are steps too. A step in position is a jump; a step in velocity is an
+//! infinite acceleration; a step in acceleration is an infinite jerk, and counts only against a
+//! machine with a limit on jerk.
+//!
+//! Source: the extreme value theorem; for cubics in Hermite form de Boor, *A Practical Guide to
+//! Splines*, chapter IV. The judge shares no code with the schedulers that it judges.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | c | `coefficient_mm` | (k, 2, 4) | mm/s^order |
+//! | h | `duration_s` | (k) | s |
+//! | v, a, j | [`AxisVerdict`] | per axis | mm/s, mm/s^2, mm/s^3 |
+
+mod tally;
+mod verdict;
+
+use planish_numerics::polynomial::{derivative, evaluate, range};
+use planish_types::{Invalid, Limits, Segment, Trajectory};
+use serde::Serialize;
+
+use tally::{Bound, Tally};
+pub use verdict::{AxisVerdict, Check, Excursions, Place, Verdict};
+
+/// A limit counts as exceeded above `limit (1 + 1e-9)`.
+///
+/// A scheduler that uses a limit fully reaches it up to the rounding of its coefficients, some
+/// 1e-13 relative, and of the break times: 1e-13 s at 500 s, which a segment of 1 ms feels as
+/// 1e-10. No drive resolves 1e-9 of its limit.
+pub const LIMIT_ALLOWANCE: f64 = 1e-9;
+
+/// Part of the largest velocity that is added to the tolerance of a velocity step.
+///
+/// The velocity before a break is a sum of terms up to the largest velocity; 1e-9 of it is the
+/// allowance that the limit itself has.
+const VELOCITY_STEP_ALLOWANCE: f64 = 1e-9;
+
+/// A step in acceleration up to this part of the largest acceleration is the rounding of a
+/// continuous acceleration: `6 dp / h^2` of a position of 100 mm is known to 1e-8 mm/s^2 at
+/// h = 3 ms, and the acceleration jumps by 1e-6 of its limit without a drive noticing.
+const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
+
+/// An excursion beyond the ends of a segment counts above this, mm: far above the rounding of a
+/// coordinate (2e-13 mm at 1 m), far below anything that removes material.
+const EXCURSION_NOISE_MM: f64 = 1e-9;
+
+/// A motion against the direction of its segment counts above this, mm/s; reason as above.
+const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
+
+/// Coefficients and times beyond this are refused: their squares and cubes stay finite below it,
+/// so no comparison can be defeated by an infinity. No length in mm or time in s comes near.
+const LARGEST_NUMBER: f64 = 1e60;
+
+/// What counts as a step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct VerifySettings {
+    /// Largest jump in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the
+    /// count of a stage's encoder, and the tolerance to which curved motions are fitted.
+    pub position_step_mm: f64,
+    /// Largest step in velocity that is taken for rounding, mm/s; 1e-9 of the largest velocity is
+    /// added. Default 1e-6 mm/s: rounding of the break times makes `a ulp(t)` = 3e-8 mm/s of it at
+    /// 2000 mm/s^2 and 1e5 s, and at only 10 mm/s^2 the drive makes up for it in 0.1 us, less than
+    /// any servo cycle.
+    pub velocity_step_mm_per_s: f64,
+}
+
+impl Default for VerifySettings {
+    fn default() -> Self {
+        Self { position_step_mm: 1e-6, velocity_step_mm_per_s: 1e-6 }
+    }
+}
+
+/// Judges `trajectory` against `limits` (validated, so with the two axes x and y).
+///
+/// Refuses tolerances that are negative or not finite, and numbers beyond 1e60. One pass over the
+/// segments; the memory does not depend on their number.
+pub fn verify(
+    trajectory: &Trajectory,
+    limits: &Limits,
+    settings: &VerifySettings,
+) -> Result<Verdict, Invalid> {
+    check_settings(settings)?;
+    check_magnitudes(trajectory)?;
+    let mut axes = [0, 1].map(|axis| AxisTally::new(limits, settings, axis));
+    let mut duration = Tally::new(
+        "segment duration",
+        "s",
+        (limits.min_segment_s > 0.0).then_some(Bound::AtLeast(limits.min_segment_s)),
+    );
+
+    for (i, segment) in trajectory.segments().enumerate() {
+        // The duration is the difference of two rounded break times.
+        let rounding_s = 2.0 * f64::EPSILON * (segment.start_s.abs() + segment.duration_s);
+        let place = Place::new(i, &segment, 0.0, segment.duration_s);
+        duration.add(place, place, rounding_s);
+        for (axis, tally) in axes.iter_mut().enumerate() {
+            tally.add_segment(i, &segment, &segment.coefficient_mm[axis]);
+        }
+    }
+    let last = trajectory.segment(trajectory.len() - 1);
+    for tally in &mut axes {
+        tally.add_stop(trajectory.len(), &last);
+    }
+
+    let [x, y] = axes.map(AxisTally::finish);
+    Ok(Verdict::new(trajectory, [x, y], duration.finish()))
+}
+
+/// Position, velocity and acceleration at an instant.
+type State = [f64; 3];
+
+/// Everything that is collected along one axis.
+struct AxisTally {
+    name: String,
+    /// Position, velocity, acceleration, jerk.
+    ranges: [Tally; 4],
+    /// Position, velocity, acceleration.
+    steps: [Tally; 3],
+    overshoot: Excursions,
+    reversal: Excursions,
+    /// State before the next break; `None` before the first.
+    before: Option<State>,
+}
+
+impl AxisTally {
+    fn new(limits: &Limits, settings: &VerifySettings, axis: usize) -> Self {
+        let limit = &limits.axes[axis];
+        let (v, a) = (limit.max_velocity_mm_per_s, limit.max_acceleration_mm_per_s2);
+        let velocity_step = settings.velocity_step_mm_per_s + VELOCITY_STEP_ALLOWANCE * v;
+        // Without a limit on jerk any step in acceleration is allowed.
+        let acceleration_step = limit.max_jerk_mm_per_s3.map(|_| ACCELERATION_STEP_ALLOWANCE * a);
+        let within = |limit: f64| Some(Bound::Within(limit));
+        let step = |tolerance: f64| Some(Bound::StepWithin(tolerance));
+        let name = &limit.name;
+        Self {
+            ranges: [
+                Tally::new(format!("{name} position"), "mm", None),
+                Tally::new(format!("{name} velocity"), "mm/s", within(v)),
+                Tally::new(format!("{name} acceleration"), "mm/s^2", within(a)),
+                Tally::new(
+                    format!("{name} jerk"),
+                    "mm/s^3",
+                    limit.max_jerk_mm_per_s3.and_then(within),
+                ),
+            ],
+            steps: [
+                Tally::new(format!("{name} position"), "mm", step(settings.position_step_mm)),
+                Tally::new(format!("{name} velocity"), "mm/s", step(velocity_step)),
+                Tally::new(
+                    format!("{name} acceleration"),
+                    "mm/s^2",
+                    acceleration_step.and_then(step),
+                ),
+            ],
+            name: name.clone(),
+            overshoot: Excursions::new(EXCURSION_NOISE_MM),
+            reversal: Excursions::new(REVERSAL_NOISE_MM_PER_S),
+            before: None,
+        }
+    }
+
+    /// Takes in segment `i` with the coefficients `c` of this axis, and the break it starts at.
+    fn add_segment(&mut self, i: usize, segment: &Segment<'_>, c: &[f64; 4]) {
+        let h = segment.duration_s;
+        // p, v = p', a = p'', j = p'''
+        let v = derivative(c);
+        let a = derivative(&v);
+        let orders = [*c, v, a, derivative(&a)];
+        let ranges = orders.map(|q| range(&q, h));
+        for (tally, r) in self.ranges.iter_mut().zip(&ranges) {
+            tally.add(
+                Place::new(i, segment, r.min_at, r.min),
+                Place::new(i, segment, r.max_at, r.max),
+                0.0,
+            );
+        }
+
+        let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
+        let (start, end) = (state(0.0), state(h));
+        self.add_steps(start, Place::new(i, segment, 0.0, 0.0));
+        self.before = Some(end);
+
+        // How far the position leaves the interval between the ends of its own segment.
+        let (low, high) = (start[0].min(end[0]), start[0].max(end[0]));
+        let [p, v] = [&ranges[0], &ranges[1]];
+        let (above, below) = (p.max - high, low - p.min);
+        let farthest = if below > above { p.min_at } else { p.max_at };
+        self.overshoot.add(Place::new(i, segment, farthest, above.max(below)));
+        // A velocity of both signs: the slower of the two directions is the reverse one.
+        let slower = if -v.min < v.max { v.min_at } else { v.max_at };
+        self.reversal.add(Place::new(i, segment, slower, v.max.min(-v.min)));
+    }
+
+    /// The steps at the break at `place`, from the state before it to the state `after` it.
+    fn add_steps(&mut self, after: State, place: Place) {
+        // Before the first break the machine stands where the motion starts.
+        let before = self.before.unwrap_or([after[0], 0.0, 0.0]);
+        for (order, tally) in self.steps.iter_mut().enumerate() {
+            let step = Place { value: after[order] - before[order], ..place };
+            tally.add(step, step, 0.0);
+        }
+    }
+
+    /// After the last break, number `index`, the machine stands where the motion ends.
+    fn add_stop(&mut self, index: usize, last: &Segment<'_>) {
+        let position = self.before.map_or(0.0, |before| before[0]);
+        self.add_steps([position, 0.0, 0.0], Place::new(index, last, last.duration_s, 0.0));
+    }
+
+    fn finish(self) -> AxisVerdict {
+        let [position_mm, velocity_mm_per_s, acceleration_mm_per_s2, jerk_mm_per_s3] =
+            self.ranges.map(Tally::finish);
+        let [position_step_mm, velocity_step_mm_per_s, acceleration_step_mm_per_s2] =
+            self.steps.map(Tally::finish);
+        AxisVerdict {
+            name: self.name,
+            position_mm,
+            velocity_mm_per_s,
+            acceleration_mm_per_s2,
+            jerk_mm_per_s3,
+            position_step_mm,
+            velocity_step_mm_per_s,
+            acceleration_step_mm_per_s2,
+            overshoot_mm: self.overshoot,
+            reversal_mm_per_s: self.reversal,
+        }
+    }
+}
+
+fn check_settings(settings: &VerifySettings) -> Result<(), Invalid> {
+    for (name, value) in [
+        ("position_step_mm", settings.position_step_mm),
+        ("velocity_step_mm_per_s", settings.velocity_step_mm_per_s),
+    ] {
+        if !(value.is_finite() && value >= 0.0) {
+            let problem = format!("is {value}");
+            return Err(Invalid::whole(name, problem, "a tolerance is finite and not negative"));
+        }
+    }
+    Ok(())
+}
+
+fn check_magnitudes(trajectory: &Trajectory) -> Result<(), Invalid> {
+    let remedy = "numbers beyond 1e60 are not mm and s; check the units";
+    let times = trajectory.break_time_s();
+    if let Some(i) = times.iter().position(|t| t.abs() > LARGEST_NUMBER) {
+        return Err(Invalid::at("break_time_s", i, format!("is {} s", times[i]), remedy));
+    }
+    let coefficients = trajectory.coefficient_mm();
+    let too_large = |axes: &[[f64; 4]; 2]| axes.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER);
+    if let Some(i) = coefficients.iter().position(too_large) {
+        let problem = format!("is {:?}", coefficients[i]);
+        return Err(Invalid::at("coefficient_mm", i, problem, remedy));
+    }
+    Ok(())
+}

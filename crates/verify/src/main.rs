@@ -1,0 +1,68 @@
+//! `planish-verify`: whether a trajectory keeps the limits of a machine.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::Parser;
+use planish_handoff::{Begin, OutputArgs, Stage, Status, kind, run, stage::say};
+use planish_types::Trajectory;
+use planish_verify::{VerifySettings, verify};
+
+/// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    /// Motion [trajectory artifact]
+    #[arg(long, value_name = "DIR")]
+    trajectory: PathBuf,
+    /// Machine [JSON]
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// Largest jump in position that is taken for rounding [mm]
+    #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
+    position_step_mm: f64,
+    /// Largest step in velocity that is taken for rounding [mm/s]; 1e-9 of the largest velocity
+    /// is added
+    #[arg(
+        long,
+        value_name = "T",
+        default_value_t = VerifySettings::default().velocity_step_mm_per_s
+    )]
+    velocity_step_mm_per_s: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    run(|| {
+        let settings = VerifySettings {
+            position_step_mm: cli.position_step_mm,
+            velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
+        };
+        let mut stage =
+            Stage::new("planish-verify", env!("CARGO_PKG_VERSION"), "verify", &cli.output);
+        stage.settings(settings);
+        let trajectory: Trajectory = stage.read("trajectory", &cli.trajectory)?;
+        let limits = stage.read_machine(&cli.machine)?;
+        if let Begin::Unchanged(status) = stage.begin(&[""], &kind::VERDICT)? {
+            return Ok(status);
+        }
+
+        let verdict = verify(&trajectory, &limits, &settings)?;
+
+        let status = verdict.reason().map_or(Status::Done, Status::Negative);
+        let outcome = serde_json::to_value(&verdict)?;
+        stage.write_files("", &kind::VERDICT, &[], &[], outcome, &status)?;
+        let [vx, vy] = verdict.max_velocity_mm_per_s;
+        let [ax, ay] = verdict.max_acceleration_mm_per_s2;
+        say(format!(
+            "{}: velocity up to {vx:.2}, {vy:.2} mm/s, acceleration up to {ax:.1}, {ay:.1} mm/s^2 \
+             (x, y) in {} segments, limits {} -> {}",
+            limits.name,
+            verdict.segment_count,
+            if verdict.limits_respected { "kept" } else { "exceeded" },
+            cli.output.out.display()
+        ));
+        Ok(status)
+    })
+}

@@ -1,0 +1,135 @@
+//! Collects one quantity over all segments: its range, and where it exceeds its limit.
+
+use crate::{
+    LIMIT_ALLOWANCE,
+    verdict::{Check, Place},
+};
+
+/// Number of offenders that are listed.
+const WORST_COUNT: usize = 20;
+
+/// What is allowed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Bound {
+    /// A magnitude of at most this inside a segment.
+    Within(f64),
+    /// A step of at most this at a break; the tolerance is the allowance for rounding.
+    StepWithin(f64),
+    /// A value of at least this.
+    AtLeast(f64),
+}
+
+impl Bound {
+    fn value(self) -> f64 {
+        match self {
+            Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => v,
+        }
+    }
+
+    /// Whether `value`, known to `rounding`, is beyond the bound.
+    fn is_exceeded_by(self, value: f64, rounding: f64) -> bool {
+        match self {
+            Self::Within(limit) => value.abs() > limit * (1.0 + LIMIT_ALLOWANCE) + rounding,
+            Self::StepWithin(tolerance) => value.abs() > tolerance + rounding,
+            Self::AtLeast(limit) => value < limit * (1.0 - LIMIT_ALLOWANCE) - rounding,
+        }
+    }
+
+    /// How near: 1 is the bound itself. `None` when the bound is zero (a tolerance may be).
+    fn ratio(self, value: f64) -> Option<f64> {
+        match self {
+            Self::Within(limit) | Self::StepWithin(limit) => {
+                (limit > 0.0).then(|| value.abs() / limit)
+            }
+            Self::AtLeast(limit) => Some(limit / value),
+        }
+    }
+
+    /// The larger, the worse.
+    fn badness(self, value: f64) -> f64 {
+        match self {
+            Self::Within(_) | Self::StepWithin(_) => value.abs(),
+            Self::AtLeast(_) => -value,
+        }
+    }
+
+    fn complaint(self, name: &str, unit: &str, worst: &Place, count: usize) -> String {
+        let Place { index, time_s, value, .. } = worst;
+        let excess = self.ratio(*value).unwrap_or(f64::INFINITY);
+        match self {
+            Self::Within(limit) => format!(
+                "{name} reaches {value:.6} {unit} in segment {index} at {time_s:.6} s, \
+                 {excess:.6} times the limit of {limit} {unit} (segments that exceed it: {count})"
+            ),
+            Self::StepWithin(tolerance) => format!(
+                "{name} steps by {value:.6e} {unit} at break {index} at {time_s:.6} s, where \
+                 {tolerance:.1e} {unit} is taken for rounding (breaks that exceed it: {count})"
+            ),
+            Self::AtLeast(limit) => format!(
+                "{name} is {value:.6e} {unit} in segment {index} at {time_s:.6} s, below the \
+                 smallest of {limit} {unit} (segments that are: {count})"
+            ),
+        }
+    }
+}
+
+/// Range and offenders so far.
+pub(crate) struct Tally {
+    name: String,
+    unit: &'static str,
+    bound: Option<Bound>,
+    range: Option<(Place, Place)>,
+    exceeding_count: usize,
+    /// Worst first; equals in the order of the motion.
+    worst: Vec<Place>,
+}
+
+impl Tally {
+    pub(crate) fn new(name: impl Into<String>, unit: &'static str, bound: Option<Bound>) -> Self {
+        let name = name.into();
+        Self { name, unit, bound, range: None, exceeding_count: 0, worst: Vec::new() }
+    }
+
+    /// Takes in one segment or break with its smallest and largest value, known to `rounding`.
+    pub(crate) fn add(&mut self, min: Place, max: Place, rounding: f64) {
+        let (low, high) = self.range.get_or_insert((min, max));
+        if min.value < low.value {
+            *low = min;
+        }
+        if max.value > high.value {
+            *high = max;
+        }
+        let Some(bound) = self.bound else { return };
+        let worse = |a: Place, b: Place| bound.badness(a.value) > bound.badness(b.value);
+        let peak = if worse(min, max) { min } else { max };
+        if bound.is_exceeded_by(peak.value, rounding) {
+            self.exceeding_count += 1;
+            if self.worst.len() < WORST_COUNT || worse(peak, self.worst[WORST_COUNT - 1]) {
+                let at = self.worst.partition_point(|w| !worse(peak, *w));
+                self.worst.insert(at, peak);
+                self.worst.truncate(WORST_COUNT);
+            }
+        }
+    }
+
+    pub(crate) fn finish(self) -> Check {
+        let (min, max) = self.range.expect("a trajectory has a segment");
+        let worst_value = match self.bound {
+            Some(Bound::AtLeast(_)) => min.value,
+            _ => min.value.abs().max(max.value.abs()),
+        };
+        let complaint = self.bound.zip(self.worst.first()).map(|(bound, worst)| {
+            bound.complaint(&self.name, self.unit, worst, self.exceeding_count)
+        });
+        Check {
+            min,
+            max,
+            limit: self.bound.map(Bound::value),
+            exceeded: self.exceeding_count > 0,
+            exceeding_count: self.exceeding_count,
+            worst_ratio: self.bound.and_then(|b| b.ratio(worst_value)),
+            worst: self.worst,
+            complaint,
+        }
+    }
+}

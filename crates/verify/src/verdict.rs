@@ -1,0 +1,197 @@
+//! What the judge says: numbers for programs, one sentence for people.
+
+use planish_types::{Segment, Trajectory};
+use serde::Serialize;
+
+use crate::LIMIT_ALLOWANCE;
+
+/// A value and where it occurs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Place {
+    /// Segment; for a step the break, which is where segment `index` starts.
+    pub index: usize,
+    /// Dwell point that the segment serves, -1 when none.
+    pub dwell_index: i64,
+    /// Time of the trajectory, s.
+    pub time_s: f64,
+    /// The value, with its sign, in the unit of the check.
+    pub value: f64,
+}
+
+impl Place {
+    /// `value` at the local time `u_s` of segment `index`.
+    pub(crate) fn new(index: usize, segment: &Segment<'_>, u_s: f64, value: f64) -> Self {
+        Self { index, dwell_index: segment.dwell_index, time_s: segment.start_s + u_s, value }
+    }
+}
+
+/// The exact range of one quantity over the whole trajectory, and its limit.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Check {
+    /// Smallest value.
+    pub min: Place,
+    /// Largest value.
+    pub max: Place,
+    /// Largest magnitude that is allowed (for durations: smallest value); absent when anything is.
+    pub limit: Option<f64>,
+    /// Whether the limit is exceeded, rounding allowed for.
+    pub exceeded: bool,
+    /// Number of segments (for steps: breaks) that exceed the limit.
+    pub exceeding_count: usize,
+    /// Largest magnitude over the limit (for durations: limit over the shortest).
+    pub worst_ratio: Option<f64>,
+    /// Up to 20 segments (for steps: breaks) that exceed the limit, the worst first.
+    pub worst: Vec<Place>,
+    /// The worst of them in a sentence.
+    #[serde(skip)]
+    pub(crate) complaint: Option<String>,
+}
+
+impl Check {
+    /// The largest magnitude.
+    pub fn magnitude(&self) -> f64 {
+        self.min.value.abs().max(self.max.value.abs())
+    }
+}
+
+/// How often and how far something happens inside segments; information, not a limit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Excursions {
+    /// Number of segments in which it happens.
+    pub count: usize,
+    /// The largest, `None` when it never happens.
+    pub largest: Option<Place>,
+    /// Smaller values are rounding and do not count.
+    pub noise: f64,
+}
+
+impl Excursions {
+    pub(crate) fn new(noise: f64) -> Self {
+        Self { count: 0, largest: None, noise }
+    }
+
+    pub(crate) fn add(&mut self, place: Place) {
+        if place.value > self.noise {
+            self.count += 1;
+            if self.largest.is_none_or(|l| place.value > l.value) {
+                self.largest = Some(place);
+            }
+        }
+    }
+}
+
+/// Everything about one axis.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AxisVerdict {
+    /// "x" or "y".
+    pub name: String,
+    /// Range of the position, mm; no limit.
+    pub position_mm: Check,
+    /// Range of the velocity, mm/s.
+    pub velocity_mm_per_s: Check,
+    /// Range of the acceleration inside the segments, mm/s^2.
+    pub acceleration_mm_per_s2: Check,
+    /// Range of the jerk inside the segments, mm/s^3.
+    pub jerk_mm_per_s3: Check,
+    /// Jumps at the breaks, mm.
+    pub position_step_mm: Check,
+    /// Steps in velocity at the breaks, start and end included, mm/s.
+    pub velocity_step_mm_per_s: Check,
+    /// Steps in acceleration at the breaks, start and end included, mm/s^2.
+    pub acceleration_step_mm_per_s2: Check,
+    /// How far the position leaves the interval between the ends of its segment, mm.
+    pub overshoot_mm: Excursions,
+    /// Velocity of both signs inside a segment: the slower of the two directions, mm/s.
+    pub reversal_mm_per_s: Excursions,
+}
+
+impl AxisVerdict {
+    /// What can be exceeded, the gravest first.
+    fn checks(&self) -> [&Check; 6] {
+        [
+            &self.position_step_mm,
+            &self.velocity_step_mm_per_s,
+            &self.velocity_mm_per_s,
+            &self.acceleration_mm_per_s2,
+            &self.jerk_mm_per_s3,
+            &self.acceleration_step_mm_per_s2,
+        ]
+    }
+}
+
+/// The verdict on a trajectory.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Whether every limit is kept.
+    pub limits_respected: bool,
+    /// One sentence per limit that is exceeded, the gravest first.
+    pub violations: Vec<String>,
+    /// Duration of the motion, s.
+    pub total_time_s: f64,
+    /// Number of segments.
+    pub segment_count: usize,
+    /// Largest |velocity| of [x, y], mm/s.
+    pub max_velocity_mm_per_s: [f64; 2],
+    /// Largest |acceleration| inside segments of [x, y], mm/s^2.
+    pub max_acceleration_mm_per_s2: [f64; 2],
+    /// Largest |jerk| inside segments of [x, y], mm/s^3.
+    pub max_jerk_mm_per_s3: [f64; 2],
+    /// Largest jump of [x, y], mm.
+    pub max_position_step_mm: [f64; 2],
+    /// Largest step in velocity of [x, y], mm/s.
+    pub max_velocity_step_mm_per_s: [f64; 2],
+    /// Largest step in acceleration of [x, y], mm/s^2.
+    pub max_acceleration_step_mm_per_s2: [f64; 2],
+    /// Largest overshoot beyond the ends of a segment of [x, y], mm.
+    pub max_overshoot_mm: [f64; 2],
+    /// Part of a limit above it that is taken for rounding.
+    pub limit_allowance: f64,
+    /// Durations of the segments, s.
+    pub segment_duration_s: Check,
+    /// x, y.
+    pub axes: [AxisVerdict; 2],
+}
+
+impl Verdict {
+    pub(crate) fn new(
+        trajectory: &Trajectory,
+        axes: [AxisVerdict; 2],
+        segment_duration_s: Check,
+    ) -> Self {
+        let [x, y] = axes.each_ref().map(AxisVerdict::checks);
+        // One kind of limit after the other, both axes of each.
+        let by_kind = x.into_iter().zip(y).flat_map(|(x, y)| [x, y]);
+        let violations: Vec<String> =
+            by_kind.chain([&segment_duration_s]).filter_map(|c| c.complaint.clone()).collect();
+        let magnitude =
+            |check: fn(&AxisVerdict) -> &Check| axes.each_ref().map(|axis| check(axis).magnitude());
+        Self {
+            limits_respected: violations.is_empty(),
+            violations,
+            total_time_s: trajectory.total_time_s(),
+            segment_count: trajectory.len(),
+            max_velocity_mm_per_s: magnitude(|a| &a.velocity_mm_per_s),
+            max_acceleration_mm_per_s2: magnitude(|a| &a.acceleration_mm_per_s2),
+            max_jerk_mm_per_s3: magnitude(|a| &a.jerk_mm_per_s3),
+            max_position_step_mm: magnitude(|a| &a.position_step_mm),
+            max_velocity_step_mm_per_s: magnitude(|a| &a.velocity_step_mm_per_s),
+            max_acceleration_step_mm_per_s2: magnitude(|a| &a.acceleration_step_mm_per_s2),
+            max_overshoot_mm: axes
+                .each_ref()
+                .map(|a| a.overshoot_mm.largest.map_or(0.0, |l| l.value)),
+            limit_allowance: LIMIT_ALLOWANCE,
+            segment_duration_s,
+            axes,
+        }
+    }
+
+    /// Which limit is exceeded, where and by how much; `None` when all are kept.
+    pub fn reason(&self) -> Option<String> {
+        let first = self.violations.first()?;
+        Some(match self.violations.len() - 1 {
+            0 => first.clone(),
+            1 => format!("{first}; 1 more limit is exceeded"),
+            more => format!("{first}; {more} more limits are exceeded"),
+        })
+    }
+}
