@@ -1,0 +1,215 @@
+//! Dwell times corrected against the removal of the motion that will run.
+//!
+//! A dwell solver believes that the tool stands at points or moves uniformly along chords; the
+//! machine executes a curve. So, starting from a dwell time `t`:
+//!
+//! ```text
+//! repeat   P = schedule(t)                     the motion, within the limits
+//!          h = time of every segment in P      >= t where the machine needs more
+//!          e = RMS of the residual of P        simulated: what will be executed
+//!          lo_j = max(lo_j, h_j) where h_j > t_j     the machine's need becomes a lower bound
+//!          B_ij = mean over the time of segment j of R(x_i - P(u))     what a second there removes
+//!          t = bounded least squares with B, lo
+//! until    e falls by less than a fraction, and nothing was stretched
+//! ```
+//!
+//! The result is the iterate of the smallest `e` that keeps the limits, never the last by
+//! accident. The operator must be the executed one: a fixed one converges on gentle paths and
+//! diverges where the curve leaves the chords.
+//!
+//! This is the only crate that sees several stages. What it promises is what `planish-simulate`
+//! and `planish-verify` say of the trajectory it writes; both are called inside as they are.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | t, h | `dwell_s` | (n) | s |
+//! | P | `trajectory` | (k, 2, 4) | mm |
+//! | e | `rms_nm` | - | nm |
+
+use planish_dwell::{
+    DwellError,
+    bounded_least_squares::{self as dwell_solver, Program},
+    columns,
+};
+use planish_schedule::{ScheduleError, pvt};
+use planish_simulate::simulate;
+use planish_types::{DwellTime, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
+use planish_verify::{VerifySettings, verify};
+use serde::Serialize;
+
+/// How to refine.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Shape of the motion.
+    pub mode: pvt::Mode,
+    /// The dwell solver of every round; its columns are those of the first round.
+    pub dwell: dwell_solver::Settings,
+    /// Most rounds of schedule and correction.
+    pub max_rounds: usize,
+    /// Fraction of the RMS by which a round must improve on the best one to count as progress.
+    pub least_improvement: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            mode: pvt::Mode::Smooth,
+            dwell: dwell_solver::Settings {
+                // The columns are the executed ones, so the smoothness need not stand for what a
+                // machine can execute; the pull to the lower bound buys machine time.
+                tikhonov: 1e-4,
+                smoothness: 3e-3,
+                ..dwell_solver::Settings::default()
+            },
+            max_rounds: 8,
+            least_improvement: 1e-3,
+        }
+    }
+}
+
+/// Why nothing could be refined.
+#[derive(Debug, thiserror::Error)]
+pub enum RefineError {
+    /// The inputs do not belong together.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// The dwell solver refused.
+    #[error(transparent)]
+    Dwell(#[from] DwellError),
+    /// The scheduler refused.
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
+    /// The machine needs more time than the upper bound allows.
+    #[error(
+        "no plan within limits and bounds: the machine needs {needed_s:.6} s for segment {segment} \
+         ({length_mm:.6} mm), its upper bound is {bound_s:.6} s; raise the upper bound or the limits"
+    )]
+    BoundBelowNeed {
+        /// Index of the segment.
+        segment: usize,
+        /// Its length, mm.
+        length_mm: f64,
+        /// Time that the machine needs, s.
+        needed_s: f64,
+        /// Upper bound, s.
+        bound_s: f64,
+    },
+}
+
+/// One round.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Iterate {
+    /// Time of every segment of the path in the motion, s.
+    pub dwell_s: Vec<f64>,
+    /// RMS (mean removed) of the executed residual, nm.
+    pub rms_nm: f64,
+    /// Total time of the motion, s.
+    pub total_time_s: f64,
+    /// Segments whose dwell time the schedule had to stretch.
+    pub stretched: usize,
+    /// Whether the judge finds the limits kept.
+    pub limits_respected: bool,
+}
+
+/// The best round, and all of them.
+#[derive(Clone, Debug)]
+pub struct Refined {
+    /// Dwell times of the best round: scheduling them gives `trajectory` without stretching.
+    pub dwell: DwellTime,
+    /// Its motion.
+    pub trajectory: Trajectory,
+    /// Index of the best round.
+    pub best: usize,
+    /// All rounds; the first is the plan before any correction.
+    pub iterates: Vec<Iterate>,
+    /// Why it ended: `no-improvement` or `round-limit`.
+    pub end: &'static str,
+}
+
+/// Rounds without progress after which the loop ends: one may be the price of raised bounds.
+const PATIENCE: usize = 2;
+
+/// Refines the dwell times `first`, or those of the dwell solver, for `path` on a machine.
+pub fn refine(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    limits: &Limits,
+    first: Option<DwellTime>,
+    settings: &Settings,
+) -> Result<Refined, RefineError> {
+    let (mut lo, hi) = dwell_solver::bounds(path, &settings.dwell)?;
+    let mut t = match first {
+        Some(dwell) => dwell,
+        None => dwell_solver::solve(desired, tif, path, None, &settings.dwell)?.dwell,
+    };
+    let how = pvt::Settings { mode: settings.mode, stretch: true };
+    let mut iterates: Vec<Iterate> = Vec::new();
+    let mut best: Option<(usize, Trajectory)> = None;
+    let mut without_progress = 0;
+    let mut end = "round-limit";
+    for round in 0..=settings.max_rounds {
+        // P = schedule(t), h, e
+        let motion = pvt::schedule(path, &t, limits, &how)?;
+        let mut h = t.dwell_s().to_vec();
+        for s in &motion.report.stretched {
+            h[s.segment] = s.scheduled_s;
+        }
+        let predicted =
+            simulate(&motion.trajectory, tif, desired, planish_simulate::Settings::Gridded)?;
+        let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
+        let iterate = Iterate {
+            rms_nm: predicted.removal.residual().statistics().rms,
+            total_time_s: motion.trajectory.total_time_s(),
+            stretched: motion.report.stretched.len(),
+            limits_respected: verdict.limits_respected,
+            dwell_s: h.clone(),
+        };
+
+        // Keep the best; a plan beyond the limits is not one.
+        let before = best.as_ref().map(|(b, _)| iterates[*b].rms_nm);
+        if iterate.limits_respected && before.is_none_or(|b| iterate.rms_nm < b) {
+            best = Some((round, motion.trajectory.clone()));
+        }
+        let progress =
+            before.is_none_or(|b| iterate.rms_nm < (1.0 - settings.least_improvement) * b);
+        without_progress = if progress { 0 } else { without_progress + 1 };
+        let stretched = iterate.stretched > 0;
+        iterates.push(iterate);
+        if without_progress >= PATIENCE || (!progress && !stretched) {
+            end = "no-improvement";
+            break;
+        }
+        if round == settings.max_rounds {
+            break;
+        }
+
+        // The machine's need becomes a lower bound; B of the motion; t = bounded least squares.
+        for s in &motion.report.stretched {
+            let j = s.segment;
+            if s.scheduled_s > hi[j] {
+                return Err(RefineError::BoundBelowNeed {
+                    segment: j,
+                    length_mm: path.segment_length_mm(j),
+                    needed_s: s.scheduled_s,
+                    bound_s: hi[j],
+                });
+            }
+            lo[j] = lo[j].max(s.scheduled_s);
+        }
+        let places = columns::executed(&motion.trajectory, path.len());
+        let program = Program { places: &places, lo: lo.clone(), hi: hi.clone(), guess: Some(h) };
+        t = dwell_solver::solve_columns(desired, tif, path, None, &settings.dwell, &program)?.dwell;
+    }
+    let Some((best, trajectory)) = best else {
+        let problem = "the judge finds no round within the limits";
+        return Err(Invalid::whole(
+            "limits",
+            problem,
+            "report this: the schedule claims otherwise",
+        )
+        .into());
+    };
+    let dwell = DwellTime::new(iterates[best].dwell_s.clone())?;
+    Ok(Refined { dwell, trajectory, best, iterates, end })
+}

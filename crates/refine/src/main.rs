@@ -1,0 +1,148 @@
+//! `planish-refine`: dwell times corrected against the motion that will run.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Parser, ValueEnum};
+use ndarray::{Array1, Array2};
+use planish_dwell::bounded_least_squares::Bound;
+use planish_handoff::{
+    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+};
+use planish_refine::{Iterate, Settings, refine};
+use planish_schedule::pvt;
+use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
+use serde_json::json;
+
+/// Correct the dwell times against the removal of the scheduled motion, round by round
+///
+/// Writes DIR/dwell and DIR/trajectory of the best round, and DIR/iterations with all of them.
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    /// Desired removal [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Tool path [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    tool_path: PathBuf,
+    /// Limits of the machine [JSON file]
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// First dwell times [dwell artifact]; without it, bounded least squares
+    #[arg(long, value_name = "DIR")]
+    dwell: Option<PathBuf>,
+    /// Least dwell time of every dwell point, s [default: 0]
+    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
+    min_dwell_s: Option<f64>,
+    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
+    #[arg(long, value_name = "T")]
+    min_dwell_s_per_mm: Option<f64>,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
+    tikhonov: f64,
+    /// Weight of the roughness of the dwell-time density along the path
+    #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
+    smoothness: f64,
+    /// Shape of the motion
+    #[arg(long, value_enum, default_value = "smooth")]
+    mode: Mode,
+    /// Most rounds
+    #[arg(long, value_name = "N", default_value_t = Settings::default().max_rounds)]
+    max_rounds: usize,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Mode {
+    /// Least acceleration energy; may overshoot corners
+    Smooth,
+    /// Least acceleration energy without reversal inside a segment
+    Monotone,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    run(|| body(&cli))
+}
+
+fn body(cli: &Cli) -> Result<Status, Failure> {
+    let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
+    settings.mode = match cli.mode {
+        Mode::Smooth => pvt::Mode::Smooth,
+        Mode::Monotone => pvt::Mode::Monotone,
+    };
+    if let Some(tau) = cli.min_dwell_s_per_mm {
+        settings.dwell.min_dwell = Bound::SecondsPerMm(tau);
+    } else if let Some(t) = cli.min_dwell_s {
+        settings.dwell.min_dwell = Bound::Seconds(t);
+    }
+    settings.dwell.tikhonov = cli.tikhonov;
+    settings.dwell.smoothness = cli.smoothness;
+    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pvt", &cli.output);
+    stage.settings(settings);
+    let surface: Surface = stage.read("surface", &cli.surface)?;
+    let tif: Tif = stage.read("tif", &cli.tif)?;
+    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
+    let machine = stage.read_machine(&cli.machine)?;
+    let first: Option<DwellTime> =
+        cli.dwell.as_ref().map(|dir| stage.read("dwell", dir)).transpose()?;
+    let parts = [
+        ("dwell", DwellTime::KIND),
+        ("trajectory", Trajectory::KIND),
+        ("iterations", &kind::ITERATIONS),
+    ];
+    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
+        return Ok(status);
+    }
+
+    let refined = refine(&surface, &tif, &path, &machine, first, &settings)?;
+
+    for (round, i) in refined.iterates.iter().enumerate() {
+        say(format!(
+            "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",
+            i.rms_nm,
+            i.total_time_s,
+            i.stretched,
+            if i.limits_respected { "" } else { ", limits exceeded" },
+            if round == refined.best { "  <- best" } else { "" }
+        ));
+    }
+    let best = &refined.iterates[refined.best];
+    let outcome = json!({
+        "best_round": refined.best,
+        "end": refined.end,
+        "rms_nm": best.rms_nm,
+        "total_time_s": best.total_time_s,
+    });
+    stage.write("dwell", &refined.dwell, outcome.clone(), &Status::Done)?;
+    stage.write("trajectory", &refined.trajectory, outcome.clone(), &Status::Done)?;
+    let arrays = iterations(&refined.iterates);
+    stage.write_files("iterations", &kind::ITERATIONS, &arrays, &[], outcome, &Status::Done)?;
+    say(format!(
+        "{} after {} rounds -> {}",
+        refined.end,
+        refined.iterates.len(),
+        cli.output.out.display()
+    ));
+    Ok(Status::Done)
+}
+
+/// The arrays of `kind::ITERATIONS`.
+fn iterations(iterates: &[Iterate]) -> Vec<ArrayData> {
+    let column = |f: fn(&Iterate) -> f64| {
+        ArrayData::F64(iterates.iter().map(f).collect::<Array1<f64>>().into_dyn())
+    };
+    let (m, n) = (iterates.len(), iterates[0].dwell_s.len());
+    let dwell = Array2::from_shape_fn((m, n), |(i, j)| iterates[i].dwell_s[j]);
+    let stretched: Array1<i64> = iterates.iter().map(|i| i.stretched as i64).collect();
+    vec![
+        ArrayData::F64(dwell.into_dyn()),
+        column(|i| i.rms_nm),
+        column(|i| i.total_time_s),
+        ArrayData::I64(stretched.into_dyn()),
+    ]
+}
