@@ -1,0 +1,9 @@
+//! What came of a run: numbers for programs, a table for people, the difference of two artifacts.
+//!
+//! * [`summary`]: the numbers of `summary.json`.
+//! * [`table`]: the same numbers as a table, methods side by side.
+//! * [`diff`]: how far two arrays are apart.
+
+pub mod diff;
+pub mod summary;
+pub mod table;

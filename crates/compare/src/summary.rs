@@ -1,0 +1,380 @@
+//! The numbers of a run, method by method.
+//!
+//! ```text
+//! RMS       = sqrt(mean((z - mean z)^2))        over the valid pixels of the residual z
+//! detilted  = RMS of z - plane(z)               least-squares plane
+//! PV        = max z - min z
+//! ```
+//!
+//! The keys of these structures are those of `summary.json`, which other programs read.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `residual` | (ny, nx) | nm |
+
+use planish_types::{Invalid, Removal, Surface, Trajectory};
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::Value;
+
+/// The scheduler whose numbers are the ideal: dwell at the dwell points, no dynamics.
+const IDEAL: &str = "position";
+
+/// Order of the methods; others follow by name. A refined method follows its base.
+const ORDER: [&str; 6] =
+    [IDEAL, "average-velocity", "constant-acceleration", "pvt", "trig-spline", "bspline"];
+
+/// Coordinates of two maps agree to this part of a pixel, as axes do that passed through text.
+const SAME_PIXEL: f64 = 1e-4;
+
+/// `residual = desired - removal` holds to this part of the largest of the three: the rounding
+/// of maps that passed through 32-bit floats (6e-8), and far below any residual of interest.
+const SAME_HEIGHT: f64 = 1e-6;
+
+/// Two durations are the same to this part: far above the rounding of a sum of segments.
+const SAME_TIME: f64 = 1e-9;
+
+/// One run: a surface, and what each method made of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Name of the mirror.
+    pub fixture: String,
+    /// The desired removal.
+    pub initial: Initial,
+    /// Dwell applied at the dwell points, no dynamics; `null` when the run has no such method.
+    pub ideal: Option<Ideal>,
+    /// Methods by scheduler.
+    #[serde(serialize_with = "as_map")]
+    pub methods: Vec<(String, Method)>,
+}
+
+/// The desired removal before the run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Initial {
+    /// RMS, mean removed, nm.
+    pub rms_nm: f64,
+    /// Largest minus smallest, nm.
+    pub pv_nm: f64,
+}
+
+/// Dwell applied at the dwell points.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Ideal {
+    /// RMS of the residual, mean removed, nm.
+    pub rms_nm: f64,
+    /// Sum of the dwell times, s.
+    pub total_time_s: f64,
+}
+
+/// What one method made of the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Method {
+    /// RMS of the residual, mean removed, nm.
+    pub rms_nm: f64,
+    /// Largest minus smallest residual, nm.
+    pub pv_nm: f64,
+    /// RMS of the residual, plane removed, nm.
+    pub rms_detilted_nm: f64,
+    /// Duration of the motion, s.
+    pub total_time_s: f64,
+    /// Largest |velocity| of [x, y], mm/s.
+    pub max_velocity_mm_per_s: [f64; 2],
+    /// Largest |acceleration| inside segments of [x, y], mm/s^2.
+    pub max_acceleration_mm_per_s2: [f64; 2],
+    /// Largest step in velocity of [x, y], mm/s.
+    pub max_velocity_step_mm_per_s: [f64; 2],
+    /// Largest step in acceleration of [x, y], mm/s^2.
+    pub max_acceleration_step_mm_per_s2: [f64; 2],
+    /// Whether the verdict found every limit of the machine kept.
+    pub limits_respected: bool,
+    /// Seconds that the scheduler took, `null` when not measured.
+    pub schedule_wall_s: Option<f64>,
+    /// Seconds that the simulation took, `null` when not measured.
+    pub simulate_wall_s: Option<f64>,
+}
+
+/// What a verdict says, as far as the summary repeats it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct VerdictOutcome {
+    total_time_s: f64,
+    max_velocity_mm_per_s: [f64; 2],
+    max_acceleration_mm_per_s2: [f64; 2],
+    max_velocity_step_mm_per_s: [f64; 2],
+    max_acceleration_step_mm_per_s2: [f64; 2],
+    limits_respected: bool,
+}
+
+impl VerdictOutcome {
+    /// From the outcome of a verdict artifact.
+    pub fn from_json(outcome: &Value) -> Result<Self, Invalid> {
+        Self::deserialize(outcome).map_err(|e| {
+            Invalid::whole("verdict", format!("has no usable outcome ({e})"), "verify it again")
+        })
+    }
+}
+
+/// Seconds that the stages of a method took, where they were measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WallTimes {
+    /// Scheduler, s.
+    pub schedule_s: Option<f64>,
+    /// Simulation, s.
+    pub simulate_s: Option<f64>,
+}
+
+impl Method {
+    /// The numbers of one method; refuses a removal of another surface and a verdict on another
+    /// trajectory.
+    pub fn new(
+        desired: &Surface,
+        removal: &Removal,
+        trajectory: &Trajectory,
+        verdict: &VerdictOutcome,
+        wall: WallTimes,
+    ) -> Result<Self, Invalid> {
+        check_same_surface(desired, removal)?;
+        let total_time_s = trajectory.total_time_s();
+        if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
+            return Err(Invalid::whole(
+                "verdict",
+                format!(
+                    "is about {} s of motion, the trajectory takes {total_time_s} s",
+                    verdict.total_time_s
+                ),
+                "verify this trajectory",
+            ));
+        }
+        let residual = removal.residual();
+        let statistics = residual.statistics();
+        Ok(Self {
+            rms_nm: statistics.rms,
+            pv_nm: statistics.pv,
+            rms_detilted_nm: residual.detilted_rms_nm(),
+            total_time_s,
+            max_velocity_mm_per_s: verdict.max_velocity_mm_per_s,
+            max_acceleration_mm_per_s2: verdict.max_acceleration_mm_per_s2,
+            max_velocity_step_mm_per_s: verdict.max_velocity_step_mm_per_s,
+            max_acceleration_step_mm_per_s2: verdict.max_acceleration_step_mm_per_s2,
+            limits_respected: verdict.limits_respected,
+            schedule_wall_s: wall.schedule_s,
+            simulate_wall_s: wall.simulate_s,
+        })
+    }
+}
+
+impl Summary {
+    /// The numbers of a run; the methods are brought into the order of the documentation.
+    pub fn new(
+        pipeline: impl Into<String>,
+        fixture: impl Into<String>,
+        desired: &Surface,
+        mut methods: Vec<(String, Method)>,
+    ) -> Self {
+        methods.sort_by_cached_key(|(name, _)| {
+            let base = name.split('+').next().unwrap_or_default();
+            let rank = ORDER.iter().position(|o| *o == base).unwrap_or(ORDER.len());
+            (rank, name.clone())
+        });
+        let ideal = methods
+            .iter()
+            .find(|(name, _)| name == IDEAL)
+            .map(|(_, m)| Ideal { rms_nm: m.rms_nm, total_time_s: m.total_time_s });
+        let statistics = desired.statistics();
+        Self {
+            pipeline: pipeline.into(),
+            fixture: fixture.into(),
+            initial: Initial { rms_nm: statistics.rms, pv_nm: statistics.pv },
+            ideal,
+            methods,
+        }
+    }
+
+    /// The method with the smallest RMS among those that keep the limits; the first of equals.
+    pub fn best(&self) -> Option<&str> {
+        let kept = self.methods.iter().filter(|(_, m)| m.limits_respected);
+        kept.min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm)).map(|(name, _)| name.as_str())
+    }
+}
+
+/// `summary.json`: the summary itself for one run, `{"runs": [...]}` for several.
+pub fn to_json(summaries: &[Summary]) -> Value {
+    match summaries {
+        [one] => serde_json::json!(one),
+        several => serde_json::json!({ "runs": several }),
+    }
+}
+
+fn as_map<S: Serializer>(methods: &[(String, Method)], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(methods.iter().map(|(name, method)| (name, method)))
+}
+
+fn check_same_surface(desired: &Surface, removal: &Removal) -> Result<(), Invalid> {
+    let (grid, found) = (desired.grid(), removal.residual().grid());
+    for (name, wanted, found) in [("x_mm", &grid.x, &found.x), ("y_mm", &grid.y, &found.y)] {
+        let near = |a: f64, b: f64| (a - b).abs() <= SAME_PIXEL * wanted.step_mm();
+        let same = wanted.len() == found.len()
+            && near(wanted.start_mm(), found.start_mm())
+            && near(wanted.end_mm(), found.end_mm());
+        if !same {
+            let axis = |a: &planish_types::Axis| {
+                format!("{} pixels from {} to {} mm", a.len(), a.start_mm(), a.end_mm())
+            };
+            let problem = format!("the removal has {}, the surface {}", axis(found), axis(wanted));
+            return Err(Invalid::whole(name, problem, "simulate on the surface of this run"));
+        }
+    }
+    // residual = desired - removal
+    let residual = removal.residual().height_nm();
+    for ((index, z), r) in residual.indexed_iter().zip(removal.removal_nm()) {
+        let d = desired.height_nm()[index];
+        let same = if d.is_nan() {
+            z.is_nan()
+        } else {
+            (d - r - z).abs() <= SAME_HEIGHT * d.abs().max(r.abs()).max(z.abs())
+        };
+        if !same {
+            let problem = format!("is {z} nm where the surface has {d} nm and the removal {r} nm");
+            let remedy = "residual = desired - removal; simulate on the surface of this run";
+            return Err(Invalid::at("residual_nm", index, problem, remedy));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::{Array2, array};
+    use planish_types::{Axis, Grid};
+    use serde_json::json;
+
+    fn grid(nx: usize, ny: usize) -> Grid {
+        Grid { x: Axis::new(-1.0, 1.0, nx).unwrap(), y: Axis::new(5.0, 1.0, ny).unwrap() }
+    }
+
+    /// Residual [[1, -1], [-1, 1]] nm plus a tilt of 2 nm per pixel along x and a piston of 7 nm.
+    fn desired() -> Surface {
+        Surface::new(grid(2, 2), array![[11.0, 11.0], [9.0, 13.0]]).unwrap()
+    }
+
+    fn removal() -> Removal {
+        Removal::new(&desired(), Array2::from_elem((2, 2), 3.0)).unwrap()
+    }
+
+    fn trajectory() -> Trajectory {
+        Trajectory::new(vec![0.0, 4.0], vec![[[0.0; 4]; 2]], vec![true], vec![0]).unwrap()
+    }
+
+    fn verdict(total_time_s: f64) -> Value {
+        json!({
+            "total_time_s": total_time_s, "max_velocity_mm_per_s": [1.0, 2.0],
+            "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],
+            "max_acceleration_step_mm_per_s2": [7.0, 8.0], "limits_respected": true, "more": 1
+        })
+    }
+
+    fn method() -> Result<Method, Invalid> {
+        let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
+        let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
+        Method::new(&desired(), &removal(), &trajectory(), &verdict, wall)
+    }
+
+    #[test]
+    fn the_numbers_of_a_residual_that_is_known() {
+        let m = method().unwrap();
+        // Heights 8, 8, 6, 10 about their mean 8: squares 0, 0, 4, 4 over 4 pixels.
+        assert!((m.rms_nm - 2.0_f64.sqrt()).abs() < 1e-14);
+        assert_eq!(m.pv_nm, 4.0);
+        // Plane 8 + (x - mean) * 2 leaves +-1 on every pixel.
+        assert!((m.rms_detilted_nm - 1.0).abs() < 1e-14);
+        assert_eq!(m.total_time_s, 4.0);
+    }
+
+    #[test]
+    fn the_keys_are_the_interface() {
+        let methods = vec![
+            ("mine".to_string(), method().unwrap()),
+            ("pvt+refined".to_string(), method().unwrap()),
+            ("pvt".to_string(), method().unwrap()),
+            ("position".to_string(), Method { total_time_s: 3.5, ..method().unwrap() }),
+        ];
+        let summary = Summary::new("raster", "coupon", &desired(), methods);
+        let json = to_json(std::slice::from_ref(&summary));
+        let keys = |v: &Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        assert_eq!(keys(&json), ["pipeline", "fixture", "initial", "ideal", "methods"]);
+        assert_eq!(keys(&json["initial"]), ["rms_nm", "pv_nm"]);
+        assert_eq!(keys(&json["ideal"]), ["rms_nm", "total_time_s"]);
+        assert_eq!(json["ideal"]["total_time_s"], 3.5);
+        assert_eq!(keys(&json["methods"]), ["position", "pvt", "pvt+refined", "mine"]);
+        assert_eq!(
+            keys(&json["methods"]["pvt"]),
+            [
+                "rms_nm",
+                "pv_nm",
+                "rms_detilted_nm",
+                "total_time_s",
+                "max_velocity_mm_per_s",
+                "max_acceleration_mm_per_s2",
+                "max_velocity_step_mm_per_s",
+                "max_acceleration_step_mm_per_s2",
+                "limits_respected",
+                "schedule_wall_s",
+                "simulate_wall_s"
+            ]
+        );
+        for (key, expected) in [
+            ("max_velocity_mm_per_s", [1.0, 2.0]),
+            ("max_acceleration_mm_per_s2", [3.0, 4.0]),
+            ("max_velocity_step_mm_per_s", [5.0, 6.0]),
+            ("max_acceleration_step_mm_per_s2", [7.0, 8.0]),
+        ] {
+            assert_eq!(json["methods"]["pvt"][key], json!(expected), "{key}");
+        }
+        assert_eq!(json["methods"]["pvt"]["schedule_wall_s"], 0.25);
+        assert!(json["methods"]["pvt"]["simulate_wall_s"].is_null());
+        let without = Summary::new("raster", "coupon", &desired(), vec![]);
+        let json = to_json(&[summary, without]);
+        assert!(json["runs"][1]["ideal"].is_null());
+        assert_eq!(json["runs"][0]["pipeline"], "raster");
+    }
+
+    #[test]
+    fn the_best_keeps_the_limits() {
+        let with =
+            |rms_nm, limits_respected| Method { rms_nm, limits_respected, ..method().unwrap() };
+        let methods = vec![
+            ("position".to_string(), with(0.1, false)),
+            ("pvt".to_string(), with(0.3, true)),
+            ("constant-acceleration".to_string(), with(0.2, true)),
+        ];
+        let summary = Summary::new("", "", &desired(), methods);
+        assert_eq!(summary.best(), Some("constant-acceleration"));
+        let none = Summary::new("", "", &desired(), vec![("pvt".into(), with(0.1, false))]);
+        assert_eq!(none.best(), None);
+    }
+
+    #[test]
+    fn what_does_not_belong_together_is_refused() {
+        let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
+        let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
+            let wall = WallTimes::default();
+            Method::new(desired, removal, &trajectory(), verdict, wall).unwrap_err().to_string()
+        };
+        let late = VerdictOutcome::from_json(&verdict(4.1)).unwrap();
+        assert!(error(&desired(), &removal(), &late).contains("4.1 s of motion"));
+        let wide = Surface::new(grid(3, 2), Array2::ones((2, 3))).unwrap();
+        assert!(error(&wide, &removal(), &good).contains("x_mm: the removal has 2 pixels"));
+        let mut heights = desired().height_nm().clone();
+        heights[[1, 0]] += 0.01;
+        let other = Surface::new(grid(2, 2), heights.clone()).unwrap();
+        assert!(error(&other, &removal(), &good).contains("residual_nm[1, 0]: is 6 nm"));
+        heights[[1, 0]] = f64::NAN;
+        let masked = Surface::new(grid(2, 2), heights).unwrap();
+        assert!(error(&masked, &removal(), &good).contains("residual_nm[1, 0]"));
+        let mut lacking = verdict(4.0);
+        lacking.as_object_mut().unwrap().remove("limits_respected");
+        let message = VerdictOutcome::from_json(&lacking).unwrap_err().to_string();
+        assert!(message.contains("missing field `limits_respected`"), "{message}");
+    }
+}

@@ -1,0 +1,248 @@
+//! The binary from its flags to its files and exit codes.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use ndarray::{Array2, ArrayD, array};
+use ndarray_npy::write_npy;
+use planish_handoff::{OutputArgs, Stage, Status, kind};
+use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Trajectory};
+use serde_json::{Value, json};
+
+fn compare(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-compare"))
+        .current_dir(dir)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+fn stage(out: &Path) -> Stage {
+    let output = OutputArgs { out: out.to_path_buf(), force: true, wall_time: None };
+    Stage::new("test", "0", "test", &output)
+}
+
+fn desired() -> Surface {
+    let grid = Grid { x: Axis::new(0.0, 0.5, 3).unwrap(), y: Axis::new(0.0, 0.5, 2).unwrap() };
+    Surface::new(grid, array![[9.0, 5.0, 9.0], [5.0, 9.0, f64::NAN]]).unwrap()
+}
+
+/// A run whose methods remove `desired * part` and leave (1 - part) of the RMS.
+fn prepare(run: &Path, methods: &[(&str, f64, bool)]) {
+    stage(&run.join("surface")).write("", &desired(), json!({}), &Status::Done).unwrap();
+    for (i, (name, part, kept)) in methods.iter().enumerate() {
+        let dir = run.join("methods").join(name);
+        let removal_nm = desired().height_nm().mapv(|z| if z.is_nan() { 0.0 } else { part * z });
+        let removal = Removal::new(&desired(), removal_nm).unwrap();
+        let end_s = 60.0 + i as f64;
+        let trajectory =
+            Trajectory::new(vec![0.0, end_s], vec![[[0.0; 4]; 2]], vec![true], vec![0]).unwrap();
+        let outcome = json!({
+            "total_time_s": end_s, "max_velocity_mm_per_s": [1.0, 2.0],
+            "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],
+            "max_acceleration_step_mm_per_s2": [7.0, 8.0], "limits_respected": kept,
+        });
+        stage(&dir).write("trajectory", &trajectory, json!({}), &Status::Done).unwrap();
+        stage(&dir).write("removal", &removal, json!({}), &Status::Done).unwrap();
+        stage(&dir)
+            .write_files("verdict", &kind::VERDICT, &[], &[], outcome, &Status::Done)
+            .unwrap();
+    }
+}
+
+fn summary(dir: &Path) -> Value {
+    serde_json::from_slice(&fs::read(dir.join("summary.json")).unwrap()).unwrap()
+}
+
+/// Words of the row of the table that begins with `start`.
+fn row(table: &str, start: &str) -> Vec<String> {
+    let line = table.lines().find(|l| l.starts_with(start)).expect(table);
+    line.split_whitespace().map(String::from).collect()
+}
+
+#[test]
+fn a_report_writes_the_summary_and_prints_the_table() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("raster");
+    prepare(&run, &[("pvt", 0.75, true), ("position", 0.9, false), ("bspline", 0.5, true)]);
+    fs::write(run.join("methods/pvt/schedule-wall.json"), r#"{"wall_s": 0.125}"#).unwrap();
+    // What a stage that was killed leaves is no method.
+    fs::create_dir(run.join("methods/.pvt.123.tmp")).unwrap();
+    let report = ["report", "raster", "--out", "report", "--fixture", "coupon"];
+    let first = compare(dir.path(), &report);
+    assert_eq!(first.status.code(), Some(0), "{}", text(&first.stderr));
+
+    let found = summary(&dir.path().join("report"));
+    assert_eq!((&found["pipeline"], &found["fixture"]), (&json!("raster"), &json!("coupon")));
+    // Heights 9, 5, 9, 5, 9: mean 7.4, squares 3 * 1.6^2 + 2 * 2.4^2 = 19.2, over 5.
+    let rms = (19.2_f64 / 5.0).sqrt();
+    let near = |v: &Value, expected: f64| (v.as_f64().unwrap() - expected).abs() < 1e-13;
+    assert!(near(&found["initial"]["rms_nm"], rms), "{found}");
+    assert_eq!(found["initial"]["pv_nm"], 4.0);
+    assert!(near(&found["methods"]["pvt"]["rms_nm"], 0.25 * rms));
+    assert!(near(&found["methods"]["pvt"]["pv_nm"], 1.0));
+    assert!(near(&found["ideal"]["rms_nm"], 0.1 * rms));
+    assert_eq!(found["ideal"]["total_time_s"], 61.0);
+    assert_eq!(found["methods"]["pvt"]["max_velocity_step_mm_per_s"], json!([5.0, 6.0]));
+    assert_eq!(found["methods"]["pvt"]["schedule_wall_s"], 0.125);
+    assert_eq!(found["methods"]["pvt"]["simulate_wall_s"], Value::Null);
+    let order: Vec<_> = found["methods"].as_object().unwrap().keys().collect();
+    assert_eq!(order, ["position", "pvt", "bspline"]);
+
+    let table = text(&first.stdout);
+    assert!(table.starts_with("raster, coupon: initial surface 1.9596 nm RMS, 4.00 nm PV; ideal"));
+    // position has the smallest RMS but not within the limits; pvt is the best of the others.
+    assert_eq!(row(&table, "pvt")[1], "0.4899");
+    assert_eq!(row(&table, "pvt").last().unwrap(), "*");
+    assert!(row(&table, "position").contains(&"no".to_string()));
+    assert_eq!(table.matches('*').count(), 2);
+    assert_eq!(table.lines().last(), Some("report/summary.json"));
+
+    // Again: nothing to do, and still the table. A lost summary comes back.
+    let again = compare(dir.path(), &report);
+    assert_eq!(again.status.code(), Some(0));
+    assert!(text(&again.stdout).contains("unchanged") && text(&again.stdout).contains("0.4899"));
+    fs::remove_file(dir.path().join("report/summary.json")).unwrap();
+    assert_eq!(compare(dir.path(), &report).status.code(), Some(0));
+    assert_eq!(summary(&dir.path().join("report")), found);
+
+    // A changed method is another report.
+    prepare(&run, &[("pvt", 0.8, true)]);
+    let refused = compare(dir.path(), &report);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(text(&refused.stderr).contains("--force"));
+    assert_eq!(summary(&dir.path().join("report")), found);
+    let forced = compare(dir.path(), &[&report[..], &["--force"]].concat());
+    assert_eq!(forced.status.code(), Some(0));
+    assert!(near(&summary(&dir.path().join("report"))["methods"]["pvt"]["rms_nm"], 0.2 * rms));
+}
+
+#[test]
+fn several_runs_share_one_table() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("raster"), &[("pvt", 0.75, true)]);
+    prepare(&dir.path().join("maze"), &[("pvt", 0.5, true), ("mine", 0.6, true)]);
+    let run = compare(dir.path(), &["report", "raster", "maze", "--out", "report"]);
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let found = summary(&dir.path().join("report"));
+    assert_eq!(found["runs"][1]["pipeline"], "maze");
+    assert!(found["runs"][0]["methods"]["mine"].is_null() && found["runs"][0]["ideal"].is_null());
+    let table = text(&run.stdout);
+    assert_eq!(row(&table, "raster  pvt")[2], "0.4899");
+    assert_eq!(row(&table, "maze    mine").last().unwrap(), "*");
+}
+
+#[test]
+fn a_run_that_cannot_be_read_is_exit_2_and_writes_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let refused = |run: &str, expected: &str| {
+        let found = compare(dir.path(), &["report", run, "--out", "report"]);
+        assert_eq!(found.status.code(), Some(2), "{found:?}");
+        let message = text(&found.stderr);
+        assert!(message.contains(expected), "{message}");
+        assert!(found.stdout.is_empty() && !dir.path().join("report").exists());
+    };
+    refused("nowhere", "nowhere/surface: does not exist");
+    prepare(&dir.path().join("empty"), &[]);
+    refused("empty", "empty/methods: cannot read");
+    fs::create_dir(dir.path().join("empty/methods")).unwrap();
+    refused("empty", "holds no method");
+    let run = dir.path().join("run");
+    prepare(&run, &[("pvt", 0.5, true)]);
+    fs::remove_dir_all(run.join("methods/pvt/verdict")).unwrap();
+    refused("run", "run/methods/pvt/verdict");
+    // A removal predicted on another surface.
+    prepare(&run, &[("pvt", 0.5, true)]);
+    let other = Surface::new(*desired().grid(), Array2::ones((2, 3))).unwrap();
+    stage(&run.join("surface")).write("", &other, json!({}), &Status::Done).unwrap();
+    refused("run", "run/methods/pvt: residual_nm[0, 0]: is 4.5 nm where the surface has 1 nm");
+    prepare(&run, &[("pvt", 0.5, true)]);
+    fs::write(run.join("methods/pvt/simulate-wall.json"), "{}").unwrap();
+    refused("run", "simulate-wall.json: missing field `wall_s`");
+}
+
+#[test]
+fn diff_decides_by_the_tolerance_and_by_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, surface: &Surface| {
+        stage(&dir.path().join(name)).write("", surface, json!({}), &Status::Done).unwrap();
+    };
+    let mut heights = desired().height_nm().clone();
+    write("a", &desired());
+    heights[[1, 0]] += 0.25;
+    write("b", &Surface::new(*desired().grid(), heights.clone()).unwrap());
+    heights[[0, 0]] = f64::NAN;
+    write("c", &Surface::new(*desired().grid(), heights).unwrap());
+    let diff = |a: &str, b: &str, tolerance: &str| {
+        let run = compare(dir.path(), &["diff", a, b, "--tolerance", tolerance]);
+        (run.status.code(), text(&run.stdout), text(&run.stderr))
+    };
+
+    assert_eq!(diff("a", "a", "0").0, Some(0));
+    let (code, out, _) = diff("a", "b", "0.25");
+    assert_eq!(code, Some(0));
+    // RMS over the five valid pixels: 0.25 / sqrt(5).
+    assert!(out.contains(
+        "height_nm.npy: largest difference 2.5e-1 at [1, 0] (A 5, B 5.25), RMS 1.118033988749"
+    ));
+    assert!(out.contains("x_mm.npy: equal"));
+    let (code, _, err) = diff("a", "b", "0.2499");
+    assert_eq!((code, err.trim()), (Some(1), "verdict: above 2.499e-1: height_nm.npy by 2.5e-1"));
+    let (code, out, _) = diff("b", "c", "1e300");
+    assert_eq!(code, Some(1));
+    assert!(out.contains("largest difference inf at [0, 0] (A 9, B NaN)"), "{out}");
+}
+
+#[test]
+fn diff_refuses_what_cannot_be_compared() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = |name: &str| dir.path().join(name);
+    let bare = |name: &str, array: &str, values: ArrayD<f64>| {
+        fs::create_dir_all(out(name)).unwrap();
+        write_npy(out(name).join(format!("{array}.npy")), &values).unwrap();
+    };
+    stage(&out("surface")).write("", &desired(), json!({}), &Status::Done).unwrap();
+    let dwell = DwellTime::new(vec![1.0, 2.0]).unwrap();
+    stage(&out("dwell")).write("", &dwell, json!({}), &Status::Done).unwrap();
+    stage(&out("report"))
+        .write_files("", &kind::VERDICT, &[], &[], json!({}), &Status::Done)
+        .unwrap();
+    bare("three", "dwell_s", array![1.0, 2.0, 3.0].into_dyn());
+    bare("two", "dwell_s", array![1.0, 2.5].into_dyn());
+    bare("other", "seconds", array![1.0, 2.5].into_dyn());
+    fs::create_dir(out("integers")).unwrap();
+    write_npy(out("integers").join("dwell_s.npy"), &array![1_i64, 2]).unwrap();
+    fs::create_dir(out("single")).unwrap();
+    write_npy(out("single").join("dwell_s.npy"), &array![1_f32, 2.0]).unwrap();
+
+    let diff = |a: &str, b: &str, tolerance: &str| {
+        compare(dir.path(), &["diff", a, b, &format!("--tolerance={tolerance}")])
+    };
+    // Bare arrays stand in for an artifact.
+    assert_eq!(diff("dwell", "two", "0.5").status.code(), Some(0));
+    assert_eq!(diff("dwell", "two", "0.4").status.code(), Some(1));
+    assert_eq!(diff("integers", "integers", "0").status.code(), Some(0));
+    for (a, b, tolerance, expected) in [
+        ("surface", "dwell", "1", "surface holds a surface, dwell a dwell"),
+        ("dwell", "three", "1", "dwell_s.npy: A has the shape [2], B [3]"),
+        ("two", "other", "1", r#"two holds the arrays ["dwell_s.npy"], other ["seconds.npy"]"#),
+        ("dwell", "integers", "1", "A holds floats, B holds integers"),
+        ("dwell", "single", "1", "dtype <f4, needs <f8"),
+        ("dwell", "nowhere", "1", "nowhere: cannot read"),
+        ("report", "report", "1", "holds no .npy file"),
+        ("two", "two", "-1", "--tolerance is -1"),
+        ("two", "two", "nan", "--tolerance is NaN"),
+    ] {
+        let run = diff(a, b, tolerance);
+        assert_eq!(run.status.code(), Some(2), "{a} {b}: {run:?}");
+        assert!(text(&run.stderr).contains(expected), "{}", text(&run.stderr));
+        assert!(run.stdout.is_empty());
+    }
+}
