@@ -1,0 +1,101 @@
+//! Speed of the stages on the fixture `flat-92x16` (985 x 168 px, TIF 107 x 107 px), raster of
+//! 1 mm pitch and step: `just bench`. Threads: RAYON_NUM_THREADS, or all.
+
+use std::{fs, sync::LazyLock};
+
+use divan::{Bencher, black_box};
+use nalgebra::DMatrix;
+use ndarray::Array2;
+use planish_dwell::bounded_least_squares::{self, Bound};
+use planish_fixture::{Recipe, make};
+use planish_numerics::cholesky::Cholesky;
+use planish_schedule::pvt::{self, Mode};
+use planish_simulate::{Settings, simulate};
+use planish_testkit::{ion_beam, workspace};
+use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
+use planish_verify::{VerifySettings, verify};
+
+struct Case {
+    surface: Surface,
+    tif: Tif,
+    path: ToolPath,
+    dwell: DwellTime,
+    trajectory: Trajectory,
+}
+
+fn solver() -> bounded_least_squares::Settings {
+    bounded_least_squares::Settings { min_dwell: Bound::Seconds(0.1), ..Default::default() }
+}
+
+static CASE: LazyLock<Case> = LazyLock::new(|| {
+    let recipe = fs::read_to_string(workspace().join("fixtures/flat-92x16.json")).unwrap();
+    let recipe: Recipe = serde_json::from_str(&recipe).unwrap();
+    let fixture = make(&recipe).unwrap();
+    let settings = RasterSettings {
+        pitch_mm: 1.0,
+        step_mm: 1.0,
+        overscan_mm: 5.0,
+        scan: Scan::X,
+        turn: Turn::Square,
+        line_origin_mm: None,
+    };
+    let path = raster(&fixture.surface, &settings).unwrap();
+    let dwell =
+        bounded_least_squares::solve(&fixture.surface, &fixture.tif, &path, None, &solver())
+            .unwrap()
+            .dwell;
+    let how = pvt::Settings { mode: Mode::Smooth, stretch: true };
+    let trajectory = pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap().trajectory;
+    Case { surface: fixture.surface, tif: fixture.tif, path, dwell, trajectory }
+});
+
+fn main() {
+    LazyLock::force(&CASE);
+    divan::main();
+}
+
+#[divan::bench(sample_count = 5)]
+fn dwell_bounded_least_squares() {
+    let c = &*CASE;
+    black_box(bounded_least_squares::solve(&c.surface, &c.tif, &c.path, None, &solver()).unwrap());
+}
+
+#[divan::bench(args = [Mode::Smooth, Mode::Monotone], sample_count = 20)]
+fn schedule_pvt(mode: Mode) {
+    let c = &*CASE;
+    let how = pvt::Settings { mode, stretch: true };
+    black_box(pvt::schedule(&c.path, &c.dwell, &ion_beam(), &how).unwrap());
+}
+
+#[divan::bench(sample_count = 20)]
+fn simulate_gridded() {
+    let c = &*CASE;
+    black_box(simulate(&c.trajectory, &c.tif, &c.surface, Settings::Gridded).unwrap());
+}
+
+#[divan::bench(sample_count = 20)]
+fn verify_trajectory() {
+    black_box(verify(&CASE.trajectory, &ion_beam(), &VerifySettings::default()).unwrap());
+}
+
+/// A positive definite matrix of the size of the active set on this mirror.
+fn matrix(n: usize) -> Array2<f64> {
+    Array2::from_shape_fn((n, n), |(i, j)| {
+        let d = i.abs_diff(j) as f64;
+        (-0.01 * d * d).exp() + f64::from(i == j)
+    })
+}
+
+#[divan::bench(args = [1000, 2000], sample_count = 5)]
+fn cholesky_blocked(bencher: Bencher, n: usize) {
+    bencher.with_inputs(|| matrix(n)).bench_values(|a| Cholesky::new(a).unwrap());
+}
+
+#[divan::bench(args = [1000, 2000], sample_count = 5)]
+fn cholesky_nalgebra(bencher: Bencher, n: usize) {
+    let a = matrix(n);
+    bencher
+        .with_inputs(|| DMatrix::from_fn(n, n, |i, j| a[[i, j]]))
+        .bench_values(|a| a.cholesky().unwrap());
+}

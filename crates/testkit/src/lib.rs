@@ -1,0 +1,43 @@
+//! Helpers of the tests that see several crates. The tests are in `tests/`:
+//!
+//! * `architecture`: who may name whom, and what a library must not do.
+//! * `conventions`: every statement of `docs/conventions.md`.
+//! * `schedulers`: random paths through every scheduler, judged by `planish-verify`.
+//! * `end_to_end`: a fixture through all binaries.
+//! * `reference`: the reference mirror, where `PLANISH_REFERENCE` names its folder.
+
+use std::path::{Path, PathBuf};
+
+use planish_types::{AxisLimits, Limits};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// The folder of the workspace.
+pub fn workspace() -> PathBuf {
+    let crates = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    crates.and_then(Path::parent).expect("this crate is in crates/").to_path_buf()
+}
+
+/// A machine from the limits of (x, y), without a limit on jerk.
+pub fn machine(velocity_mm_per_s: [f64; 2], acceleration_mm_per_s2: [f64; 2]) -> Limits {
+    let axis = |a: usize| AxisLimits {
+        name: ["x", "y"][a].into(),
+        max_velocity_mm_per_s: velocity_mm_per_s[a],
+        max_acceleration_mm_per_s2: acceleration_mm_per_s2[a],
+        max_jerk_mm_per_s3: None,
+    };
+    Limits { name: "test".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+}
+
+/// The ion beam machine of the reference mirror.
+pub fn ion_beam() -> Limits {
+    machine([250.0, 150.0], [2000.0, 1000.0])
+}
+
+/// The generator of random case `index` of a population with the number `stream`; the same case
+/// for the same seed, whatever the number of cases.
+pub fn case_generator(seed: u64, stream: u64, index: u64) -> ChaCha8Rng {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    generator.set_stream((stream << 32) | index);
+    generator
+}

@@ -1,0 +1,397 @@
+//! The rules of the house, from `cargo metadata` and from the sources: who may name whom, what a
+//! stage library must not do, and what every crate has.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+};
+
+use cargo_metadata::{MetadataCommand, Package, TargetKind};
+use planish_testkit::workspace;
+
+/// A folder under `crates/`, and the folders that it may name.
+type Room = (&'static str, &'static [&'static str]);
+
+/// Layers 0 to 2, the only stage that sees others, and the tests.
+const ROOMS: [Room; 5] = [
+    ("numerics", &[]),
+    ("types", &["numerics"]),
+    ("handoff", &["types"]),
+    ("refine", &["numerics", "types", "handoff", "dwell", "schedule", "simulate", "verify"]),
+    ("testkit", &ALL),
+];
+
+/// Layer 3: the stages. None names another one; `handoff` is for their `main.rs`.
+const STAGES: [&str; 11] = [
+    "fixture",
+    "import",
+    "surface",
+    "toolpath",
+    "dwell",
+    "schedule",
+    "bspline-feed",
+    "simulate",
+    "verify",
+    "export",
+    "compare",
+];
+const STAGE_MAY_NAME: [&str; 3] = ["numerics", "types", "handoff"];
+
+const ALL: [&str; 15] = [
+    "numerics",
+    "types",
+    "handoff",
+    "fixture",
+    "import",
+    "surface",
+    "toolpath",
+    "dwell",
+    "schedule",
+    "bspline-feed",
+    "simulate",
+    "verify",
+    "export",
+    "compare",
+    "refine",
+];
+
+/// Judges see nothing of what they judge, however many crates lie between.
+const NEVER: [(&str, &str); 4] =
+    [("simulate", "dwell"), ("simulate", "schedule"), ("verify", "dwell"), ("verify", "schedule")];
+
+/// What a library of the layers 0, 1 and 3 must not contain: files, the shell, printing, the clock,
+/// the environment.
+const IMPURE: [&str; 14] = [
+    "planish_handoff",
+    "clap",
+    "std::fs",
+    "fs::",
+    "std::io",
+    "std::env",
+    "env::",
+    "println!",
+    "eprintln!",
+    "print!",
+    "eprint!",
+    "dbg!",
+    "Instant",
+    "SystemTime",
+];
+
+/// Split so that this file does not contain them.
+const UNFINISHED: [&str; 3] =
+    [concat!("unimplemented", "!"), concat!("to", "do!"), concat!("#[ig", "nore")];
+
+const DRAWERS: [&str; 5] = ["utils", "util", "common", "core", "misc"];
+
+// ---------------------------------------------------------------------------------------------
+// Checkers: from facts to complaints, so that they can be shown to complain
+
+/// Arrows (from, to) between folders that the layers forbid.
+fn forbidden_arrows(arrows: &[(String, String)]) -> Vec<String> {
+    let mut complaints = Vec::new();
+    for (from, to) in arrows {
+        let allowed = if STAGES.contains(&from.as_str()) {
+            &STAGE_MAY_NAME[..]
+        } else {
+            ROOMS.iter().find(|(name, _)| name == from).map_or(&[][..], |(_, may_name)| may_name)
+        };
+        if !allowed.contains(&to.as_str()) {
+            complaints.push(format!("{from} names {to}; it may name {allowed:?}"));
+        }
+    }
+    let reached = closure(arrows);
+    for (judge, judged) in NEVER {
+        if reached.contains(&(judge.into(), judged.into())) {
+            complaints.push(format!("{judge} sees {judged}"));
+        }
+    }
+    complaints
+}
+
+/// All pairs that a chain of arrows joins.
+fn closure(arrows: &[(String, String)]) -> BTreeSet<(String, String)> {
+    let mut reached: BTreeSet<_> = arrows.iter().cloned().collect();
+    loop {
+        let longer: Vec<_> = reached
+            .iter()
+            .flat_map(|(a, b)| {
+                arrows
+                    .iter()
+                    .filter(move |(from, _)| from == b)
+                    .map(|(_, c)| (a.clone(), c.clone()))
+            })
+            .filter(|pair| !reached.contains(pair))
+            .collect();
+        if longer.is_empty() {
+            return reached;
+        }
+        reached.extend(longer);
+    }
+}
+
+/// Which of `words` the code contains, comments and unit tests left out.
+fn mentions(source: &str, words: &[&'static str]) -> Vec<&'static str> {
+    let tests = source.find("#[cfg(test)]\nmod tests").unwrap_or(source.len());
+    let code: Vec<&str> = source[..tests].lines().map(without_comment).collect();
+    let code = code.join("\n");
+    words.iter().copied().filter(|word| contains_word(&code, word)).collect()
+}
+
+/// The line up to `//`; no line of ours has `//` in a string before something that matters.
+fn without_comment(line: &str) -> &str {
+    line.split("//").next().unwrap_or_default()
+}
+
+/// Whether `word` occurs in `code`, not as the end or the beginning of a longer name.
+fn contains_word(code: &str, word: &str) -> bool {
+    let part_of_name = |c: char| c.is_alphanumeric() || c == '_';
+    let open_end = !word.ends_with(part_of_name);
+    code.match_indices(word).any(|(at, _)| {
+        let before = code[..at].chars().next_back();
+        let after = code[at + word.len()..].chars().next();
+        !before.is_some_and(part_of_name) && (open_end || !after.is_some_and(part_of_name))
+    })
+}
+
+// ---------------------------------------------------------------------------------------------
+// Facts
+
+/// Packages of the workspace by folder.
+fn packages() -> BTreeMap<String, Package> {
+    let metadata = MetadataCommand::new()
+        .manifest_path(workspace().join("Cargo.toml"))
+        .no_deps()
+        .other_options(["--offline".to_string()])
+        .exec()
+        .expect("cargo metadata of the workspace");
+    metadata.packages.into_iter().map(|p| (folder_of(&p), p)).collect()
+}
+
+fn folder_of(package: &Package) -> String {
+    let manifest = package.manifest_path.as_std_path();
+    let folder = manifest.parent().and_then(Path::file_name).expect("a manifest is in a folder");
+    folder.to_string_lossy().into_owned()
+}
+
+/// Arrows of all kinds of dependencies.
+fn arrows() -> Vec<(String, String)> {
+    let mut arrows = Vec::new();
+    for (from, package) in packages() {
+        for dependency in &package.dependencies {
+            if let Some(to) = dependency.name.strip_prefix("planish-") {
+                arrows.push((from.clone(), to.to_string()));
+            }
+        }
+    }
+    arrows
+}
+
+fn directory_of(folder: &str) -> PathBuf {
+    workspace().join("crates").join(folder)
+}
+
+/// The `.rs` files under `dir`, at any depth; none when there is no such directory.
+fn sources_under(dir: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(dir) else { return Vec::new() };
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files.extend(sources_under(&path));
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            files.push(path);
+        }
+    }
+    files.sort();
+    files
+}
+
+/// `root` and the files of the modules that it declares, at any depth.
+fn module_tree(root: &Path) -> BTreeSet<PathBuf> {
+    let mut files = BTreeSet::new();
+    let mut open = vec![root.to_path_buf()];
+    while let Some(file) = open.pop() {
+        let parent = file.parent().unwrap();
+        let own = match file.file_stem().unwrap().to_str().unwrap() {
+            "lib" | "main" | "mod" => parent.to_path_buf(),
+            stem => parent.join(stem),
+        };
+        for line in fs::read_to_string(&file).unwrap().lines() {
+            let declaration = without_comment(line).trim().strip_suffix(';');
+            let name = declaration.and_then(|d| {
+                ["mod ", "pub mod ", "pub(crate) mod "].iter().find_map(|p| d.strip_prefix(p))
+            });
+            if let Some(name) = name {
+                let flat = own.join(format!("{name}.rs"));
+                open.push(if flat.exists() { flat } else { own.join(name).join("mod.rs") });
+            }
+        }
+        files.insert(file);
+    }
+    files
+}
+
+fn no_complaints(complaints: &[String]) {
+    assert!(complaints.is_empty(), "{}", complaints.join("\n"));
+}
+
+// ---------------------------------------------------------------------------------------------
+// Rules
+
+#[test]
+fn every_crate_has_its_place_in_the_layers() {
+    for folder in packages().keys() {
+        let known = STAGES.contains(&folder.as_str()) || ROOMS.iter().any(|(r, _)| r == folder);
+        assert!(known, "crates/{folder} is in no layer; give it a place in this test");
+        assert!(!DRAWERS.contains(&folder.as_str()), "crates/{folder}: a drawer, not a room");
+    }
+}
+
+#[test]
+fn arrows_point_down_and_no_stage_names_another() {
+    no_complaints(&forbidden_arrows(&arrows()));
+}
+
+#[test]
+fn the_sources_name_only_declared_layers() {
+    // A `use` needs a manifest entry; this catches names in the code that the manifest of the
+    // library's layer would not allow, such as a dev-dependency of a stage's tests.
+    let mut found = Vec::new();
+    for from in packages().keys() {
+        for file in ["src", "tests", "examples", "benches"]
+            .iter()
+            .flat_map(|d| sources_under(&directory_of(from).join(d)))
+        {
+            let text = fs::read_to_string(&file).unwrap();
+            for to in ALL.iter().filter(|to| *to != from) {
+                let name = format!("planish_{}", to.replace('-', "_"));
+                if text.lines().any(|l| contains_word(without_comment(l), &name)) {
+                    found.push((from.clone(), to.to_string()));
+                }
+            }
+        }
+    }
+    found.retain(|(from, _)| from != "testkit");
+    no_complaints(&forbidden_arrows(&found));
+}
+
+#[test]
+fn libraries_have_no_files_no_shell_and_no_clock() {
+    let mut complaints = Vec::new();
+    for folder in packages().keys() {
+        if ["handoff", "testkit"].contains(&folder.as_str()) {
+            continue;
+        }
+        let files = module_tree(&directory_of(folder).join("src/lib.rs"));
+        assert!(!files.is_empty());
+        for file in files {
+            let found = mentions(&fs::read_to_string(&file).unwrap(), &IMPURE);
+            if !found.is_empty() {
+                complaints.push(format!("{} has {found:?}", file.display()));
+            }
+        }
+    }
+    no_complaints(&complaints);
+}
+
+#[test]
+fn every_source_file_belongs_to_the_library_or_the_binary() {
+    for folder in packages().keys() {
+        let src = directory_of(folder).join("src");
+        let mut reached = module_tree(&src.join("lib.rs"));
+        let main = src.join("main.rs");
+        if main.exists() {
+            reached.extend(module_tree(&main));
+        }
+        let all: BTreeSet<PathBuf> = sources_under(&src).into_iter().collect();
+        let lost: Vec<_> = all.difference(&reached).collect();
+        assert!(lost.is_empty(), "no module declares {lost:?}");
+    }
+}
+
+#[test]
+fn every_crate_has_name_licence_description_and_the_lints() {
+    for (folder, package) in packages() {
+        let name = format!("planish-{folder}");
+        assert_eq!(package.name.as_str(), name);
+        let stage = STAGES.contains(&folder.as_str()) || folder == "refine";
+        let binaries: Vec<&str> = package
+            .targets
+            .iter()
+            .filter(|t| t.kind.contains(&TargetKind::Bin))
+            .map(|t| t.name.as_str())
+            .collect();
+        assert_eq!(binaries, if stage { vec![name.as_str()] } else { vec![] }, "{folder}");
+        assert_eq!(package.license.as_deref(), Some("MIT OR Apache-2.0"), "{folder}");
+        let description = package.description.unwrap_or_default();
+        assert!(description.len() > 20, "{folder}: description {description:?}");
+        assert_eq!(package.publish, Some(vec![]), "{folder} is not to be published");
+        let manifest = fs::read_to_string(directory_of(&folder).join("Cargo.toml")).unwrap();
+        assert!(manifest.contains("[lints]\nworkspace = true"), "{folder}: no workspace lints");
+    }
+}
+
+#[test]
+fn nothing_is_unfinished_and_no_test_is_switched_off() {
+    let mut complaints = Vec::new();
+    for folder in packages().keys() {
+        for file in sources_under(&directory_of(folder)) {
+            let text = fs::read_to_string(&file).unwrap();
+            for (number, line) in text.lines().enumerate() {
+                let line = without_comment(line);
+                for word in UNFINISHED.iter().filter(|word| contains_word(line, word)) {
+                    complaints.push(format!("{}:{}: {word}", file.display(), number + 1));
+                }
+            }
+        }
+    }
+    no_complaints(&complaints);
+}
+
+// ---------------------------------------------------------------------------------------------
+// The checkers complain
+
+#[test]
+fn a_forbidden_arrow_is_caught() {
+    let arrow = |from: &str, to: &str| vec![(from.to_string(), to.to_string())];
+    for (from, to) in [
+        ("numerics", "types"),
+        ("types", "handoff"),
+        ("handoff", "surface"),
+        ("toolpath", "surface"),
+        ("compare", "verify"),
+        ("refine", "compare"),
+        ("simulate", "refine"),
+        ("newcomer", "types"),
+    ] {
+        let complaints = forbidden_arrows(&arrow(from, to));
+        assert_eq!(complaints.len(), 1, "{from} -> {to}: {complaints:?}");
+    }
+    for (from, to) in [("types", "numerics"), ("dwell", "handoff"), ("refine", "simulate")] {
+        assert!(forbidden_arrows(&arrow(from, to)).is_empty(), "{from} -> {to}");
+    }
+    // Twice forbidden: by its layer, and as a judge; also when another crate lies between.
+    assert_eq!(forbidden_arrows(&arrow("verify", "schedule")).len(), 2);
+    let detour = [arrow("simulate", "numerics"), arrow("numerics", "dwell")].concat();
+    assert!(forbidden_arrows(&detour).contains(&"simulate sees dwell".to_string()));
+}
+
+#[test]
+fn an_impure_library_is_caught() {
+    for (source, found) in [
+        ("use std::fs;", vec!["std::fs"]),
+        ("use clap::Parser;", vec!["clap"]),
+        ("    println!(\"{x}\");", vec!["println!"]),
+        ("let t = std::time::Instant::now();", vec!["Instant"]),
+        ("planish_handoff::say(1);", vec!["planish_handoff"]),
+        // Not the thing itself.
+        ("// planish_handoff reads it with std::fs", vec![]),
+        ("let overclap = clapper(InstantValue);", vec![]),
+        ("pure();\n#[cfg(test)]\nmod tests { fn f() { println!(); } }", vec![]),
+    ] {
+        assert_eq!(mentions(source, &IMPURE), found, "{source}");
+    }
+    assert!(contains_word(concat!("#[ig", "nore = \"slow\"]"), UNFINISHED[2]));
+}

@@ -1,0 +1,257 @@
+//! The reference mirror: a flat silicon mirror and an ion beam, with published tool paths and dwell
+//! times (T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005).
+//!
+//! `PLANISH_REFERENCE` names the folder that holds `nsls2-mirror/`; without it the tests say so
+//! and pass.
+
+use std::path::{Path, PathBuf};
+
+use ndarray::{Array2, Ix2};
+use planish_dwell::{
+    bounded_least_squares::{self, Bound},
+    columns::Columns,
+};
+use planish_handoff::{
+    kind::Dtype,
+    npy::{self, ArrayData},
+};
+use planish_schedule::{constant_acceleration, position, pvt};
+use planish_simulate::{direct, simulate};
+use planish_testkit::{case_generator, ion_beam};
+use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_verify::{Verdict, VerifySettings, verify};
+use rand::RngExt;
+use rayon::prelude::*;
+
+const GRIDDED: planish_simulate::Settings = planish_simulate::Settings::Gridded;
+
+/// The mirror, its TIF, and where the other files are.
+struct Mirror {
+    dir: PathBuf,
+    desired: Surface,
+    tif: Tif,
+}
+
+/// The mirror; `None` when `PLANISH_REFERENCE` is not set.
+fn mirror() -> Option<Mirror> {
+    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
+        println!("skipped: PLANISH_REFERENCE is not set");
+        return None;
+    };
+    let dir = Path::new(&reference).join("nsls2-mirror");
+    let desired = Surface::new(grid(&dir, ""), map(&dir, "height_nm")).unwrap();
+    let tif = Tif::new(grid(&dir, "tif_"), map(&dir, "tif_nm_per_s")).unwrap();
+    Some(Mirror { dir, desired, tif })
+}
+
+fn load(dir: &Path, name: &str) -> ndarray::ArrayD<f64> {
+    match npy::read(&dir.join(format!("{name}.npy")), Dtype::F64).unwrap().0 {
+        ArrayData::F64(a) => a,
+        other => panic!("{name}: {:?}", other.dtype()),
+    }
+}
+
+fn map(dir: &Path, name: &str) -> Array2<f64> {
+    load(dir, name).into_dimensionality::<Ix2>().unwrap()
+}
+
+fn grid(dir: &Path, prefix: &str) -> Grid {
+    let axis = |name: &'static str| {
+        let mm: Vec<f64> = load(dir, &format!("{prefix}{name}")).iter().copied().collect();
+        Axis::from_coordinates(name, &mm).unwrap()
+    };
+    Grid { x: axis("x_mm"), y: axis("y_mm") }
+}
+
+impl Mirror {
+    fn points(&self, name: &str) -> Vec<[f64; 2]> {
+        map(&self.dir, name).outer_iter().map(|p| [p[0], p[1]]).collect()
+    }
+
+    /// The published path; a missing last control point mirrors the one before about the last
+    /// dwell point.
+    fn path(&self, name: &str) -> ToolPath {
+        let mut points = self.points(&format!("{name}_path_mm"));
+        let dwell_points = self.points(&format!("{name}_dwell_point_mm"));
+        let n = dwell_points.len();
+        if points.len() == n {
+            let (p, d) = (points[n - 1], dwell_points[n - 1]);
+            points.push([2.0 * d[0] - p[0], 2.0 * d[1] - p[1]]);
+        }
+        ToolPath::new(points, dwell_points, vec![true; n], vec![0; n]).unwrap()
+    }
+
+    fn dwell(&self, name: &str) -> DwellTime {
+        let dwell_s = load(&self.dir, &format!("{name}_udo_dwell_s"));
+        DwellTime::new(dwell_s.iter().copied().collect()).unwrap()
+    }
+
+    fn simulate(&self, trajectory: &Trajectory, settings: planish_simulate::Settings) -> Removal {
+        simulate(trajectory, &self.tif, &self.desired, settings).unwrap().removal
+    }
+}
+
+fn smooth(path: &ToolPath, dwell: &DwellTime) -> pvt::Schedule {
+    let settings = pvt::Settings { mode: pvt::Mode::Smooth, stretch: true };
+    pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap()
+}
+
+fn judge(trajectory: &Trajectory) -> Verdict {
+    verify(trajectory, &ion_beam(), &VerifySettings::default()).unwrap()
+}
+
+fn near(what: &str, found: f64, expected: f64, tolerance: f64) {
+    println!("{what}: {found} (expected {expected} +- {tolerance})");
+    assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected}");
+}
+
+#[test]
+fn initial_rms() {
+    let Some(mirror) = mirror() else { return };
+    // Stated to four decimals.
+    near("initial RMS, nm", mirror.desired.statistics().rms, 6.3167, 5e-5);
+}
+
+#[test]
+fn published_dwell_at_the_dwell_points_gives_the_published_maps() {
+    let Some(mirror) = mirror() else { return };
+    for (name, rms) in [("raster", 0.20434), ("maze", 0.26263)] {
+        let trajectory = position::schedule(&mirror.path(name), &mirror.dwell(name)).unwrap();
+        let published = map(&mirror.dir, &format!("{name}_udo_removal_nm"));
+        // Term by term the sum is the published one up to rounding. The gridded method takes the
+        // samples of the TIF, whose pitch differs from the map's by 2.5e-8, for its pixels.
+        let direct = planish_simulate::Settings::Direct { steps: 1 };
+        for (method, tolerance_nm) in [(direct, 1e-9), (GRIDDED, 1e-5)] {
+            let removal = mirror.simulate(&trajectory, method);
+            near(name, removal.residual().detilted_rms_nm(), rms, 1e-5);
+            let off = (removal.removal_nm() - &published).fold(0.0, |m: f64, v| m.max(v.abs()));
+            near(&format!("{name}: largest difference, nm, {method:?}"), off, 0.0, tolerance_nm);
+        }
+    }
+}
+
+#[test]
+fn published_dwell_executed_by_pvt() {
+    let Some(mirror) = mirror() else { return };
+    // Detilted RMS and largest accelerations of the clamped cubic spline, computed independently.
+    for (name, rms, acceleration) in
+        [("raster", 0.1962, [87.7, 53.2]), ("maze", 0.1998, [183.9, 214.9])]
+    {
+        let schedule = smooth(&mirror.path(name), &mirror.dwell(name));
+        let verdict = judge(&schedule.trajectory);
+        assert!(verdict.limits_respected, "{:?}", verdict.violations);
+        assert!(schedule.report.stretched.is_empty(), "{name}: {:?}", schedule.report.stretched);
+        for axis in 0..2 {
+            let (found, expected) = (verdict.max_acceleration_mm_per_s2[axis], acceleration[axis]);
+            near(&format!("{name}: acceleration of axis {axis}"), found, expected, 0.02 * expected);
+        }
+        let residual = mirror.simulate(&schedule.trajectory, GRIDDED);
+        near(name, residual.residual().detilted_rms_nm(), rms, 0.003);
+    }
+}
+
+#[test]
+fn published_maze_executed_by_constant_acceleration() {
+    let Some(mirror) = mirror() else { return };
+    let (path, dwell) = (mirror.path("maze"), mirror.dwell("maze"));
+    let schedule = constant_acceleration::schedule(&path, &dwell, &ion_beam()).unwrap();
+    let residual = mirror.simulate(&schedule.trajectory, GRIDDED);
+    near("maze", residual.residual().detilted_rms_nm(), 0.223, 0.003);
+}
+
+/// The two methods share nothing but the TIF. It ends with a step, so the midpoint
+/// rule is of order 1.
+#[test]
+fn gridded_agrees_with_direct_quadrature() {
+    let Some(mirror) = mirror() else { return };
+    let trajectory = smooth(&mirror.path("raster"), &mirror.dwell("raster")).trajectory;
+    let gridded = mirror.simulate(&trajectory, GRIDDED);
+    let grid = mirror.desired.grid();
+    let mut generator = case_generator(2023, 0, 0);
+    let (ny, nx) = grid.shape();
+    let pixels: Vec<(usize, usize)> =
+        (0..200).map(|_| (generator.random_range(0..ny), generator.random_range(0..nx))).collect();
+    let error = |steps: usize| {
+        let off = |&(r, c): &(usize, usize)| {
+            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let near = within_reach(&trajectory, &mirror.tif, x, y);
+            direct::removal_at_nm(&near, &mirror.tif, x, y, steps) - gridded.removal_nm()[[r, c]]
+        };
+        let squares: Vec<f64> = pixels.par_iter().map(|p| off(p).powi(2)).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let steps = [64, 256, 1024];
+    let errors = steps.map(error);
+    let order = (errors[0] / errors[2]).log2() / 4.0;
+    println!("steps {steps:?}: {errors:?} nm RMS, order {order:.3}");
+    assert!(errors[0] > errors[1] && errors[1] > errors[2], "{errors:?}");
+    // 200 pixels and the phase of the steps against the border scatter the order about 1.
+    assert!((0.7..1.5).contains(&order), "{order}");
+    assert!(errors[2] <= 1e-3, "{errors:?}");
+}
+
+/// The motion with the tool off where the TIF cannot reach (x, y).
+fn within_reach(trajectory: &Trajectory, tif: &Tif, x: f64, y: f64) -> Trajectory {
+    let [half_x, half_y] = tif.half_size_mm();
+    // Segments are short; a millimetre on top of the TIF covers their curvature.
+    let near = |s: planish_types::Segment<'_>| {
+        [0.0, 0.5, 1.0].iter().any(|u| {
+            let p = s.position_mm(u * s.duration_s);
+            (p[0] - x).abs() <= half_x + 1.0 && (p[1] - y).abs() <= half_y + 1.0
+        })
+    };
+    Trajectory::new(
+        trajectory.break_time_s().to_vec(),
+        trajectory.coefficient_mm().to_vec(),
+        trajectory.segments().map(near).collect(),
+        trajectory.dwell_index().to_vec(),
+    )
+    .unwrap()
+}
+
+#[test]
+fn best_dwell_on_the_published_raster_points() {
+    let Some(mirror) = mirror() else { return };
+    let path = mirror.path("raster");
+    let settings = bounded_least_squares::Settings {
+        columns: Columns::Point,
+        min_dwell: Bound::Seconds(0.1),
+        tikhonov: 1e-6,
+        smoothness: 0.0,
+        ..Default::default()
+    };
+    let solution =
+        bounded_least_squares::solve(&mirror.desired, &mirror.tif, &path, None, &settings).unwrap();
+    let trajectory = position::schedule(&path, &solution.dwell).unwrap();
+    let removal = mirror.simulate(&trajectory, GRIDDED);
+    near("total time, s", solution.dwell.total_s(), 434.7, 0.5);
+    near("residual, nm detilted", removal.residual().detilted_rms_nm(), 0.14845, 2e-5);
+}
+
+#[test]
+fn own_raster_own_dwell_executed_by_pvt() {
+    let Some(mirror) = mirror() else { return };
+    let [x, y] = mirror.tif.half_size_mm();
+    let settings = RasterSettings {
+        pitch_mm: 1.0,
+        step_mm: 1.0,
+        overscan_mm: x.max(y),
+        scan: Scan::X,
+        turn: Turn::Square,
+        line_origin_mm: None,
+    };
+    let path = raster(&mirror.desired, &settings).unwrap();
+    let settings =
+        bounded_least_squares::Settings { min_dwell: Bound::Seconds(0.1), ..Default::default() };
+    let solution =
+        bounded_least_squares::solve(&mirror.desired, &mirror.tif, &path, None, &settings).unwrap();
+    let schedule = smooth(&path, &solution.dwell);
+    let verdict = judge(&schedule.trajectory);
+    assert!(verdict.limits_respected, "{:?}", verdict.violations);
+    let rms = mirror.simulate(&schedule.trajectory, GRIDDED).residual().statistics().rms;
+    let minutes = schedule.trajectory.total_time_s() / 60.0;
+    println!("executed {rms} nm RMS in {minutes} min, {} points", path.len());
+    assert!(rms <= 0.150, "{rms} nm");
+    assert!(minutes <= 7.6, "{minutes} min");
+}
