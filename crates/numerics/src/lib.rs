@@ -4,6 +4,7 @@
 //! or when it is a textbook method that would hide the algorithm it serves.
 
 pub mod bounded;
+pub mod chain;
 pub mod cholesky;
 pub mod fft;
 pub mod keys;
