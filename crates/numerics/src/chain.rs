@@ -227,6 +227,7 @@ impl Scaled {
         at.s = self.rows.iter().zip(product).map(|(r, g)| (r.bound - g).max(1.0)).collect();
         // The last point that would be accepted: rounding may spoil the next.
         let mut accepted = None;
+        let mut lowest = f64::INFINITY;
         for _ in 0..MAX_ITERATIONS {
             let r = self.residual(&at);
             if r.is_within(TOLERANCE) {
@@ -249,9 +250,13 @@ impl Scaled {
                 (0..m).map(|j| (at.s[j] + a * step.s[j]) * (at.l[j] + a * step.l[j])).sum::<f64>()
                     / m as f64;
             let sigma = (after / r.mu).powi(3);
-            // Corrector.
-            let target: Vec<f64> =
-                (0..m).map(|j| at.s[j] * at.l[j] + step.s[j] * step.l[j] - sigma * r.mu).collect();
+            // Corrector. Where mu did not fall the second-order term can make the iteration go in
+            // circles: then a step towards the centre without it.
+            let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
+            lowest = lowest.min(r.mu);
+            let target: Vec<f64> = (0..m)
+                .map(|j| at.s[j] * at.l[j] + second * step.s[j] * step.l[j] - sigma * r.mu)
+                .collect();
             let step = self.step(&factor, &at, &r, &target);
             let a = (at.longest(&step) * (1.0 - r.mu).clamp(0.995, 0.9999)).min(1.0);
             if !(a > 1e-13) {
