@@ -6,7 +6,9 @@
 pub mod bounded;
 pub mod cholesky;
 pub mod fft;
+pub mod fourier;
 pub mod keys;
+pub mod orthogonal;
 pub mod polynomial;
 pub mod quadrature;
 pub mod statistics;
