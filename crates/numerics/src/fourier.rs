@@ -55,8 +55,7 @@ mod tests {
     fn a_wave_has_its_two_lines_and_the_inverse_gives_it_back() {
         let (ny, nx) = (12, 15);
         let z = Array2::from_shape_fn((ny, nx), |(r, c)| {
-            3.0 + 2.0
-                * (2.0 * PI * (2.0 * r as f64 / ny as f64 - 4.0 * c as f64 / nx as f64)).cos()
+            3.0 + 2.0 * (2.0 * PI * (2.0 * r as f64 / ny as f64 - 4.0 * c as f64 / nx as f64)).cos()
         });
         let spectrum = forward(z.view());
         for ((k, l), v) in spectrum.indexed_iter() {

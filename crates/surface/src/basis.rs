@@ -95,9 +95,9 @@ impl Basis {
     pub(crate) fn terms(&self) -> Vec<[i32; 2]> {
         match self {
             Self::Tensor { terms, .. } => terms.iter().map(|t| t.map(|k| k as i32)).collect(),
-            Self::Zernike { order, .. } => (0..=*order as i32)
-                .flat_map(|n| (-n..=n).step_by(2).map(move |m| [n, m]))
-                .collect(),
+            Self::Zernike { order, .. } => {
+                (0..=*order as i32).flat_map(|n| (-n..=n).step_by(2).map(move |m| [n, m])).collect()
+            }
         }
     }
 
@@ -164,9 +164,13 @@ pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<Fit, Invalid> {
     }
     let (gram, mut moments) = sums(basis, map, true);
     // G scaled to a unit diagonal: S G S, S = diag(1 / sqrt(G_kk))
-    let scale = DVector::from_fn(terms, |k, _| {
-        if gram[(k, k)] > 0.0 { 1.0 / gram[(k, k)].sqrt() } else { 0.0 }
-    });
+    let scale =
+        DVector::from_fn(
+            terms,
+            |k, _| {
+                if gram[(k, k)] > 0.0 { 1.0 / gram[(k, k)].sqrt() } else { 0.0 }
+            },
+        );
     let scaled = DMatrix::from_fn(terms, terms, |k, l| gram[(k, l)] * scale[k] * scale[l]);
     let off_diagonal = |k: usize, l: usize| if k == l { 0.0 } else { scaled[(k, l)].abs() };
     let largest_correlation = (0..terms)

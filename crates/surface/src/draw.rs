@@ -134,7 +134,8 @@ pub fn psd_svg(psd: &Psd) -> String {
     ];
     let radial = [along("radial mean", &psd.frequency_radial_per_mm, &psd.psd_radial_nm2_mm2)];
     let total = WIDTH + MARGIN[0] + MARGIN[2];
-    for (k, (lines, unit)) in [(&lines[..], "nm^2 mm"), (&radial[..], "nm^2 mm^2")].iter().enumerate()
+    for (k, (lines, unit)) in
+        [(&lines[..], "nm^2 mm"), (&radial[..], "nm^2 mm^2")].iter().enumerate()
     {
         let points = || lines.iter().flat_map(|l| l.points.iter().flatten());
         let over = |axis: usize| {
@@ -151,7 +152,11 @@ pub fn psd_svg(psd: &Psd) -> String {
         area.logarithmic_axes(&mut out, "spatial frequency (1/mm)", &format!("PSD ({unit})"));
         let logarithms = |l: &Line| Line {
             name: l.name.clone(),
-            points: l.points.iter().map(|p| p.iter().map(|q| q.map(f64::log10)).collect()).collect(),
+            points: l
+                .points
+                .iter()
+                .map(|p| p.iter().map(|q| q.map(f64::log10)).collect())
+                .collect(),
         };
         area.lines(&mut out, &lines.iter().map(logarithms).collect::<Vec<_>>());
         let title = if k == 0 { "one-sided, along lines" } else { "two-dimensional" };
@@ -292,9 +297,8 @@ fn colour(band: usize) -> String {
     let at = (band as f64 + 0.5) / BANDS as f64 * (COLOURS.len() - 1) as f64;
     let (k, f) = (at as usize, at.fract());
     let [low, high] = [COLOURS[k], COLOURS[k + 1]];
-    let mix = |i: usize| {
-        (f64::from(low[i]) + f * (f64::from(high[i]) - f64::from(low[i]))).round() as u8
-    };
+    let mix =
+        |i: usize| (f64::from(low[i]) + f * (f64::from(high[i]) - f64::from(low[i]))).round() as u8;
     format!("#{:02x}{:02x}{:02x}", mix(0), mix(1), mix(2))
 }
 
@@ -376,10 +380,7 @@ impl Area {
         );
         for (v, label) in x_ticks {
             let x = self.at([*v, self.y[0]])[0];
-            put(
-                out,
-                format_args!("<path stroke=\"#000000\" d=\"M{x:.1} {bottom:.1}v5\"/>\n"),
-            );
+            put(out, format_args!("<path stroke=\"#000000\" d=\"M{x:.1} {bottom:.1}v5\"/>\n"));
             text(out, x, bottom + 19.0, "middle", label);
         }
         for (v, label) in y_ticks {
@@ -402,7 +403,10 @@ impl Area {
     fn lines(&self, out: &mut String, lines: &[Line]) {
         for (k, line) in lines.iter().enumerate() {
             let colour = LINES[k % LINES.len()];
-            put(out, format_args!("<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\" d=\""));
+            put(
+                out,
+                format_args!("<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\" d=\""),
+            );
             for piece in &line.points {
                 for (i, p) in piece.iter().enumerate() {
                     let [x, y] = self.at(*p);
@@ -541,7 +545,9 @@ mod tests {
     fn a_large_map_is_drawn_in_few_cells_by_their_mean() {
         let (cells, block) = cells(&panel("", 400, 301, |r, c| ((r + c) % 2) as f64).map);
         assert_eq!((cells.dim(), block), ((101, 134), 3));
-        assert!(cells.iter().all(|v| (v - 0.5).abs() <= 0.25));
+        // Four or five of nine pixels are 1; blocks on the border are smaller.
+        let whole = cells.slice(s![..100, ..133]);
+        assert!(whole.iter().all(|v| (v - 0.5).abs() < 0.06));
     }
 
     #[test]

@@ -115,10 +115,7 @@ fn regions(flags: &Array2<bool>) -> Vec<Vec<(usize, usize)>> {
 }
 
 /// Left, right, below and above, where they are in the map.
-fn neighbours(
-    (r, c): (usize, usize),
-    (ny, nx): (usize, usize),
-) -> [Option<(usize, usize)>; 4] {
+fn neighbours((r, c): (usize, usize), (ny, nx): (usize, usize)) -> [Option<(usize, usize)>; 4] {
     [
         c.checked_sub(1).map(|c| (r, c)),
         (c + 1 < nx).then_some((r, c + 1)),

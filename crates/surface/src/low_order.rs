@@ -27,7 +27,7 @@
 use std::f64::consts::PI;
 
 use ndarray::Array2;
-use planish_types::{Axis, Invalid, Surface};
+use planish_types::{Axis, Grid, Invalid, Surface};
 use serde::Serialize;
 
 use crate::basis::{Basis, Fit, Polynomial, fit};
@@ -141,7 +141,7 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
     }
     let map = surface.height_nm();
     let valid_area_mm2 = surface.statistics().valid_count as f64 * grid.pixel_mm2();
-    let [x_mm, y_mm] = bounding_box_mm(surface);
+    let [x_mm, y_mm] = bounding_box_mm(map, grid);
     let by_degree = |order: u32| -> Vec<[u32; 2]> {
         (0..=order).flat_map(|n| (0..=n).map(move |j| [n - j, j])).collect()
     };
@@ -219,12 +219,11 @@ fn convention(family: Family) -> &'static str {
 }
 
 /// Smallest and largest x, and y, of the valid pixels, mm.
-fn bounding_box_mm(surface: &Surface) -> [[f64; 2]; 2] {
+pub(crate) fn bounding_box_mm(map: &Array2<f64>, grid: &Grid) -> [[f64; 2]; 2] {
     let mut found = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-    for ((r, c), z) in surface.height_nm().indexed_iter() {
+    for ((r, c), z) in map.indexed_iter() {
         if !z.is_nan() {
-            for (range, v) in found.iter_mut().zip([surface.grid().x.at(c), surface.grid().y.at(r)])
-            {
+            for (range, v) in found.iter_mut().zip([grid.x.at(c), grid.y.at(r)]) {
                 *range = [range[0].min(v), range[1].max(v)];
             }
         }
@@ -242,9 +241,9 @@ fn unit_circle(surface: &Surface, given: Option<Circle>) -> Result<Circle, Inval
             .fold(0.0, f64::max)
     };
     let Some(circle) = given else {
-        let centre_mm = bounding_box_mm(surface).map(|[low, high]| 0.5 * (low + high));
-        return Ok(Circle { centre_mm, radius_mm: farthest_mm(centre_mm) })
-            .and_then(|c| c.checked());
+        let centre_mm =
+            bounding_box_mm(surface.height_nm(), grid).map(|[low, high]| 0.5 * (low + high));
+        return Circle { centre_mm, radius_mm: farthest_mm(centre_mm) }.checked();
     };
     let circle = circle.checked()?;
     let farthest = farthest_mm(circle.centre_mm);
@@ -275,12 +274,9 @@ impl Circle {
 mod tests {
     use super::*;
     use planish_numerics::orthogonal;
-    use planish_types::Grid;
 
     fn grid(nx: usize, ny: usize) -> Grid {
-        let axis = |n: usize, step: f64| {
-            Axis::new(-0.5 * (n - 1) as f64 * step, step, n).unwrap()
-        };
+        let axis = |n: usize, step: f64| Axis::new(-0.5 * (n - 1) as f64 * step, step, n).unwrap();
         Grid { x: axis(nx, 0.1), y: axis(ny, 0.1) }
     }
 
@@ -423,7 +419,7 @@ mod tests {
         let surface = between(grid(41, 41), 0.0, 1.0, |x, _| x);
         let message = |s: LowOrderSettings| low_order(&surface, &s).unwrap_err().to_string();
         assert!(message(settings(Family::Legendre, 21)).contains("the order is 21"));
-        assert!(message(settings(Family::Legendre, 18)).contains("317 valid pixel(s) for 190"));
+        assert!(message(settings(Family::Legendre, 18)).contains("valid pixel(s) for 190 terms"));
         assert!(message(zernike(0.5, 2)).contains("a valid pixel is at 1"));
         assert!(message(zernike(f64::NAN, 2)).contains("radius NaN"));
         let mut map = Array2::from_elem((41, 41), f64::NAN);

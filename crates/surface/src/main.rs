@@ -333,7 +333,10 @@ fn prepare_stage(args: &PrepareArgs) -> Result<Status, Failure> {
         format!(", {} hole(s) filled ({} px)", f.holes, f.filled_pixels)
     });
     let extended = report.extended.as_ref().map_or(String::new(), |e| {
-        format!(", {} px extended ({:.2} .. {:.2} nm)", e.extended_pixels, e.range_nm[0], e.range_nm[1])
+        format!(
+            ", {} px extended ({:.2} .. {:.2} nm)",
+            e.extended_pixels, e.range_nm[0], e.range_nm[1]
+        )
     });
     say(format!(
         "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
@@ -422,7 +425,11 @@ fn extension_settings(args: &ExtensionArgs) -> Result<Option<ExtensionSettings>,
     // A flag of another method would be ignored in silence.
     let flags = [
         ("--extend-sigma-mm", args.extend_sigma_mm.is_some(), ExtendArg::GaussianDecay),
-        ("--extend-cutoff-per-mm", args.extend_cutoff_per_mm.is_some(), ExtendArg::GerchbergPapoulis),
+        (
+            "--extend-cutoff-per-mm",
+            args.extend_cutoff_per_mm.is_some(),
+            ExtendArg::GerchbergPapoulis,
+        ),
         ("--extend-iterations", args.extend_iterations.is_some(), ExtendArg::GerchbergPapoulis),
         ("--extend-tolerance-nm", args.extend_tolerance_nm.is_some(), ExtendArg::GerchbergPapoulis),
         ("--extend-order", args.extend_order.is_some(), ExtendArg::Polynomial),
@@ -438,7 +445,9 @@ fn extension_settings(args: &ExtensionArgs) -> Result<Option<ExtensionSettings>,
         }),
         ExtendArg::GerchbergPapoulis => {
             let cutoff_per_mm = args.extend_cutoff_per_mm.ok_or_else(|| {
-                Failure::new("--extend-cutoff-per-mm: is missing; 1 / (2 FWHM) of the tool is usual")
+                Failure::new(
+                    "--extend-cutoff-per-mm: is missing; 1 / (2 FWHM) of the tool is usual",
+                )
             })?;
             extension::Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
                 cutoff_per_mm,
@@ -610,7 +619,8 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
             map: tif.rate_nm_per_s().clone(),
         });
     }
-    let outline = args.outline.as_ref().map(|dir| stage.read("outline", dir).map(|s| panel(dir, &s)));
+    let outline =
+        args.outline.as_ref().map(|dir| stage.read("outline", dir).map(|s| panel(dir, &s)));
     if args.section_y_mm.is_some_and(|y| !y.is_finite()) {
         return Err(Failure::new("--section-y-mm: is not a number; give a y in mm"));
     }

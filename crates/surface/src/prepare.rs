@@ -415,22 +415,34 @@ mod tests {
     }
 
     #[test]
+    fn with_an_aperture_its_invalid_pixels_are_filled_and_no_others() {
+        let mut map = Array2::zeros(grid().shape());
+        // A dropout on the rim of the disc, which no ring of valid pixels encloses.
+        map.slice_mut(s![18..23, 44..60]).fill(f64::NAN);
+        let surface = tilted(map, 5.0, 1.0, 0.0);
+        let filling = PrepareSettings { fill: true, ..settings(disc(), Level::None) };
+        let done = prepare(&surface, &filling).unwrap();
+        assert!(done.report.filled.as_ref().unwrap().filled_pixels > 20);
+        let g = *done.surface.grid();
+        for ((r, c), z) in done.surface.height_nm().indexed_iter() {
+            let inside = (g.x.at(c) - 0.2).hypot(g.y.at(r) - 14.0) <= 2.0 + 1e-9;
+            assert_eq!(z.is_nan(), !inside, "{r} {c}");
+        }
+    }
+
+    #[test]
     fn a_masked_pit_is_filled_after_levelling_and_the_rest_of_the_map_is_what_it_was() {
         let mut map = Array2::zeros(grid().shape());
         map[[20, 30]] = -20.0;
         let surface = tilted(map, 5.0, 1.0, 0.0);
         let outliers = Some(OutlierSettings::for_feature_mm(2.0));
-        let plain = PrepareSettings { outliers, ..settings(disc(), Level::Piston) };
+        let plain = PrepareSettings { outliers, ..settings(None, Level::Piston) };
         let filling = PrepareSettings { fill: true, ..plain.clone() };
         let (without, with) =
             (prepare(&surface, &plain).unwrap(), prepare(&surface, &filling).unwrap());
         assert_eq!(with.report.filled.as_ref().unwrap().filled_pixels, 49);
-        for ((r, c), z) in with.surface.height_nm().indexed_iter() {
-            let g = with.surface.grid();
-            let outside = (g.x.at(c) - 0.2).hypot(g.y.at(r) - 14.0) > 2.0 + 1e-9;
-            assert_eq!(z.is_nan(), outside);
-            let was = without.surface.height_nm()[[r, c]];
-            assert!(was.is_nan() || was.to_bits() == z.to_bits());
+        for (z, was) in with.surface.height_nm().iter().zip(without.surface.height_nm()) {
+            assert!(z.is_finite() && (was.is_nan() || was.to_bits() == z.to_bits()));
         }
         // The map is a plane: so is what was filled.
         assert!(with.surface.detilted_rms_nm() < 1e-9);

@@ -159,8 +159,7 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     let at = |k: usize, n: usize, step: f64| fourier::frequency(k, n) / step;
     let frequency_2d_x_per_mm: Vec<f64> = order_x.iter().map(|k| at(*k, nx, dx)).collect();
     let frequency_2d_y_per_mm: Vec<f64> = order_y.iter().map(|k| at(*k, ny, dy)).collect();
-    let psd_2d_nm2_mm2 =
-        Array2::from_shape_fn((ny, nx), |(r, c)| power[[order_y[r], order_x[c]]]);
+    let psd_2d_nm2_mm2 = Array2::from_shape_fn((ny, nx), |(r, c)| power[[order_y[r], order_x[c]]]);
 
     let (frequency_x_per_mm, psd_x_nm2_mm) = along_rows(z.view(), dx, &w_x);
     let (frequency_y_per_mm, psd_y_nm2_mm) = along_rows(z.t(), dy, &w_y);
@@ -175,9 +174,9 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
             let sum: f64 = f.iter().zip(s).filter(|(f, _)| of(**f)).map(|(_, s)| s).sum();
             (sum * f[1]).sqrt()
         };
-        let both = psd_2d_nm2_mm2.indexed_iter().filter(|((r, c), _)| {
-            of(frequency_2d_x_per_mm[*c].hypot(frequency_2d_y_per_mm[*r]))
-        });
+        let both = psd_2d_nm2_mm2
+            .indexed_iter()
+            .filter(|((r, c), _)| of(frequency_2d_x_per_mm[*c].hypot(frequency_2d_y_per_mm[*r])));
         BandRms {
             band_per_mm: band,
             rms_nm: (both.map(|(_, s)| s).sum::<f64>() * df2).sqrt(),
@@ -438,9 +437,8 @@ mod tests {
     fn a_slanted_wave_is_where_its_vector_points() {
         // 6 periods along x in 20 mm, 4 along y in 9.6 mm.
         let g = Grid { x: Axis::new(0.0, 0.1, 200).unwrap(), y: Axis::new(0.0, 0.1, 96).unwrap() };
-        let surface = map(g, |(r, c)| {
-            (2.0 * PI * (6.0 * c as f64 / 200.0 + 4.0 * r as f64 / 96.0)).cos()
-        });
+        let surface =
+            map(g, |(r, c)| (2.0 * PI * (6.0 * c as f64 / 200.0 + 4.0 * r as f64 / 96.0)).cos());
         let p = psd(&surface, &settings(Window::Rectangular, vec![])).unwrap();
         let peaks: Vec<_> =
             p.psd_2d_nm2_mm2.indexed_iter().filter(|(_, s)| **s > 1e-6).map(|(at, _)| at).collect();

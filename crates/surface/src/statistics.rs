@@ -153,9 +153,7 @@ mod tests {
     #[test]
     fn one_bad_pixel_decides_the_pv_and_not_the_robust_pv() {
         let figure = |x: f64, y: f64| 10.0 * (x * x - y * y);
-        let with = |x: f64, y: f64| {
-            figure(x, y) + if x == -0.5 && y == -0.5 { 200.0 } else { 0.0 }
-        };
+        let with = |x: f64, y: f64| figure(x, y) + if x == -0.5 && y == -0.5 { 200.0 } else { 0.0 };
         let clean = surface_statistics(&map(true, 0.5, figure), None, None).unwrap();
         let dirty = surface_statistics(&map(true, 0.5, with), None, None).unwrap();
         assert!(dirty.pv_nm > clean.pv_nm + 150.0, "{dirty:?}");

@@ -99,11 +99,8 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
         ));
     }
     let scale = theta.iter().map(|s| s.1).collect::<Vec<f64>>();
-    let samples: Vec<[f64; 3]> = tif
-        .rate_nm_per_s()
-        .indexed_iter()
-        .map(|((r, c), v)| [g.x.at(c), g.y.at(r), *v])
-        .collect();
+    let samples: Vec<[f64; 3]> =
+        tif.rate_nm_per_s().indexed_iter().map(|((r, c), v)| [g.x.at(c), g.y.at(r), *v]).collect();
     let residual = |p: &[f64]| {
         samples.iter().map(|[x, y, v]| v - value(model, p, *x, *y)).collect::<Vec<f64>>()
     };

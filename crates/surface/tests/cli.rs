@@ -177,11 +177,12 @@ fn low_order_fill_and_extension_are_told_in_the_manifest() {
     let tmp = tempfile::tempdir().unwrap();
     write_surface(&tmp.path().join("in"));
     let arguments = "prepare --surface in --out out --level legendre --level-order 2 \
-                     --mask-outliers --feature-mm 3 --fill --extend nearest --extend-mm 0.95";
+                     --mask-outliers --feature-mm 3 --outlier-dilate-px 1 --fill \
+                     --extend nearest --extend-mm 0.95";
     let output = surface_command(tmp.path(), &arguments.split_whitespace().collect::<Vec<_>>());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let said = String::from_utf8(output.stdout).unwrap();
-    assert!(said.contains("1 hole(s) filled (144 px)"), "{said}");
+    assert!(said.contains("1 hole(s) filled (64 px)"), "{said}");
     let (surface, manifest) = read(&tmp.path().join("out"));
     // 0.95 mm are 10 px; nothing is invalid; the map is a plane, of which nothing is left.
     assert_eq!(surface.height_nm().dim(), (80, 100));
@@ -233,12 +234,16 @@ fn statistics_and_spectrum_of_a_wave() {
     let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!((found["rms_nm"].as_f64().unwrap() - 2.0_f64.sqrt()).abs() < 1e-12);
     assert_eq!(found["pvr"]["family"], "legendre");
-    let line = "psd --surface in --detrend mean --band-per-mm 0.5 1.5 --band-per-mm 1.5 4 --out out";
+    let line =
+        "psd --surface in --detrend mean --band-per-mm 0.5 1.5 --band-per-mm 1.5 4 --out out";
     let arguments: Vec<_> = line.split_whitespace().collect();
     let output = surface_command(tmp.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let said = String::from_utf8(output.stdout).unwrap();
-    assert!(said.contains("0.5 .. 1.5 /mm: 1.4142 nm RMS (along x 1.4142, along y 0.0000)"), "{said}");
+    assert!(
+        said.contains("0.5 .. 1.5 /mm: 1.4142 nm RMS (along x 1.4142, along y 0.0000)"),
+        "{said}"
+    );
     let out = tmp.path().join("out");
     let (f, s) = (array(&out, "frequency_x_per_mm"), array(&out, "psd_x_nm2_mm"));
     let strongest = s.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
@@ -257,7 +262,8 @@ fn statistics_and_spectrum_of_a_wave() {
 fn a_tool_is_centred_turned_resampled_and_fitted() {
     let tmp = tempfile::tempdir().unwrap();
     write_tif(&tmp.path().join("tif"));
-    let line = "tif --tif tif --centre centroid --rotate-deg 90 --pitch-mm 0.2 --fit gaussian --out out";
+    let line =
+        "tif --tif tif --centre centroid --rotate-deg 90 --pitch-mm 0.2 --fit gaussian --out out";
     let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let outcome = &manifest(&tmp.path().join("out"))["outcome"];
@@ -288,9 +294,10 @@ fn maps_and_tools_are_drawn() {
     let tmp = tempfile::tempdir().unwrap();
     write_surface(&tmp.path().join("in"));
     write_tif(&tmp.path().join("tif"));
-    for line in
-        ["draw --surface in --surface in --outline in --common-scale --out a.svg", "draw --tif tif --out b.svg"]
-    {
+    for line in [
+        "draw --surface in --surface in --outline in --common-scale --out a.svg",
+        "draw --tif tif --out b.svg",
+    ] {
         let arguments: Vec<_> = line.split_whitespace().collect();
         let output = surface_command(tmp.path(), &arguments);
         assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -329,7 +336,10 @@ fn bad_input_of_the_other_commands_ends_with_2_and_no_output() {
         ("prepare --surface in --extend nearest --extend-mm NaN", "is NaN mm"),
         ("prepare --surface in --extend nearest --extend-mm 1e5", "at most 25000000 pixels"),
         ("prepare --surface in --extend nearest --extend-mm 1 --extend-sigma-mm 1", "has no use"),
-        ("prepare --surface in --extend gerchberg-papoulis --extend-mm 1", "cutoff-per-mm: is missing"),
+        (
+            "prepare --surface in --extend gerchberg-papoulis --extend-mm 1",
+            "cutoff-per-mm: is missing",
+        ),
         ("psd --surface in --band-per-mm 90 100", "holds no frequency"),
         ("psd --surface in --removal in", "cannot be used with"),
         ("tif --tif zero", "no positive rate"),

@@ -14,10 +14,8 @@ const SIGMA_MM: f64 = 0.8;
 const PITCH_MM: f64 = 0.2;
 
 fn map() -> Surface {
-    let grid = Grid {
-        x: Axis::new(0.0, PITCH_MM, 51).unwrap(),
-        y: Axis::new(0.0, PITCH_MM, 31).unwrap(),
-    };
+    let grid =
+        Grid { x: Axis::new(0.0, PITCH_MM, 51).unwrap(), y: Axis::new(0.0, PITCH_MM, 31).unwrap() };
     let z = Array2::from_shape_fn(grid.shape(), |(r, c)| {
         let (x, y) = (grid.x.at(c), grid.y.at(r));
         20.0 + 6.0 * (0.6 * x).cos() + 4.0 * (0.8 * y).sin()
