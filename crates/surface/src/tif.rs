@@ -21,7 +21,8 @@
 //! nearest border in units of the half size. To a finer pitch K interpolates; to a coarser one it is
 //! stretched, so that what the new lattice cannot hold is averaged, not aliased. Both are exact for
 //! quadratics: a smooth TIF is not widened. Rotation and pitch keep the volumetric removal rate (VRR)
-//! exactly: the samples are scaled by what the interpolation lost, and the report states it.
+//! exactly: the samples are scaled by what the interpolation lost, and the report states it. Where it
+//! swings below zero beside a steep edge, it is clipped.
 //!
 //! None of this is needed by the solvers and the simulator: they take a TIF of any pitch, with an
 //! odd or even number of samples, centred or not, as it is: R(pixel - tool). A TIF whose centroid
@@ -319,11 +320,18 @@ fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
         lattice(low, high, step)
     };
     let grid = Grid { x: axis(0, g.x.step_mm())?, y: axis(1, g.y.step_mm())? };
+    let least = least_rate(tif);
     let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
         let (x, y) = (grid.x.at(c), grid.y.at(r));
-        turned.rate_at(x * cos + y * sin, y * cos - x * sin)
+        turned.rate_at(x * cos + y * sin, y * cos - x * sin).max(least)
     });
     Tif::new(grid, rate)
+}
+
+/// The smallest sample, or 0: beside a steep edge the interpolation swings below it, and no tool
+/// adds material.
+fn least_rate(tif: &Tif) -> f64 {
+    tif.rate_nm_per_s().iter().copied().fold(0.0, f64::min)
 }
 
 /// An angle as 0 to 3 quarter turns and at most 45 degrees more or less.
@@ -369,7 +377,8 @@ fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
     let grid = Grid { x: new(&g.x)?, y: new(&g.y)? };
     // R' = W_y R W_x^T
     let (wx, wy) = (weights(&g.x, &grid.x), weights(&g.y, &grid.y));
-    Tif::new(grid, wy.dot(tif.rate_nm_per_s()).dot(&wx.t()))
+    let least = least_rate(tif);
+    Tif::new(grid, wy.dot(tif.rate_nm_per_s()).dot(&wx.t()).mapv(|v| v.max(least)))
 }
 
 /// What sample `i` of the old axis contributes to sample `k` of the new one, (new, old).
@@ -620,6 +629,23 @@ mod tests {
         let (low, high) =
             middle.iter().fold((9.0_f64, 0.0_f64), |(l, h), v| (l.min(*v), h.max(*v)));
         assert!(high - low < 0.05 * high, "{low} {high}");
+    }
+
+    #[test]
+    fn beside_a_steep_edge_no_rate_is_negative() {
+        let axis = Axis::new(-3.0, 0.2, 31).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            if axis.at(c).hypot(axis.at(r)) < 1.5 { 4.0 } else { 0.0 }
+        });
+        let top_hat = Tif::new(grid, rate).unwrap();
+        for (rotate_deg, pitch_mm) in [(20.0, None), (0.0, Some(0.13)), (0.0, Some(0.31))] {
+            let s = TifSettings { rotate_deg, pitch_mm, ..settings() };
+            let (t, report) = prepare_tif(&top_hat, &s).unwrap();
+            assert!(t.rate_nm_per_s().iter().all(|v| *v >= 0.0), "{s:?}");
+            let vrr = [report.before, report.after].map(|s| s.vrr_nm_mm2_per_s);
+            assert!((vrr[1] / vrr[0] - 1.0).abs() < 1e-12);
+        }
     }
 
     #[test]
