@@ -179,7 +179,8 @@ pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<Fit, Invalid> {
         .fold(0.0, f64::max);
     let eigen = scaled.symmetric_eigen();
     let (least, most) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
-    if !(least > LEAST_EIGENVALUE * most) {
+    let told_apart = least > LEAST_EIGENVALUE * most;
+    if !told_apart {
         return Err(Invalid::whole(
             "low order",
             format!("{terms} terms cannot be told apart on the {valid} valid pixels"),

@@ -481,7 +481,8 @@ fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
         FamilyArg::Chebyshev => Family::Chebyshev,
     });
     let found = surface_statistics(&surface, family, circle(&args.zernike_circle_mm))?;
-    refuse_circle(args.zernike_circle_mm.is_some() && found.pvr.family != Family::Zernike)?;
+    let zernike = found.pvr.as_ref().is_some_and(|p| p.family == Family::Zernike);
+    refuse_circle(args.zernike_circle_mm.is_some() && !zernike)?;
     say(serde_json::to_string_pretty(&found)?);
     Ok(Status::Done)
 }

@@ -39,8 +39,11 @@ pub struct SurfaceStatistics {
     pub rms_detilted_nm: f64,
     /// Largest minus smallest height, nm.
     pub pv_nm: f64,
-    /// The robust PV.
-    pub pvr: RobustPv,
+    /// The robust PV; absent where its terms cannot be fitted.
+    pub pvr: Option<RobustPv>,
+    /// Why it is absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pvr_note: Option<String>,
 }
 
 /// PVr and its parts.
@@ -61,13 +64,21 @@ pub struct RobustPv {
 }
 
 /// Describes `surface`. `family` of the fit of PVr; `None` takes Zernike terms where the valid
-/// pixels fill less than 90 % of their bounding box, else Legendre terms.
+/// pixels fill less than 90 % of their bounding box, else Legendre terms. `circle` is the unit circle
+/// of Zernike terms, as in [`LowOrderSettings`].
 pub fn surface_statistics(
     surface: &Surface,
     family: Option<Family>,
     circle: Option<Circle>,
 ) -> Result<SurfaceStatistics, Invalid> {
     let s = surface.statistics();
+    let family = family.unwrap_or_else(|| suited(surface));
+    let (pvr, pvr_note) = match robust_pv(surface, family, circle) {
+        Ok(pvr) => (Some(pvr), None),
+        // A map that is too small for 36 terms still has an RMS; a wrong circle is a mistake.
+        Err(e) if circle.is_none() => (None, Some(e.to_string())),
+        Err(e) => return Err(e),
+    };
     Ok(SurfaceStatistics {
         shape: surface.height_nm().dim(),
         valid_pixels: s.valid_count,
@@ -76,7 +87,8 @@ pub fn surface_statistics(
         rms_nm: s.rms,
         rms_detilted_nm: surface.detilted_rms_nm(),
         pv_nm: s.pv,
-        pvr: robust_pv(surface, family.unwrap_or_else(|| suited(surface)), circle)?,
+        pvr,
+        pvr_note,
     })
 }
 
@@ -140,13 +152,13 @@ mod tests {
         // Astigmatism: 20 nm PV on the disc; on the square x^2 - y^2 too.
         for (round, family) in [(true, Family::Zernike), (false, Family::Legendre)] {
             let figure = |x: f64, y: f64| 10.0 * (x * x - y * y);
-            let s = surface_statistics(&map(round, 0.5, figure), None, None).unwrap();
-            assert_eq!(s.pvr.family, family);
+            let s = surface_statistics(&map(round, 0.5, figure), None, None).unwrap().pvr.unwrap();
+            assert_eq!(s.family, family);
             // The noise of 30000 pixels is known to 0.5 %; in the fit it is 0.5 sqrt(36 / 30000)
             // RMS, at the rim some times that.
-            assert!((s.pvr.rest_rms_nm / 0.5 - 1.0).abs() < 0.02, "{s:?}");
-            assert!((s.pvr.fit_pv_nm - 20.0).abs() < 0.3, "{s:?}");
-            assert_eq!(s.pvr.pvr_nm, s.pvr.fit_pv_nm + 3.0 * s.pvr.rest_rms_nm);
+            assert!((s.rest_rms_nm / 0.5 - 1.0).abs() < 0.02, "{s:?}");
+            assert!((s.fit_pv_nm - 20.0).abs() < 0.3, "{s:?}");
+            assert_eq!(s.pvr_nm, s.fit_pv_nm + 3.0 * s.rest_rms_nm);
         }
     }
 
@@ -158,6 +170,19 @@ mod tests {
         let dirty = surface_statistics(&map(true, 0.5, with), None, None).unwrap();
         assert!(dirty.pv_nm > clean.pv_nm + 150.0, "{dirty:?}");
         // 200 nm on one of 31400 pixels: sqrt(0.5^2 + 200^2 / 31400) = 1.23 nm RMS.
-        assert!(dirty.pvr.pvr_nm < clean.pvr.pvr_nm + 4.0, "{dirty:?}");
+        let pvr = |s: SurfaceStatistics| s.pvr.unwrap().pvr_nm;
+        assert!(pvr(dirty) < pvr(clean) + 4.0);
+    }
+
+    #[test]
+    fn a_map_that_is_too_small_for_the_fit_still_has_its_rms() {
+        let axis = Axis::new(0.0, 1.0, 2).unwrap();
+        let four = Array2::from_shape_fn((2, 2), |(r, c)| (r + c) as f64);
+        let four = Surface::new(Grid { x: axis, y: axis }, four).unwrap();
+        let s = surface_statistics(&four, None, None).unwrap();
+        assert_eq!((s.rms_nm, s.pvr), (0.5_f64.sqrt(), None));
+        assert!(s.pvr_note.unwrap().contains("4 valid pixel(s) for 36 terms"));
+        let circle = Circle { centre_mm: [0.0; 2], radius_mm: 0.0 };
+        assert!(surface_statistics(&four, Some(Family::Zernike), Some(circle)).is_err());
     }
 }

@@ -70,15 +70,15 @@ fn odd_even_shifted_and_lopsided_samples_of_one_tool_do_the_same() {
     ];
     for (name, tool) in others {
         let (rms, dwell, removal) = residual(&tool);
-        // Keys' interpolation of a Gaussian with four samples per sigma: its third-order error
-        // is below 2e-3 of the rate, and alternates in sign, so less in the removal.
-        assert!((rms - odd.0).abs() < 0.02, "{name}: {rms} nm, odd {} nm", odd.0);
-        let worst = |a: &mut dyn Iterator<Item = f64>| a.fold(0.0_f64, |m, v| m.max(v.abs()));
-        let difference = worst(&mut (&removal - &odd.2).iter().copied());
-        assert!(difference < 0.1, "{name}: removal differs by {difference} nm");
+        // Keys' interpolation of a Gaussian with four samples per sigma errs by 2e-3 of the rate at
+        // most, with alternating sign: in a removal of 30 nm 2e-3 nm are left (the samples
+        // shifted by a fraction of a pixel), and 2e-4 of the total time.
+        assert!((rms - odd.0).abs() < 1e-3, "{name}: {rms} nm, odd {} nm", odd.0);
+        let difference = (&removal - &odd.2).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        assert!(difference < 1e-2, "{name}: removal differs by {difference} nm");
         let total: f64 = dwell.iter().sum();
         let want: f64 = odd.1.iter().sum();
-        assert!((total / want - 1.0).abs() < 1e-2, "{name}: {total} s, odd {want} s");
+        assert!((total / want - 1.0).abs() < 1e-3, "{name}: {total} s, odd {want} s");
     }
 }
 
