@@ -9,7 +9,7 @@
 //! chebyshev   phi = T_i(u) T_j(v),   i + j <= order
 //! ```
 //!
-//! All coefficients are fitted together by least squares on the valid pixels ([`crate::basis`]);
+//! All coefficients are fitted together by least squares on the valid pixels (`basis.rs`);
 //! none is an inner product. So what is removed depends only on the order, not on whether the terms
 //! are orthogonal on this aperture. The coefficients do depend on it: on an annulus, or where
 //! pixels are missing, a term is not orthogonal to the others, and its coefficient changes when
