@@ -3,7 +3,6 @@
 //! * `architecture`: who may name whom, and what a library must not do.
 //! * `conventions`: every statement of `docs/conventions.md`.
 //! * `schedulers`: random paths through every scheduler, judged by `planish-verify`.
-//! * `tif_shapes`: tools of any sampling through solver and simulator.
 //! * `end_to_end`: a fixture through all binaries.
 //! * `reference`: the reference mirror, where `PLANISH_REFERENCE` names its folder.
 
