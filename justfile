@@ -41,6 +41,7 @@ ci: test
 # Write the generated pages and pictures in docs/
 docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
     @cargo run --quiet --locked -p planish-handoff --example formats > docs/formats.md
+    @just surface-pictures
 
 # Draw a path over a fixture to docs/paths/NAME.svg
 picture name method fixture flags: build
@@ -48,6 +49,47 @@ picture name method fixture flags: build
     @target/release/planish-fixture fixtures/{{ fixture }}.json --out out/pictures/{{ fixture }} --force
     @target/release/planish-toolpath {{ method }} --surface out/pictures/{{ fixture }}/surface --tif out/pictures/{{ fixture }}/tif {{ flags }} --out out/pictures/{{ name }} --force
     @target/release/planish-toolpath draw --tool-path out/pictures/{{ name }} --surface out/pictures/{{ fixture }}/surface --out docs/paths/{{ name }}.svg --force
+
+# Draw the pictures of docs/surface.md to docs/surface/
+surface-pictures: build
+    #!/bin/sh
+    set -eu
+    surface() { target/release/planish-surface "$@" --force; }
+    for name in coupon flat-92x16 disk-100 square-200; do
+        target/release/planish-fixture fixtures/$name.json --out out/pictures/$name --force
+    done
+    at=out/pictures/surface-page
+    mkdir -p docs/surface $at
+    # Low order: the disk without its plane, and without its Zernike terms up to n = 4
+    disk=out/pictures/disk-100/surface
+    surface prepare --surface $disk --level plane --out $at/plane
+    surface prepare --surface $disk --level zernike --level-order 4 --out $at/zernike-4
+    surface draw --surface $at/plane --surface $at/zernike-4 --out docs/surface/low-order.svg
+    # Outliers and holes: the surroundings of the pit
+    part="--surface out/pictures/flat-92x16/surface --aperture-rectangle-mm 20 32 7 15.6 --level plane"
+    surface prepare $part --out $at/measured
+    surface prepare $part --mask-outliers --feature-mm 4 --out $at/masked
+    surface prepare $part --mask-outliers --feature-mm 4 --fill --out $at/filled
+    surface draw --surface $at/measured --surface $at/masked --surface $at/filled --section-y-mm 12 \
+        --out docs/surface/outliers.svg
+    # Extension of the coupon by half its tool
+    coupon=out/pictures/coupon/surface
+    extend="prepare --surface $coupon --level plane --extend-mm 3.5 --extend"
+    surface prepare --surface $coupon --level plane --out $at/coupon
+    surface $extend nearest --out $at/nearest
+    surface $extend gaussian-decay --out $at/gaussian-decay
+    surface $extend gerchberg-papoulis --extend-cutoff-per-mm 0.21 --out $at/gerchberg-papoulis
+    surface $extend polynomial --out $at/polynomial
+    surface draw --surface $at/nearest --surface $at/gaussian-decay --surface $at/gerchberg-papoulis \
+        --surface $at/polynomial --outline $at/coupon --common-scale --out docs/surface/extension.svg
+    # Spectrum
+    surface psd --surface out/pictures/flat-92x16/surface --band-per-mm 0.1 1 --out $at/psd
+    cp $at/psd/psd.svg docs/surface/psd.svg
+    # A magnetorheological spot, turned, and on a coarser lattice
+    tool=out/pictures/square-200/tif
+    surface tif --tif $tool --rotate-deg 30 --out $at/turned
+    surface tif --tif $tool --centre centroid --pitch-mm 1.5 --out $at/coarse
+    surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
 # Run docs/replace_a_stage.py in the place of the dwell solver (makes its own virtual environment)
 python-example: build

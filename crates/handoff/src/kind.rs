@@ -315,6 +315,75 @@ pub const VERDICT: Kind = Kind {
     files: &[],
 };
 
+/// Power spectral densities of a map.
+pub const PSD: Kind = Kind {
+    name: "psd",
+    version: 1,
+    doc: "Power spectral densities of the largest rectangle of valid pixels of a map. The sum of a density times the steps of its frequencies is the mean square height; window, detrending and the RMS in bands are in the manifest.",
+    frame: "spatial frequency along x and y of the map; arrays are [y, x]; frequencies ascend",
+    arrays: &[
+        array(
+            "psd_2d_nm2_mm2",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["fy", "fx"],
+            "nm^2 mm^2",
+            "Two-dimensional, for both signs of the frequencies.",
+        ),
+        array(
+            "frequency_2d_x_per_mm",
+            Dtype::F64,
+            &["nx"],
+            &["fx"],
+            "1/mm",
+            "Frequencies along x of the two-dimensional density.",
+        ),
+        array(
+            "frequency_2d_y_per_mm",
+            Dtype::F64,
+            &["ny"],
+            &["fy"],
+            "1/mm",
+            "Frequencies along y of the two-dimensional density.",
+        ),
+        array(
+            "psd_x_nm2_mm",
+            Dtype::F64,
+            &["kx"],
+            &["fx"],
+            "nm^2 mm",
+            "One-sided along x, mean of the rows.",
+        ),
+        array("frequency_x_per_mm", Dtype::F64, &["kx"], &["fx"], "1/mm", "Its frequencies."),
+        array(
+            "psd_y_nm2_mm",
+            Dtype::F64,
+            &["ky"],
+            &["fy"],
+            "nm^2 mm",
+            "One-sided along y, mean of the columns.",
+        ),
+        array("frequency_y_per_mm", Dtype::F64, &["ky"], &["fy"], "1/mm", "Its frequencies."),
+        array(
+            "psd_radial_nm2_mm2",
+            Dtype::F64,
+            &["kr"],
+            &["f"],
+            "nm^2 mm^2",
+            "Mean of the two-dimensional density over rings.",
+        ),
+        array(
+            "frequency_radial_per_mm",
+            Dtype::F64,
+            &["kr"],
+            &["f"],
+            "1/mm",
+            "Middles of the rings.",
+        ),
+    ],
+    files: &["psd.svg"],
+};
+
 /// Numbers for people and programs.
 pub const REPORT: Kind = Kind {
     name: "report",
@@ -326,8 +395,18 @@ pub const REPORT: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 9] =
-    [&SURFACE, &TIF, &TOOL_PATH, &DWELL, &TRAJECTORY, &REMOVAL, &ITERATIONS, &VERDICT, &REPORT];
+pub const ALL: [&Kind; 10] = [
+    &SURFACE,
+    &TIF,
+    &TOOL_PATH,
+    &DWELL,
+    &TRAJECTORY,
+    &REMOVAL,
+    &ITERATIONS,
+    &VERDICT,
+    &PSD,
+    &REPORT,
+];
 
 /// `docs/formats.md`.
 pub fn formats_markdown() -> String {

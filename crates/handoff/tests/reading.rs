@@ -367,7 +367,8 @@ fn every_kind_has_unique_names_and_known_shapes() {
             assert_eq!(a.shape.len(), a.axes.len(), "{name}/{}", a.name);
             // The unit is in the name wherever there is one.
             let plain = a.unit == "1" || a.name == "coefficient_mm";
-            let unit = a.unit.replace('/', "_per_");
+            let unit = a.unit.replace("1/", "per_").replace('/', "_per_");
+            let unit = unit.replace('^', "").replace(' ', "_");
             assert!(plain || a.name.ends_with(&format!("_{unit}")), "{name}/{}", a.name);
         }
     }

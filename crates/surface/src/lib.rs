@@ -1,12 +1,30 @@
-//! Conditioning of a measured map before the solvers see it.
+//! Conditioning of a measured map, and of a measured tool, before the solvers see them.
 //!
-//! * [`mod@prepare`]: clear aperture, outlier mask and level, in this order.
+//! * [`mod@prepare`]: clear aperture, outlier mask, level, fill and extension, in this order.
 //! * [`outliers`]: finds pits and dust that are too narrow for the tool.
+//! * [`mod@low_order`]: Zernike, Legendre and Chebyshev terms by least squares.
+//! * [`mod@fill`]: heights for holes.
+//! * [`extension`]: heights beyond the clear aperture, four methods.
+//! * [`statistics`], [`psd`]: numbers that describe a map.
+//! * [`tif`], [`tif_fit`]: a tool influence function made ready, and described by a formula.
+//! * [`draw`]: pictures of maps and spectra.
 
+mod basis;
+mod distance;
+pub mod draw;
+pub mod extension;
+pub mod fill;
+pub mod low_order;
 mod median;
 pub mod outliers;
 pub mod prepare;
+pub mod psd;
+pub mod statistics;
+pub mod tif;
+pub mod tif_fit;
 
+pub use extension::{ExtensionSettings, extend};
+pub use low_order::{Family, LowOrderSettings, low_order};
 pub use outliers::{OutlierSettings, Outliers};
 pub use prepare::{Level, PrepareSettings, Prepared, prepare};
 

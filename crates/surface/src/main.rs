@@ -1,17 +1,36 @@
-//! `planish-surface`: conditions a measured map.
+//! `planish-surface`: conditions measured maps and tools, and describes them.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
-use planish_surface::{
-    Level, OutlierSettings, PrepareSettings, outliers::half_maximum_width_mm, prepare,
+use ndarray::Array1;
+use planish_handoff::{
+    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
 };
-use planish_types::{ClearAperture, Surface, Tif};
+use planish_surface::{
+    Level, OutlierSettings, PrepareSettings,
+    draw::{MapsSettings, Panel, maps_svg, psd_svg},
+    extension::{self, ExtensionSettings, gaussian_decay, gerchberg_papoulis, polynomial},
+    low_order::{Circle, Family, LowOrderSettings},
+    outliers::half_maximum_width_mm,
+    prepare,
+    psd::{Detrend, Psd, PsdSettings, Window, psd},
+    statistics::surface_statistics,
+    tif::{Centre, TifSettings, prepare_tif},
+    tif_fit,
+};
+use planish_types::{ClearAperture, Removal, Surface, Tif};
+use serde_json::json;
 
 const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
+const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Conditions a measured map: clear aperture, outlier mask, level
+/// Conditions measured maps and tools, and describes them
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Cli {
@@ -21,8 +40,17 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Method {
-    /// Makes the desired removal: crops to the clear aperture, masks outliers, levels
+    /// Makes the desired removal: crops to the clear aperture, masks outliers, levels; on request
+    /// fills holes and extends beyond the aperture
     Prepare(Box<PrepareArgs>),
+    /// Prints RMS, PV and robust PV of a map, or of a residual, as JSON
+    Statistics(StatisticsArgs),
+    /// Power spectral densities of a map, or of a residual, and the RMS in bands
+    Psd(PsdArgs),
+    /// Makes a measured tool ready: border, centre, rotation, pitch, taper; or fits a formula to it
+    Tif(TifArgs),
+    /// Draws maps and a section through them as SVG
+    Draw(DrawArgs),
 }
 
 #[derive(Debug, Args)]
@@ -30,22 +58,38 @@ struct PrepareArgs {
     /// Measured map
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// What to subtract: nothing, a constant (smallest height 0), or the plane and a constant
+    /// What to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms
+    /// up to --level-order and a constant
     #[arg(long, value_enum, default_value_t = LevelArg::Piston)]
     level: LevelArg,
+    /// Highest order of the terms: n of zernike, i + j of legendre and chebyshev; at most 20
+    #[arg(long, value_name = "N")]
+    level_order: Option<u32>,
+    /// Unit circle of the zernike terms, mm [default: about the valid pixels]
+    #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
+    zernike_circle_mm: Option<Vec<f64>>,
     #[command(flatten)]
     aperture: ApertureArgs,
     #[command(flatten)]
     outliers: OutlierArgs,
+    /// Fill invalid pixels of the clear aperture, or enclosed ones where none is given, smoothly
+    /// from their rims (for programs that cannot skip them; the solvers here do)
+    #[arg(long)]
+    fill: bool,
+    #[command(flatten)]
+    extension: ExtensionArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum LevelArg {
     None,
     Piston,
     Plane,
+    Zernike,
+    Legendre,
+    Chebyshev,
 }
 
 #[derive(Debug, Args)]
@@ -55,7 +99,7 @@ struct ApertureArgs {
     #[arg(long, num_args = 4, value_names = RECTANGLE, allow_negative_numbers = true)]
     aperture_rectangle_mm: Option<Vec<f64>>,
     /// Clear aperture: pixel centres in this circle, mm
-    #[arg(long, num_args = 3, value_names = ["CX", "CY", "R"], allow_negative_numbers = true)]
+    #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
     aperture_circle_mm: Option<Vec<f64>>,
     /// Clear aperture: pixels that are 1 in this .npy array (ny, nx)
     #[arg(long, value_name = "FILE")]
@@ -87,23 +131,192 @@ struct OutlierArgs {
     outlier_dilate_px: Option<usize>,
 }
 
+#[derive(Debug, Args)]
+struct ExtensionArgs {
+    /// Give every pixel beyond the clear aperture a height (for methods by Fourier transform; the
+    /// least-squares solvers need none)
+    #[arg(long, value_enum, value_name = "METHOD", requires = "extend_mm")]
+    extend: Option<ExtendArg>,
+    /// Margin on every side, mm
+    #[arg(long, value_name = "M", requires = "extend")]
+    extend_mm: Option<f64>,
+    /// gaussian-decay: standard deviation, mm [default: a third of the margin]
+    #[arg(long, value_name = "S", requires = "extend")]
+    extend_sigma_mm: Option<f64>,
+    /// gerchberg-papoulis: highest spatial frequency, 1/mm; 1 / (2 FWHM) of the tool is usual
+    #[arg(long, value_name = "F", requires = "extend")]
+    extend_cutoff_per_mm: Option<f64>,
+    /// gerchberg-papoulis: most steps [default: 300]
+    #[arg(long, value_name = "N", requires = "extend")]
+    extend_iterations: Option<usize>,
+    /// gerchberg-papoulis: stop when no height changes by more, nm [default: 1e-3]
+    #[arg(long, value_name = "NM", requires = "extend")]
+    extend_tolerance_nm: Option<f64>,
+    /// polynomial: highest orders along x and y [default: 9 6]
+    #[arg(long, num_args = 2, value_names = ["I", "J"], requires = "extend")]
+    extend_order: Option<Vec<u32>>,
+    /// polynomial: let nothing hold it at the outer edge (only for maps that are polynomials)
+    #[arg(long, requires = "extend")]
+    extend_without_ring: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum ExtendArg {
+    Nearest,
+    GaussianDecay,
+    GerchbergPapoulis,
+    Polynomial,
+}
+
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+struct MapArgs {
+    /// Map
+    #[arg(long, value_name = "DIR")]
+    surface: Option<PathBuf>,
+    /// Predicted removal whose residual is the map
+    #[arg(long, value_name = "DIR")]
+    removal: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct StatisticsArgs {
+    #[command(flatten)]
+    map: MapArgs,
+    /// Terms of the fit in the robust PV [default: zernike where the valid pixels fill less than 90 %
+    /// of their bounding box, else legendre]
+    #[arg(long, value_enum)]
+    pvr_terms: Option<FamilyArg>,
+    /// Unit circle of the zernike terms, mm [default: about the valid pixels]
+    #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
+    zernike_circle_mm: Option<Vec<f64>>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FamilyArg {
+    Zernike,
+    Legendre,
+    Chebyshev,
+}
+
+#[derive(Debug, Args)]
+struct PsdArgs {
+    #[command(flatten)]
+    map: MapArgs,
+    /// Window along x and y
+    #[arg(long, value_enum, default_value_t = WindowArg::Hann)]
+    window: WindowArg,
+    /// What to take off first
+    #[arg(long, value_enum, default_value_t = DetrendArg::Plane)]
+    detrend: DetrendArg,
+    /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
+    #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = clap::ArgAction::Append)]
+    band_per_mm: Vec<f64>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum WindowArg {
+    Hann,
+    Rectangular,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum DetrendArg {
+    Mean,
+    Plane,
+}
+
+#[derive(Debug, Args)]
+struct TifArgs {
+    /// Measured tool influence function
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Subtract the mean of the border samples and clip what is then negative
+    #[arg(long)]
+    subtract_border: bool,
+    /// What the offsets are counted from; the samples stay as they are
+    #[arg(long, value_enum, default_value_t = CentreArg::Given)]
+    centre: CentreArg,
+    /// Turn counterclockwise about the centre, degrees; multiples of 90 are exact
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    rotate_deg: f64,
+    /// Resample to this pitch, with a sample at the centre, mm
+    #[arg(long, value_name = "P")]
+    pitch_mm: Option<f64>,
+    /// Let the outer share of the half size go to zero by a cosine, in (0, 1]; 0.15 is usual
+    #[arg(long, value_name = "F")]
+    taper_fraction: Option<f64>,
+    /// Fit a formula to the result and report it
+    #[arg(long, value_enum)]
+    fit: Option<FitArg>,
+    /// Write the formula's samples instead of the measured ones
+    #[arg(long, requires = "fit")]
+    use_fit: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum CentreArg {
+    Given,
+    Centroid,
+    Peak,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FitArg {
+    Gaussian,
+    SuperGaussian,
+    Mixture,
+}
+
+#[derive(Debug, Args)]
+struct DrawArgs {
+    /// Map; may be repeated
+    #[arg(long, value_name = "DIR", required_unless_present = "tif")]
+    surface: Vec<PathBuf>,
+    /// Tool influence function, instead of maps; may be repeated
+    #[arg(long, value_name = "DIR", conflicts_with = "surface")]
+    tif: Vec<PathBuf>,
+    /// Map whose valid pixels are outlined
+    #[arg(long, value_name = "DIR", conflicts_with = "tif")]
+    outline: Option<PathBuf>,
+    /// y of the section, mm [default: the middle of the first map]
+    #[arg(long, value_name = "Y", allow_negative_numbers = true)]
+    section_y_mm: Option<f64>,
+    /// Draw all maps in one colour scale
+    #[arg(long)]
+    common_scale: bool,
+    /// SVG file to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Replace the file
+    #[arg(long)]
+    force: bool,
+}
+
 fn main() -> ExitCode {
-    let Method::Prepare(args) = Cli::parse().method;
-    run(move || prepare_stage(&args))
+    let method = Cli::parse().method;
+    run(move || match method {
+        Method::Prepare(args) => prepare_stage(&args),
+        Method::Statistics(args) => statistics_stage(&args),
+        Method::Psd(args) => psd_stage(&args),
+        Method::Tif(args) => tif_stage(&args),
+        Method::Draw(args) => draw_stage(&args),
+    })
 }
 
 fn prepare_stage(args: &PrepareArgs) -> Result<Status, Failure> {
-    let version = env!("CARGO_PKG_VERSION");
-    let mut stage = Stage::new("planish-surface", version, "prepare", &args.output);
+    let mut stage = Stage::new("planish-surface", VERSION, "prepare", &args.output);
     let surface: Surface = stage.read("surface", &args.surface)?;
     let settings = PrepareSettings {
         aperture: aperture(&mut stage, &args.aperture)?,
         outliers: outlier_settings(&mut stage, &args.outliers)?,
-        level: match args.level {
-            LevelArg::None => Level::None,
-            LevelArg::Piston => Level::Piston,
-            LevelArg::Plane => Level::Plane,
-        },
+        level: level(args)?,
+        fill: args.fill,
+        extension: extension_settings(&args.extension)?,
     };
     stage.settings(&settings);
     if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)? {
@@ -116,11 +329,61 @@ fn prepare_stage(args: &PrepareArgs) -> Result<Status, Failure> {
     let masked = report.outliers.as_ref().map_or(String::new(), |o| {
         format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
     });
+    let filled = report.filled.as_ref().map_or(String::new(), |f| {
+        format!(", {} hole(s) filled ({} px)", f.holes, f.filled_pixels)
+    });
+    let extended = report.extended.as_ref().map_or(String::new(), |e| {
+        format!(
+            ", {} px extended ({:.2} .. {:.2} nm)",
+            e.extended_pixels, e.range_nm[0], e.range_nm[1]
+        )
+    });
     say(format!(
-        "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}",
+        "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
         report.after.valid_pixels, report.after.rms_nm, report.after.pv_nm
     ));
+    let notes = [
+        report.removed_low_order.as_ref().and_then(|r| r.note.as_ref()),
+        report.filled.as_ref().and_then(|r| r.note.as_ref()),
+    ];
+    notes.into_iter().flatten().for_each(|note| say(format!("planish-surface: note: {note}")));
     Ok(Status::Done)
+}
+
+fn level(args: &PrepareArgs) -> Result<Level, Failure> {
+    let family = match args.level {
+        LevelArg::Zernike => Family::Zernike,
+        LevelArg::Legendre => Family::Legendre,
+        LevelArg::Chebyshev => Family::Chebyshev,
+        LevelArg::None | LevelArg::Piston | LevelArg::Plane => {
+            if args.level_order.is_some() {
+                let remedy = "use it with --level zernike, legendre or chebyshev";
+                return Err(Failure::new(format!("--level-order: has no terms here; {remedy}")));
+            }
+            refuse_circle(args.zernike_circle_mm.is_some())?;
+            return Ok(match args.level {
+                LevelArg::None => Level::None,
+                LevelArg::Plane => Level::Plane,
+                _ => Level::Piston,
+            });
+        }
+    };
+    refuse_circle(args.zernike_circle_mm.is_some() && family != Family::Zernike)?;
+    let order = args.level_order.ok_or_else(|| {
+        Failure::new("--level-order: is missing; give the highest order of the terms to subtract")
+    })?;
+    Ok(Level::LowOrder(LowOrderSettings { family, order, circle: circle(&args.zernike_circle_mm) }))
+}
+
+fn refuse_circle(given: bool) -> Result<(), Failure> {
+    match given {
+        true => Err(Failure::new("--zernike-circle-mm: has no use without zernike terms")),
+        false => Ok(()),
+    }
+}
+
+fn circle(given: &Option<Vec<f64>>) -> Option<Circle> {
+    given.as_ref().map(|v| Circle { centre_mm: [v[0], v[1]], radius_mm: v[2] })
 }
 
 fn aperture(stage: &mut Stage, args: &ApertureArgs) -> Result<Option<ClearAperture>, Failure> {
@@ -155,4 +418,245 @@ fn outlier_settings(
         floor_nm: args.outlier_floor_nm.unwrap_or(default.floor_nm),
         dilate_px: args.outlier_dilate_px.unwrap_or(default.dilate_px),
     }))
+}
+
+fn extension_settings(args: &ExtensionArgs) -> Result<Option<ExtensionSettings>, Failure> {
+    let (Some(method), Some(margin_mm)) = (args.extend, args.extend_mm) else { return Ok(None) };
+    // A flag of another method would be ignored in silence.
+    let flags = [
+        ("--extend-sigma-mm", args.extend_sigma_mm.is_some(), ExtendArg::GaussianDecay),
+        (
+            "--extend-cutoff-per-mm",
+            args.extend_cutoff_per_mm.is_some(),
+            ExtendArg::GerchbergPapoulis,
+        ),
+        ("--extend-iterations", args.extend_iterations.is_some(), ExtendArg::GerchbergPapoulis),
+        ("--extend-tolerance-nm", args.extend_tolerance_nm.is_some(), ExtendArg::GerchbergPapoulis),
+        ("--extend-order", args.extend_order.is_some(), ExtendArg::Polynomial),
+        ("--extend-without-ring", args.extend_without_ring, ExtendArg::Polynomial),
+    ];
+    if let Some((flag, ..)) = flags.iter().find(|(_, given, of)| *given && *of != method) {
+        return Err(Failure::new(format!("{flag}: has no use with this --extend; leave it out")));
+    }
+    let method = match method {
+        ExtendArg::Nearest => extension::Method::Nearest,
+        ExtendArg::GaussianDecay => extension::Method::GaussianDecay(gaussian_decay::Settings {
+            sigma_mm: args.extend_sigma_mm.unwrap_or(margin_mm / 3.0),
+        }),
+        ExtendArg::GerchbergPapoulis => {
+            let cutoff_per_mm = args.extend_cutoff_per_mm.ok_or_else(|| {
+                Failure::new(
+                    "--extend-cutoff-per-mm: is missing; 1 / (2 FWHM) of the tool is usual",
+                )
+            })?;
+            extension::Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
+                cutoff_per_mm,
+                max_iterations: args.extend_iterations.unwrap_or(300),
+                tolerance_nm: args.extend_tolerance_nm.unwrap_or(1e-3),
+            })
+        }
+        ExtendArg::Polynomial => extension::Method::Polynomial(polynomial::Settings {
+            order: args.extend_order.as_ref().map_or([9, 6], |o| [o[0], o[1]]),
+            ring: !args.extend_without_ring,
+        }),
+    };
+    Ok(Some(ExtensionSettings { margin_mm, method }))
+}
+
+/// The map, or the residual.
+fn read_map(stage: &mut Stage, args: &MapArgs) -> Result<Surface, Failure> {
+    match (&args.surface, &args.removal) {
+        (Some(dir), _) => Ok(stage.read("surface", dir)?),
+        (None, Some(dir)) => Ok(stage.read::<Removal>("removal", dir)?.residual().clone()),
+        (None, None) => Err(Failure::new("--surface: is missing; give it or --removal")),
+    }
+}
+
+fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
+    let mut stage = reader("statistics");
+    let surface = read_map(&mut stage, &args.map)?;
+    let family = args.pvr_terms.map(|f| match f {
+        FamilyArg::Zernike => Family::Zernike,
+        FamilyArg::Legendre => Family::Legendre,
+        FamilyArg::Chebyshev => Family::Chebyshev,
+    });
+    let found = surface_statistics(&surface, family, circle(&args.zernike_circle_mm))?;
+    let zernike = found.pvr.as_ref().is_some_and(|p| p.family == Family::Zernike);
+    refuse_circle(args.zernike_circle_mm.is_some() && !zernike)?;
+    say(serde_json::to_string_pretty(&found)?);
+    Ok(Status::Done)
+}
+
+fn psd_stage(args: &PsdArgs) -> Result<Status, Failure> {
+    let mut stage = Stage::new("planish-surface", VERSION, "psd", &args.output);
+    let surface = read_map(&mut stage, &args.map)?;
+    let settings = PsdSettings {
+        window: match args.window {
+            WindowArg::Hann => Window::Hann,
+            WindowArg::Rectangular => Window::Rectangular,
+        },
+        detrend: match args.detrend {
+            DetrendArg::Mean => Detrend::Mean,
+            DetrendArg::Plane => Detrend::Plane,
+        },
+        band_per_mm: args.band_per_mm.chunks_exact(2).map(|b| [b[0], b[1]]).collect(),
+    };
+    stage.settings(&settings);
+    if let Begin::Unchanged(status) = stage.begin(&[""], &kind::PSD)? {
+        return Ok(status);
+    }
+    let found = psd(&surface, &settings)?;
+    let picture = [("psd.svg", psd_svg(&found).into_bytes())];
+    let outcome = serde_json::to_value(&found.report)?;
+    stage.write_files("", &kind::PSD, &psd_arrays(&found), &picture, outcome, &Status::Done)?;
+    let r = &found.report;
+    say(format!(
+        "planish-surface: spectrum of {} x {} px ({:.1} % of the valid ones), RMS {:.4} nm, in the \
+         spectrum {:.4} nm",
+        r.shape.1,
+        r.shape.0,
+        100.0 * r.share_of_valid_pixels,
+        r.rms_nm,
+        r.spectral_rms_nm
+    ));
+    for b in &r.bands {
+        let [low, high] = b.band_per_mm;
+        say(format!(
+            "planish-surface: {low} .. {high} /mm: {:.4} nm RMS (along x {:.4}, along y {:.4})",
+            b.rms_nm, b.rms_x_nm, b.rms_y_nm
+        ));
+    }
+    Ok(Status::Done)
+}
+
+/// In the order of the kind.
+fn psd_arrays(psd: &Psd) -> Vec<ArrayData> {
+    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn());
+    vec![
+        ArrayData::F64(psd.psd_2d_nm2_mm2.clone().into_dyn()),
+        line(&psd.frequency_2d_x_per_mm),
+        line(&psd.frequency_2d_y_per_mm),
+        line(&psd.psd_x_nm2_mm),
+        line(&psd.frequency_x_per_mm),
+        line(&psd.psd_y_nm2_mm),
+        line(&psd.frequency_y_per_mm),
+        line(&psd.psd_radial_nm2_mm2),
+        line(&psd.frequency_radial_per_mm),
+    ]
+}
+
+fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
+    let mut stage = Stage::new("planish-surface", VERSION, "tif", &args.output);
+    let tif: Tif = stage.read("tif", &args.tif)?;
+    let settings = TifSettings {
+        subtract_border: args.subtract_border,
+        centre: match args.centre {
+            CentreArg::Given => Centre::Given,
+            CentreArg::Centroid => Centre::Centroid,
+            CentreArg::Peak => Centre::Peak,
+        },
+        rotate_deg: args.rotate_deg,
+        pitch_mm: args.pitch_mm,
+        taper_fraction: args.taper_fraction,
+    };
+    let model = args.fit.map(|f| match f {
+        FitArg::Gaussian => tif_fit::Model::Gaussian,
+        FitArg::SuperGaussian => tif_fit::Model::SuperGaussian,
+        FitArg::Mixture => tif_fit::Model::Mixture,
+    });
+    stage.settings(json!({ "tif": settings, "fit": model, "use_fit": args.use_fit }));
+    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)? {
+        return Ok(status);
+    }
+    let (mut made, report) = prepare_tif(&tif, &settings)?;
+    let mut outcome = serde_json::to_value(&report)?;
+    let mut status = Status::Done;
+    if let Some(model) = model {
+        let (formula, fit) = tif_fit::fit(&made, model)?;
+        outcome["fit"] = serde_json::to_value(&fit)?;
+        if !fit.converged {
+            status = Status::Negative(format!("the fit did not converge in {} steps", fit.steps));
+        }
+        say(format!(
+            "planish-surface: fit: residual {:.3} % of the peak RMS, VRR of the formula {:.4} of the \
+             samples'",
+            100.0 * fit.residual_rms_to_peak,
+            fit.vrr_ratio
+        ));
+        if args.use_fit {
+            made = formula;
+        }
+    }
+    stage.write("", &made, outcome, &status)?;
+    let s = planish_surface::tif::tif_statistics(&made);
+    say(format!(
+        "planish-surface: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} \
+         nm mm^2/s, centroid ({:.4}, {:.4}) mm, border {:.2} % of the peak",
+        s.shape.1,
+        s.shape.0,
+        s.pitch_mm[0],
+        s.pitch_mm[1],
+        s.peak_nm_per_s,
+        s.vrr_nm_mm2_per_s,
+        s.centroid_mm[0],
+        s.centroid_mm[1],
+        100.0 * s.border_to_peak
+    ));
+    report.note.iter().for_each(|note| say(format!("planish-surface: note: {note}")));
+    Ok(status)
+}
+
+fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
+    let mut stage = reader("draw");
+    let mut panels = Vec::new();
+    for dir in &args.surface {
+        panels.push(panel(dir, &stage.read("surface", dir)?));
+    }
+    for dir in &args.tif {
+        let tif: Tif = stage.read("tif", dir)?;
+        panels.push(Panel {
+            title: title(dir),
+            grid: *tif.grid(),
+            map: tif.rate_nm_per_s().clone(),
+        });
+    }
+    let outline =
+        args.outline.as_ref().map(|dir| stage.read("outline", dir).map(|s| panel(dir, &s)));
+    if args.section_y_mm.is_some_and(|y| !y.is_finite()) {
+        return Err(Failure::new("--section-y-mm: is not a number; give a y in mm"));
+    }
+    let settings = MapsSettings {
+        unit: if args.tif.is_empty() { "nm" } else { "nm/s" },
+        section_y_mm: args.section_y_mm,
+        common_scale: args.common_scale,
+        outline: outline.transpose()?,
+    };
+    let out = &args.out;
+    if out.exists() && !args.force {
+        let problem = "exists; give --force to replace it, or another --out";
+        return Err(Failure::new(format!("{}: {problem}", out.display())));
+    }
+    // A killed run leaves the old file or the new one.
+    let mut beside = out.clone().into_os_string();
+    beside.push(".part");
+    let put = fs::write(&beside, maps_svg(&panels, &settings));
+    put.and_then(|()| fs::rename(&beside, out))
+        .map_err(|e| Failure::new(format!("{}: cannot write: {e}", out.display())))?;
+    say(format!("planish-surface: {} map(s) drawn to {}", panels.len(), out.display()));
+    Ok(Status::Done)
+}
+
+fn panel(dir: &Path, surface: &Surface) -> Panel {
+    Panel { title: title(dir), grid: *surface.grid(), map: surface.height_nm().clone() }
+}
+
+/// The name of the directory.
+fn title(dir: &Path) -> String {
+    dir.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned())
+}
+
+/// A stage that writes no artifact.
+fn reader(method: &str) -> Stage {
+    let output = OutputArgs { out: PathBuf::new(), force: false, wall_time: None };
+    Stage::new("planish-surface", VERSION, method, &output)
 }

@@ -4,14 +4,20 @@
 //!
 //! 1. clear aperture: pixels outside become invalid, the map is cropped to the bounding box;
 //! 2. outlier mask ([`crate::outliers`]): pits and dust become invalid;
-//! 3. level: a plane `a + b x + c y` is subtracted, fitted to the valid pixels, and the smallest
-//!    valid height becomes 0 (the machine can only remove).
+//! 3. level: a plane `a + b x + c y`, or terms of low order ([`mod@crate::low_order`]), is
+//!    subtracted, fitted to the valid pixels, and the smallest valid height becomes 0 (the machine
+//!    can only remove);
+//! 4. fill ([`mod@crate::fill`]): holes get a height;
+//! 5. extend ([`crate::extension`]): pixels beyond the clear aperture get a height.
+//!
+//! The last two are for programs that cannot skip pixels; by default invalid pixels stay invalid.
 //!
 //! ```text
 //! z'(x, y) = z(x, y) - (a + b x + c y)
-//! none:   a = b = c = 0
-//! piston: b = c = 0, min z' = 0
-//! plane:  (b, c) minimise sum (z - a0 - b x - c y)^2 over the valid pixels, min z' = 0
+//! none:      a = b = c = 0
+//! piston:    b = c = 0, min z' = 0
+//! plane:     (b, c) minimise sum (z - a0 - b x - c y)^2 over the valid pixels, min z' = 0
+//! low order: z' = z - sum_k c_k phi_k - a,  c minimise the sum of squares, min z' = 0
 //! ```
 //!
 //! | symbol | variable | shape | unit |
@@ -28,6 +34,9 @@ use serde_json::json;
 
 use crate::{
     PrepareError,
+    extension::{ExtensionReport, ExtensionSettings, extend},
+    fill::{FillReport, enclosed, fill},
+    low_order::{LowOrderReport, LowOrderSettings, low_order},
     outliers::{OutlierReport, OutlierSettings, outliers},
 };
 
@@ -44,10 +53,15 @@ pub struct PrepareSettings {
     pub outliers: Option<OutlierSettings>,
     /// What to subtract.
     pub level: Level,
+    /// Whether the invalid pixels in the clear aperture, or the enclosed ones where none is given,
+    /// get a height.
+    pub fill: bool,
+    /// How to extend the map; `None` extends it not.
+    pub extension: Option<ExtensionSettings>,
 }
 
 /// What is subtracted from the map.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {
     /// Nothing.
@@ -57,6 +71,8 @@ pub enum Level {
     Piston,
     /// The least-squares plane, then a constant so that the smallest height is 0.
     Plane,
+    /// Terms of low order, then a constant so that the smallest height is 0.
+    LowOrder(LowOrderSettings),
 }
 
 /// The prepared map and what was done to it.
@@ -79,8 +95,14 @@ pub struct PrepareReport {
     pub after: MapStatistics,
     /// What the outlier mask took.
     pub outliers: Option<OutlierReport>,
-    /// The plane that was subtracted.
+    /// The plane that was subtracted; beside terms of low order only a constant.
     pub removed_plane: RemovedPlane,
+    /// The terms of low order that were subtracted.
+    pub removed_low_order: Option<LowOrderReport>,
+    /// The holes that were filled.
+    pub filled: Option<FillReport>,
+    /// What was added beyond the clear aperture.
+    pub extended: Option<ExtensionReport>,
 }
 
 /// Statistics of the valid pixels of a map.
@@ -107,29 +129,46 @@ pub struct RemovedPlane {
     pub slope_nm_per_mm: [f64; 2],
 }
 
-/// Crops, masks and levels `measured`.
+/// Crops, masks, levels, fills and extends `measured`.
 pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepared, PrepareError> {
-    let cropped = match &settings.aperture {
-        Some(aperture) => crop(measured, aperture)?,
-        None => measured.clone(),
+    let (cropped, inside) = match &settings.aperture {
+        Some(aperture) => crop(measured, aperture).map(|(map, inside)| (map, Some(inside)))?,
+        None => (measured.clone(), None),
     };
     let (masked, found) = match &settings.outliers {
         Some(settings) => mask_outliers(&cropped, settings)?,
         None => (cropped.clone(), None),
     };
-    let (surface, removed_plane) = level(&masked, settings.level)?;
+    let (mut surface, removed_plane, removed_low_order) = level(&masked, settings.level)?;
+    let mut filled = None;
+    if settings.fill {
+        let inside = inside.unwrap_or_else(|| enclosed(&surface));
+        let (map, report) = fill(&surface, &inside)?;
+        (surface, filled) = (map, Some(report));
+    }
+    let mut extended = None;
+    if let Some(settings) = &settings.extension {
+        let (map, report) = extend(&surface, settings)?;
+        (surface, extended) = (map, Some(report));
+    }
     let report = PrepareReport {
         before: map_statistics(measured),
         in_aperture: map_statistics(&cropped),
         after: map_statistics(&surface),
         outliers: found,
         removed_plane,
+        removed_low_order,
+        filled,
+        extended,
     };
     Ok(Prepared { surface, report })
 }
 
-/// NaN outside the aperture, cropped to its bounding box.
-fn crop(measured: &Surface, aperture: &ClearAperture) -> Result<Surface, PrepareError> {
+/// NaN outside the aperture, cropped to its bounding box, and the aperture on the new pixels.
+fn crop(
+    measured: &Surface,
+    aperture: &ClearAperture,
+) -> Result<(Surface, Array2<bool>), PrepareError> {
     let grid = measured.grid();
     let mask = aperture.mask(grid)?;
     let rows = extent(mask.outer_iter().map(|row| row.iter().any(|m| *m)));
@@ -144,9 +183,10 @@ fn crop(measured: &Surface, aperture: &ClearAperture) -> Result<Surface, Prepare
             *z = f64::NAN;
         }
     });
-    let map = map.slice(s![rows.0..=rows.1, columns.0..=columns.1]).to_owned();
+    let part = s![rows.0..=rows.1, columns.0..=columns.1];
+    let (map, inside) = (map.slice(part).to_owned(), mask.slice(part).to_owned());
     let grid = Grid { x: grid.x.crop(columns.0, columns.1)?, y: grid.y.crop(rows.0, rows.1)? };
-    Ok(Surface::new(grid, map)?)
+    Ok((Surface::new(grid, map)?, inside))
 }
 
 /// First and last true; an aperture has one.
@@ -169,19 +209,33 @@ fn mask_outliers(
     Ok((Surface::new(*surface.grid(), map)?, Some(found.report)))
 }
 
-fn level(surface: &Surface, level: Level) -> Result<(Surface, RemovedPlane), PrepareError> {
+/// The levelled map, the plane and the terms that were subtracted.
+fn level(
+    surface: &Surface,
+    level: Level,
+) -> Result<(Surface, RemovedPlane, Option<LowOrderReport>), PrepareError> {
     let map = surface.height_nm().view();
     let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
     let plane = match level {
         Level::None => {
             let removed_plane = RemovedPlane { constant_nm: 0.0, slope_nm_per_mm: [0.0; 2] };
-            return Ok((surface.clone(), removed_plane));
+            return Ok((surface.clone(), removed_plane, None));
         }
         Level::Piston => Plane { a: surface.statistics().min, b: 0.0, c: 0.0 },
         Level::Plane => {
             let valid = surface.statistics().valid_count;
             let fit = fit_plane(map, &x, &y).filter(|_| valid >= MIN_PIXELS_FOR_PLANE);
             fit.ok_or(PrepareError::NoPlane { valid })?
+        }
+        Level::LowOrder(settings) => {
+            let fitted = low_order(surface, &settings)?;
+            // z' = z - sum c phi - a, min z' = 0
+            let mut rest = surface.height_nm() - &fitted.shape_nm;
+            let min = statistics(rest.view()).map_or(0.0, |s| s.min);
+            rest -= min;
+            let removed_plane = RemovedPlane { constant_nm: min, slope_nm_per_mm: [0.0; 2] };
+            let rest = Surface::new(*surface.grid(), rest)?;
+            return Ok((rest, removed_plane, Some(fitted.report)));
         }
     };
     // z' = z - (a + b x + c y), then min z' = 0
@@ -190,7 +244,7 @@ fn level(surface: &Surface, level: Level) -> Result<(Surface, RemovedPlane), Pre
     flat -= min;
     let removed_plane =
         RemovedPlane { constant_nm: plane.a + min, slope_nm_per_mm: [plane.b, plane.c] };
-    Ok((Surface::new(*surface.grid(), flat)?, removed_plane))
+    Ok((Surface::new(*surface.grid(), flat)?, removed_plane, None))
 }
 
 fn map_statistics(surface: &Surface) -> MapStatistics {
@@ -234,7 +288,7 @@ mod tests {
     }
 
     fn settings(aperture: Option<ClearAperture>, level: Level) -> PrepareSettings {
-        PrepareSettings { aperture, outliers: None, level }
+        PrepareSettings { aperture, outliers: None, level, fill: false, extension: None }
     }
 
     fn disc() -> Option<ClearAperture> {
@@ -338,10 +392,59 @@ mod tests {
         map[[20, 30]] = -20.0;
         let surface = tilted(map, 5.0, 0.0, 0.0);
         let outliers = Some(OutlierSettings::for_feature_mm(2.0));
-        let settings = PrepareSettings { aperture: None, outliers, level: Level::Piston };
+        let settings = PrepareSettings { outliers, ..settings(None, Level::Piston) };
         let done = prepare(&surface, &settings).unwrap();
         assert_eq!(done.report.in_aperture.pv_nm, 20.0);
         assert!(done.report.after.pv_nm < 1e-12);
         assert_eq!(done.report.after.valid_pixels, 61 * 41 - 49);
+    }
+
+    #[test]
+    fn levelled_with_low_order_nothing_of_it_is_left_and_the_minimum_is_zero() {
+        use crate::low_order::Family;
+        let surface = tilted(rough(6), 3.0, -2.0, 5.0);
+        let terms = LowOrderSettings { family: Family::Legendre, order: 4, circle: None };
+        let done = prepare(&surface, &settings(disc(), Level::LowOrder(terms))).unwrap();
+        assert_eq!(done.surface.statistics().min, 0.0);
+        let again = low_order(&done.surface, &terms).unwrap().report;
+        assert!(again.pv_nm < 1e-11, "{}", again.pv_nm);
+        let removed = done.report.removed_low_order.unwrap();
+        assert_eq!((removed.terms.len(), removed.terms[1].order), (15, [1, 0]));
+        // The domain is the disc's box: 2 mm from its middle a slope of -2 nm/mm is -4 nm.
+        assert!((removed.terms[1].coefficient_nm + 4.0).abs() < 1.0, "{:?}", removed.terms[1]);
+    }
+
+    #[test]
+    fn with_an_aperture_its_invalid_pixels_are_filled_and_no_others() {
+        let mut map = Array2::zeros(grid().shape());
+        // A dropout on the rim of the disc, which no ring of valid pixels encloses.
+        map.slice_mut(s![18..23, 44..60]).fill(f64::NAN);
+        let surface = tilted(map, 5.0, 1.0, 0.0);
+        let filling = PrepareSettings { fill: true, ..settings(disc(), Level::None) };
+        let done = prepare(&surface, &filling).unwrap();
+        assert!(done.report.filled.as_ref().unwrap().filled_pixels > 20);
+        let g = *done.surface.grid();
+        for ((r, c), z) in done.surface.height_nm().indexed_iter() {
+            let inside = (g.x.at(c) - 0.2).hypot(g.y.at(r) - 14.0) <= 2.0 + 1e-9;
+            assert_eq!(z.is_nan(), !inside, "{r} {c}");
+        }
+    }
+
+    #[test]
+    fn a_masked_pit_is_filled_after_levelling_and_the_rest_of_the_map_is_what_it_was() {
+        let mut map = Array2::zeros(grid().shape());
+        map[[20, 30]] = -20.0;
+        let surface = tilted(map, 5.0, 1.0, 0.0);
+        let outliers = Some(OutlierSettings::for_feature_mm(2.0));
+        let plain = PrepareSettings { outliers, ..settings(None, Level::Piston) };
+        let filling = PrepareSettings { fill: true, ..plain.clone() };
+        let (without, with) =
+            (prepare(&surface, &plain).unwrap(), prepare(&surface, &filling).unwrap());
+        assert_eq!(with.report.filled.as_ref().unwrap().filled_pixels, 49);
+        for (z, was) in with.surface.height_nm().iter().zip(without.surface.height_nm()) {
+            assert!(z.is_finite() && (was.is_nan() || was.to_bits() == z.to_bits()));
+        }
+        // The map is a plane: so is what was filled.
+        assert!(with.surface.detilted_rms_nm() < 1e-9);
     }
 }

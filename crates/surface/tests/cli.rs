@@ -138,3 +138,223 @@ fn bad_input_ends_with_2_a_message_and_no_output() {
         assert!(!tmp.path().join("out").exists(), "{arguments:?}");
     }
 }
+
+/// Runs any subcommand.
+fn surface_command(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+        .current_dir(dir)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn array(dir: &Path, name: &str) -> ArrayD<f64> {
+    let path = dir.join(format!("{name}.npy"));
+    match planish_handoff::npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().0 {
+        ArrayData::F64(a) => a,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn manifest(dir: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(dir.join("manifest.json")).unwrap()).unwrap()
+}
+
+/// An even, off-centre Gaussian: 40 x 30 samples of 0.25 mm about (0.4, -0.3), 5 nm/s, sigma 0.7.
+fn write_tif(dir: &Path) {
+    let axis = |n: usize| (0..n).map(move |i| -0.125 * (n as f64 - 1.0) + 0.25 * i as f64);
+    let rate = Array2::from_shape_fn((30, 40), |(r, c)| {
+        let (x, y) = (axis(40).nth(c).unwrap() - 0.4, axis(30).nth(r).unwrap() + 0.3);
+        5.0 * (-0.5 * (x * x + y * y) / 0.49).exp()
+    });
+    save(dir, "rate_nm_per_s", rate.into_dyn());
+    save(dir, "x_mm", Array1::from_iter(axis(40)).into_dyn());
+    save(dir, "y_mm", Array1::from_iter(axis(30)).into_dyn());
+}
+
+#[test]
+fn low_order_fill_and_extension_are_told_in_the_manifest() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_surface(&tmp.path().join("in"));
+    let arguments = "prepare --surface in --out out --level legendre --level-order 2 \
+                     --mask-outliers --feature-mm 3 --outlier-dilate-px 1 --fill \
+                     --extend nearest --extend-mm 0.95";
+    let output = surface_command(tmp.path(), &arguments.split_whitespace().collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("1 hole(s) filled (64 px)"), "{said}");
+    let (surface, manifest) = read(&tmp.path().join("out"));
+    // 0.95 mm are 10 px; nothing is invalid; the map is a plane, of which nothing is left.
+    assert_eq!(surface.height_nm().dim(), (80, 100));
+    assert!((surface.grid().x.start_mm() + 5.0).abs() < 1e-9);
+    assert!(surface.height_nm().iter().all(|v| v.abs() < 1e-9));
+    let terms = manifest.outcome["removed_low_order"]["terms"].as_array().unwrap();
+    // Half the width times the slope: 39.5 px * 0.2 nm.
+    assert_eq!((terms.len(), terms[1]["order"][0].as_i64()), (6, Some(1)));
+    assert!((terms[1]["coefficient_nm"].as_f64().unwrap() - 7.9).abs() < 1e-9);
+    assert!(manifest.outcome["removed_low_order"]["convention"].as_str().unwrap().contains("P_i"));
+    assert_eq!(manifest.settings["extension"]["method"], "nearest");
+    assert_eq!(manifest.outcome["extended"]["margin_px"], serde_json::json!([10, 10]));
+}
+
+#[test]
+fn every_extension_runs_through_the_binary() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_surface(&tmp.path().join("in"));
+    for (k, flags) in [
+        "gaussian-decay --extend-sigma-mm 0.5",
+        "gaussian-decay",
+        "gerchberg-papoulis --extend-cutoff-per-mm 0.4 --extend-iterations 20",
+        "polynomial --extend-order 3 2",
+        "polynomial --extend-order 1 1 --extend-without-ring",
+    ]
+    .iter()
+    .enumerate()
+    {
+        let line = format!(
+            "prepare --surface in --aperture-circle-mm 0 3 2 --out out{k} --extend-mm 1 --extend {flags}"
+        );
+        let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let (surface, _) = read(&tmp.path().join(format!("out{k}")));
+        assert_eq!(surface.statistics().valid_count, 61 * 61, "{flags}");
+    }
+}
+
+#[test]
+fn statistics_and_spectrum_of_a_wave() {
+    let tmp = tempfile::tempdir().unwrap();
+    // 8 periods of 2 nm amplitude along x in 80 px of 0.1 mm: 1 /mm.
+    let wave = |c: usize| 2.0 * (2.0 * std::f64::consts::PI * 8.0 * c as f64 / 80.0).sin();
+    let dir = tmp.path().join("in");
+    write_surface(&dir);
+    save(&dir, "height_nm", Array2::from_shape_fn((60, 80), |(_, c)| wave(c)).into_dyn());
+    let output = surface_command(tmp.path(), &["statistics", "--surface", "in"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!((found["rms_nm"].as_f64().unwrap() - 2.0_f64.sqrt()).abs() < 1e-12);
+    assert_eq!(found["pvr"]["family"], "legendre");
+    let line =
+        "psd --surface in --detrend mean --band-per-mm 0.5 1.5 --band-per-mm 1.5 4 --out out";
+    let arguments: Vec<_> = line.split_whitespace().collect();
+    let output = surface_command(tmp.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        said.contains("0.5 .. 1.5 /mm: 1.4142 nm RMS (along x 1.4142, along y 0.0000)"),
+        "{said}"
+    );
+    let out = tmp.path().join("out");
+    let (f, s) = (array(&out, "frequency_x_per_mm"), array(&out, "psd_x_nm2_mm"));
+    let strongest = s.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
+    assert!((f[strongest] - 1.0).abs() < 1e-12);
+    // The sum of the density is the mean square: 2 nm^2.
+    assert!((s.sum() * f[1] - 2.0).abs() < 1e-12);
+    let two = array(&out, "psd_2d_nm2_mm2").sum() * f[1] * array(&out, "frequency_y_per_mm")[1];
+    assert!((two - 2.0).abs() < 1e-12, "{two}");
+    assert_eq!(manifest(&out)["settings"]["window"], "hann");
+    assert!(fs::read_to_string(out.join("psd.svg")).unwrap().starts_with("<svg"));
+    let again = surface_command(tmp.path(), &arguments);
+    assert!(String::from_utf8(again.stdout).unwrap().contains("unchanged"));
+}
+
+#[test]
+fn a_tool_is_centred_turned_resampled_and_fitted() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_tif(&tmp.path().join("tif"));
+    let line =
+        "tif --tif tif --centre centroid --rotate-deg 90 --pitch-mm 0.2 --fit gaussian --out out";
+    let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let outcome = &manifest(&tmp.path().join("out"))["outcome"];
+    let number = |v: &serde_json::Value| v.as_f64().unwrap();
+    assert!((number(&outcome["centre_mm"][0]) - 0.4).abs() < 1e-5, "{outcome}");
+    assert!((number(&outcome["centre_mm"][1]) + 0.3).abs() < 1e-5, "{outcome}");
+    assert_eq!(outcome["before"]["sample_at_centre"], false);
+    assert_eq!(outcome["after"]["sample_at_centre"], true);
+    let vrr = |when: &str| number(&outcome[when]["vrr_nm_mm2_per_s"]);
+    assert!((vrr("after") / vrr("before") - 1.0).abs() < 1e-12);
+    // 2 pi 5 0.49; the samples end at 4.4 sigma.
+    assert!((vrr("before") / 15.3938 - 1.0).abs() < 1e-4, "{outcome}");
+    let sigma = number(&outcome["fit"]["components"][0]["sigma_mm"][0]);
+    assert!((sigma / 0.7 - 1.0).abs() < 5e-3, "{outcome}");
+
+    let line = "tif --tif tif --fit super-gaussian --use-fit --out fitted";
+    let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let (a, b) = (
+        array(&tmp.path().join("tif"), "rate_nm_per_s"),
+        array(&tmp.path().join("fitted"), "rate_nm_per_s"),
+    );
+    assert!((a - b).iter().all(|d| d.abs() < 1e-6));
+}
+
+#[test]
+fn maps_and_tools_are_drawn() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_surface(&tmp.path().join("in"));
+    write_tif(&tmp.path().join("tif"));
+    for line in [
+        "draw --surface in --surface in --outline in --common-scale --out a.svg",
+        "draw --tif tif --out b.svg",
+    ] {
+        let arguments: Vec<_> = line.split_whitespace().collect();
+        let output = surface_command(tmp.path(), &arguments);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let again = surface_command(tmp.path(), &arguments);
+        assert_eq!(again.status.code(), Some(2));
+        assert!(String::from_utf8(again.stderr).unwrap().contains("--force"));
+    }
+    let svg = fs::read_to_string(tmp.path().join("a.svg")).unwrap();
+    // Two titles, two names of lines.
+    assert_eq!((svg.matches(">in</text>").count(), svg.matches(">in</tspan>").count()), (2, 2));
+}
+
+#[test]
+fn bad_input_of_the_other_commands_ends_with_2_and_no_output() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_surface(&tmp.path().join("in"));
+    write_tif(&tmp.path().join("tif"));
+    let nothing = tmp.path().join("nothing");
+    write_surface(&nothing);
+    save(&nothing, "height_nm", Array2::from_elem((60, 80), f64::NAN).into_dyn());
+    for (name, scale) in [("zero", 0.0), ("negative", -1.0)] {
+        write_tif(&tmp.path().join(name));
+        let rate = array(&tmp.path().join("tif"), "rate_nm_per_s") * scale;
+        save(&tmp.path().join(name), "rate_nm_per_s", rate);
+    }
+    for (line, message) in [
+        ("prepare --surface nothing", "every pixel is NaN"),
+        ("prepare --surface in --level zernike", "--level-order: is missing"),
+        ("prepare --surface in --level-order 3", "--level-order: has no terms"),
+        ("prepare --surface in --level legendre --level-order 99", "the order is 99"),
+        ("prepare --surface in --level plane --zernike-circle-mm 0 0 1", "without zernike"),
+        (
+            "prepare --surface in --level zernike --level-order 2 --zernike-circle-mm 0 3 1",
+            "a valid pixel is at",
+        ),
+        ("prepare --surface in --extend nearest", "--extend-mm"),
+        ("prepare --surface in --extend nearest --extend-mm NaN", "is NaN mm"),
+        ("prepare --surface in --extend nearest --extend-mm 1e5", "at most 25000000 pixels"),
+        ("prepare --surface in --extend nearest --extend-mm 1 --extend-sigma-mm 1", "has no use"),
+        (
+            "prepare --surface in --extend gerchberg-papoulis --extend-mm 1",
+            "cutoff-per-mm: is missing",
+        ),
+        ("psd --surface in --band-per-mm 90 100", "holds no frequency"),
+        ("psd --surface in --removal in", "cannot be used with"),
+        ("tif --tif zero", "no positive rate"),
+        ("tif --tif negative", "no positive rate"),
+        ("tif --tif tif --pitch-mm 0", "is 0 mm"),
+        ("tif --tif tif --pitch-mm 50", "less than 2 samples"),
+        ("tif --tif tif --rotate-deg inf", "rotation: is inf"),
+        ("tif --tif tif --use-fit", "--fit"),
+    ] {
+        let line = format!("{line} --out out");
+        let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{line}: {said}");
+        assert!(said.contains(message), "{line}: {said}");
+        assert!(!tmp.path().join("out").exists(), "{line}");
+    }
+}

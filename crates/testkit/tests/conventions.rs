@@ -119,7 +119,10 @@ fn units_are_in_the_names() {
         let unit = match array.unit {
             // Coefficients of four orders share one name.
             "mm/s^order" => "mm".to_string(),
-            unit => unit.replace('/', "_per_"),
+            // 1/mm is per_mm, nm^2 mm is nm2_mm.
+            unit => {
+                unit.replace("1/", "per_").replace('/', "_per_").replace('^', "").replace(' ', "_")
+            }
         };
         assert!(array.name.ends_with(&format!("_{unit}")), "{} in {}", array.name, array.unit);
     }

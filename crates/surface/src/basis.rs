@@ -1,0 +1,243 @@
+//! Least squares with a polynomial basis on the valid pixels of a map.
+//!
+//! ```text
+//! c = argmin sum over valid pixels (z - sum_k c_k phi_k)^2,   G c = b,
+//! G_kl = sum phi_k phi_l,   b_k = sum phi_k z
+//! ```
+//!
+//! The basis is nearly orthogonal on the shapes it is meant for, so the normal equations, scaled
+//! to a unit diagonal, lose few digits; two steps of iterative refinement give them back. They
+//! need memory for the map and G only, where a QR factorisation of a map of 1641 x 1641 pixels
+//! would need every term on every pixel.
+//!
+//! | symbol | variable | shape |
+//! |---|---|---|
+//! | z | `map` | (ny, nx) |
+//! | phi | [`Basis::row`] | (nx, k) |
+//! | c | `coefficients` | (k) |
+
+use nalgebra::{DMatrix, DVector};
+use ndarray::{Array1, Array2, ArrayView2, Axis as Dimension};
+use planish_numerics::orthogonal;
+use planish_types::{Axis, Grid, Invalid};
+use rayon::prelude::*;
+
+/// Rows that are summed together, so that the order of the sums does not depend on the threads.
+const BAND: usize = 16;
+
+/// Smallest ratio of the eigenvalues of the scaled G. Below it the terms depend on each other on
+/// the valid pixels: the refinement would converge no more.
+const LEAST_EIGENVALUE: f64 = 1e-10;
+
+const REFINEMENTS: usize = 2;
+
+/// Functions on the pixels of a grid.
+pub(crate) enum Basis {
+    /// `f_i(u) f_j(v)` for every [i, j] in `terms`.
+    Tensor {
+        terms: Vec<[u32; 2]>,
+        /// f_i at the columns, (nx, orders).
+        along_x: Array2<f64>,
+        /// f_j at the rows, (ny, orders).
+        along_y: Array2<f64>,
+    },
+    /// All Zernike terms up to `order`, of unit RMS on the unit disc.
+    Zernike { order: u32, x: Vec<f64>, y: Vec<f64> },
+}
+
+/// Which polynomials of one variable.
+#[derive(Clone, Copy)]
+pub(crate) enum Polynomial {
+    Legendre,
+    Chebyshev,
+}
+
+impl Basis {
+    /// Products of polynomials in u and v, which run from -1 to 1 over `x_mm` and `y_mm`.
+    pub(crate) fn tensor(
+        grid: &Grid,
+        [x_mm, y_mm]: [[f64; 2]; 2],
+        polynomial: Polynomial,
+        terms: Vec<[u32; 2]>,
+    ) -> Self {
+        let values = |axis: &Axis, [low, high]: [f64; 2], which: usize| {
+            let orders = terms.iter().map(|t| t[which]).max().unwrap_or(0) as usize + 1;
+            let mut out = Array2::zeros((axis.len(), orders));
+            for (i, mut row) in out.outer_iter_mut().enumerate() {
+                let u = (2.0 * axis.at(i) - low - high) / (high - low);
+                let row = row.as_slice_mut().expect("rows are contiguous");
+                match polynomial {
+                    Polynomial::Legendre => orthogonal::legendre(u, row),
+                    Polynomial::Chebyshev => orthogonal::chebyshev(u, row),
+                }
+            }
+            out
+        };
+        let (along_x, along_y) = (values(&grid.x, x_mm, 0), values(&grid.y, y_mm, 1));
+        Self::Tensor { terms, along_x, along_y }
+    }
+
+    pub(crate) fn zernike(grid: &Grid, centre_mm: [f64; 2], radius_mm: f64, order: u32) -> Self {
+        let unit = |axis: &Axis, centre: f64| {
+            axis.coordinates().into_iter().map(|v| (v - centre) / radius_mm).collect()
+        };
+        Self::Zernike { order, x: unit(&grid.x, centre_mm[0]), y: unit(&grid.y, centre_mm[1]) }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        match self {
+            Self::Tensor { terms, .. } => terms.len(),
+            Self::Zernike { order, .. } => orthogonal::zernike_terms(*order),
+        }
+    }
+
+    /// The terms as [order along x, order along y], or [n, m].
+    pub(crate) fn terms(&self) -> Vec<[i32; 2]> {
+        match self {
+            Self::Tensor { terms, .. } => terms.iter().map(|t| t.map(|k| k as i32)).collect(),
+            Self::Zernike { order, .. } => {
+                (0..=*order as i32).flat_map(|n| (-n..=n).step_by(2).map(move |m| [n, m])).collect()
+            }
+        }
+    }
+
+    /// phi_k on row `r`, (nx, k).
+    fn row(&self, r: usize) -> Array2<f64> {
+        match self {
+            Self::Tensor { terms, along_x, along_y } => {
+                Array2::from_shape_fn((along_x.nrows(), terms.len()), |(c, k)| {
+                    let [i, j] = terms[k].map(|v| v as usize);
+                    along_x[[c, i]] * along_y[[r, j]]
+                })
+            }
+            Self::Zernike { order, x, y } => {
+                let mut out = Array2::zeros((x.len(), self.len()));
+                for (x, mut row) in x.iter().zip(out.outer_iter_mut()) {
+                    let row = row.as_slice_mut().expect("rows are contiguous");
+                    orthogonal::zernike(*order, *x, y[r], row);
+                    for n in 0..=*order {
+                        for m in (-(n as i32)..=n as i32).step_by(2) {
+                            // The RMS of Z_n^m on the disc is 1 / sqrt(n + 1), or 1 / sqrt(2 (n + 1)).
+                            let twice = if m == 0 { 1.0 } else { 2.0 };
+                            row[orthogonal::zernike_index(n, m)] *=
+                                (twice * f64::from(n + 1)).sqrt();
+                        }
+                    }
+                }
+                out
+            }
+        }
+    }
+
+    /// `sum_k c_k phi_k` on every pixel of `shape`.
+    pub(crate) fn sum(&self, shape: (usize, usize), coefficients: &[f64]) -> Array2<f64> {
+        let c = Array1::from(coefficients.to_vec());
+        let mut out = Array2::zeros(shape);
+        let rows = out.outer_iter_mut().into_par_iter().enumerate();
+        rows.for_each(|(r, mut row)| row.assign(&self.row(r).dot(&c)));
+        out
+    }
+}
+
+/// The fitted terms.
+pub(crate) struct Fit {
+    /// One per term.
+    pub coefficients: Vec<f64>,
+    /// Fitted on every pixel, (ny, nx).
+    pub map: Array2<f64>,
+    /// Condition number of the terms on the valid pixels, each scaled to the same RMS.
+    pub condition: f64,
+    /// Largest correlation of two terms on the valid pixels; 0 where they are orthogonal.
+    pub largest_correlation: f64,
+}
+
+/// Fits the basis to the valid pixels of `map`.
+pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<Fit, Invalid> {
+    let terms = basis.len();
+    let valid = map.iter().filter(|v| !v.is_nan()).count();
+    if valid < 2 * terms {
+        return Err(Invalid::whole(
+            "low order",
+            format!("{valid} valid pixel(s) for {terms} terms"),
+            "give at least two pixels per term, or a lower order",
+        ));
+    }
+    let (gram, mut moments) = sums(basis, map, true);
+    // G scaled to a unit diagonal: S G S, S = diag(1 / sqrt(G_kk))
+    let scale =
+        DVector::from_fn(
+            terms,
+            |k, _| {
+                if gram[(k, k)] > 0.0 { 1.0 / gram[(k, k)].sqrt() } else { 0.0 }
+            },
+        );
+    let scaled = DMatrix::from_fn(terms, terms, |k, l| gram[(k, l)] * scale[k] * scale[l]);
+    let off_diagonal = |k: usize, l: usize| if k == l { 0.0 } else { scaled[(k, l)].abs() };
+    let largest_correlation = (0..terms)
+        .flat_map(|k| (0..terms).map(move |l| (k, l)))
+        .map(|(k, l)| off_diagonal(k, l))
+        .fold(0.0, f64::max);
+    let eigen = scaled.symmetric_eigen();
+    let (least, most) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
+    let told_apart = least > LEAST_EIGENVALUE * most;
+    if !told_apart {
+        return Err(Invalid::whole(
+            "low order",
+            format!("{terms} terms cannot be told apart on the {valid} valid pixels"),
+            "give a lower order, or a map that is wider",
+        ));
+    }
+    let solve = |b: &DVector<f64>| {
+        let along = eigen.eigenvectors.transpose() * b.component_mul(&scale);
+        (&eigen.eigenvectors * along.component_div(&eigen.eigenvalues)).component_mul(&scale)
+    };
+    let mut c = solve(&moments);
+    let mut fitted = basis.sum(map.dim(), c.as_slice());
+    for _ in 0..REFINEMENTS {
+        moments = sums(basis, (&map - &fitted).view(), false).1;
+        c += solve(&moments);
+        fitted = basis.sum(map.dim(), c.as_slice());
+    }
+    Ok(Fit {
+        coefficients: c.as_slice().to_vec(),
+        map: fitted,
+        condition: (most / least).sqrt(),
+        largest_correlation,
+    })
+}
+
+/// G (zeros unless asked for) and b.
+fn sums(basis: &Basis, map: ArrayView2<f64>, with_gram: bool) -> (DMatrix<f64>, DVector<f64>) {
+    let terms = basis.len();
+    let bands: Vec<_> = map
+        .axis_chunks_iter(Dimension(0), BAND)
+        .into_par_iter()
+        .enumerate()
+        .map(|(band, rows)| {
+            let mut gram = Array2::<f64>::zeros((terms, terms));
+            let mut moments = Array1::<f64>::zeros(terms);
+            for (i, line) in rows.outer_iter().enumerate() {
+                let mut phi = basis.row(band * BAND + i);
+                let mut z = line.to_owned();
+                for (mut at, z) in phi.outer_iter_mut().zip(z.iter_mut()) {
+                    if z.is_nan() {
+                        at.fill(0.0);
+                        *z = 0.0;
+                    }
+                }
+                moments += &phi.t().dot(&z);
+                if with_gram {
+                    gram += &phi.t().dot(&phi);
+                }
+            }
+            (gram, moments)
+        })
+        .collect();
+    let mut gram = DMatrix::zeros(terms, terms);
+    let mut moments = DVector::zeros(terms);
+    for (g, b) in bands {
+        gram += DMatrix::from_fn(terms, terms, |k, l| g[[k, l]]);
+        moments += DVector::from_fn(terms, |k, _| b[k]);
+    }
+    (gram, moments)
+}

@@ -1,0 +1,43 @@
+//! Every new pixel has the height of the nearest valid one, decaying to zero.
+//!
+//! ```text
+//! z(p) = z(q) exp(-|p - q|^2 / 2 sigma^2),  q the valid pixel with the least |p - q|
+//! ```
+//!
+//! Zero is the smallest desired removal after levelling, so the tool leaves sooner and the run is
+//! shorter; but the tool leaves while it is still over the edge, and some tenths of a nanometre
+//! stay there. For a short run whose edge does not matter.
+
+use ndarray::{Array2, Zip};
+use planish_types::{Grid, Invalid};
+use serde::Serialize;
+
+use crate::distance;
+
+/// How fast it decays.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Distance at which the height has fallen to exp(-1/2) = 0.61, mm; > 0.
+    pub sigma_mm: f64,
+}
+
+/// `map` (ny, nx) with a height on every pixel.
+pub(super) fn extend(
+    map: &Array2<f64>,
+    grid: &Grid,
+    settings: &Settings,
+) -> Result<Array2<f64>, Invalid> {
+    let sigma = settings.sigma_mm;
+    if !(sigma.is_finite() && sigma > 0.0) {
+        return Err(Invalid::whole(
+            "extension sigma",
+            format!("is {sigma} mm"),
+            "give a positive length in mm; a third of the margin decays to 1 %",
+        ));
+    }
+    let near = distance::nearest(map.view(), grid);
+    // z(p) = z(q) exp(-d^2 / 2 sigma^2)
+    Ok(Zip::from(&near.place)
+        .and(&near.distance_mm)
+        .map_collect(|at, d| map[*at] * (-0.5 * (d / sigma).powi(2)).exp()))
+}

@@ -1,0 +1,114 @@
+//! The continuation without spatial frequencies above a cutoff.
+//!
+//! ```text
+//! z_0     = nearest extension
+//! z_(k+1) = valid pixels: z as measured;  others: L z_k
+//! L       = low pass |f| <= f_c of the enlarged map, continued periodically
+//! ```
+//!
+//! Each step is a projection onto a set that a band-limited surface is in, so the error of one
+//! falls with every step, ever more slowly. The mean of the map is taken off first. What the map
+//! has above f_c stays on the valid pixels and makes a step at their edge.
+//!
+//! Smooth continuation into the margin, at the price of hundreds of Fourier transforms. For the
+//! inverse filters, which amplify whatever kinks at the edge; f_c about 1 / (2 FWHM) of the tool.
+//! The map is continued periodically: give at least 1 / (2 f_c) of margin, so that the opposite
+//! edge does not matter.
+//!
+//! Source: R. W. Gerchberg, Opt. Acta 21 (1974) 709; A. Papoulis, IEEE Trans. Circuits Syst. 22
+//! (1975) 735, Eqs 3-6.
+
+use ndarray::{Array2, Zip, s};
+use planish_numerics::{fft::smooth_size, fourier};
+use planish_types::{Grid, Invalid};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::nearest;
+
+/// The cutoff, and when to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// f_c, 1/mm; > 0, at most half the sampling frequency.
+    pub cutoff_per_mm: f64,
+    /// Most steps.
+    pub max_iterations: usize,
+    /// Stop when no height changes by more than this in a step, nm; >= 0.
+    pub tolerance_nm: f64,
+}
+
+/// `map` (ny, nx) with a height on every pixel.
+pub(super) fn extend(
+    map: &Array2<f64>,
+    grid: &Grid,
+    settings: &Settings,
+) -> Result<(Array2<f64>, Value), Invalid> {
+    let (ny, nx) = map.dim();
+    // The transform's own margin, for its speed, joins the unknown pixels.
+    let size = (smooth_size(ny), smooth_size(nx));
+    settings.check(grid, size)?;
+    let mut known = Array2::from_elem(size, f64::NAN);
+    known.slice_mut(s![..ny, ..nx]).assign(map);
+    let valid = || known.iter().filter(|v| !v.is_nan());
+    let mean = valid().sum::<f64>() / valid().count() as f64;
+    known -= mean;
+
+    let pass = Array2::from_shape_fn(size, |(k, l)| {
+        let fy = fourier::frequency(k, size.0) / grid.y.step_mm();
+        let fx = fourier::frequency(l, size.1) / grid.x.step_mm();
+        fx.hypot(fy) <= settings.cutoff_per_mm
+    });
+    let mut z = nearest::extend(&known, grid);
+    let (mut iterations, mut change) = (0, 0.0);
+    while iterations < settings.max_iterations {
+        // L z_k
+        let mut spectrum = fourier::forward(z.view());
+        Zip::from(&mut spectrum).and(&pass).for_each(|v, pass| *v *= f64::from(u8::from(*pass)));
+        let low = fourier::inverse(spectrum);
+        change = 0.0;
+        Zip::from(&mut z).and(&low).and(&known).for_each(|z, low, known| {
+            if known.is_nan() {
+                change = f64::max(change, (*low - *z).abs());
+                *z = *low;
+            }
+        });
+        iterations += 1;
+        if change <= settings.tolerance_nm {
+            break;
+        }
+    }
+    let own = json!({
+        "iterations": iterations,
+        "last_change_nm": change,
+        "stopped_by": if change <= settings.tolerance_nm { "tolerance" } else { "max_iterations" },
+    });
+    Ok((z.slice_move(s![..ny, ..nx]) + mean, own))
+}
+
+impl Settings {
+    fn check(&self, grid: &Grid, size: (usize, usize)) -> Result<(), Invalid> {
+        let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+        let f = self.cutoff_per_mm;
+        let highest = 0.5 / dx.max(dy);
+        if !(f > 0.0 && f <= highest) {
+            return Err(Invalid::whole(
+                "extension cutoff",
+                format!("is {f} /mm"),
+                format!("give a spatial frequency up to {highest} /mm; 1 / (2 FWHM) is usual"),
+            ));
+        }
+        let lowest = (1.0 / (dx * size.1 as f64)).min(1.0 / (dy * size.0 as f64));
+        if f < lowest {
+            return Err(Invalid::whole(
+                "extension cutoff",
+                format!("of {f} /mm leaves no wave in the map"),
+                format!("give at least {lowest} /mm"),
+            ));
+        }
+        if !(self.tolerance_nm.is_finite() && self.tolerance_nm >= 0.0) {
+            let problem = format!("is {} nm", self.tolerance_nm);
+            return Err(Invalid::whole("extension tolerance", problem, "give at least 0 nm"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,85 @@
+//! The continuation of a polynomial fit.
+//!
+//! ```text
+//! z(p) = sum_(i <= I, j <= J) c_ij T_i(u) T_j(v),   u, v = -1 .. 1 over all pixels of the fit
+//! c    = least squares over the valid pixels, and over the ring with the heights of the nearest
+//!        extension: the outermost pixels, and all at least the margin away from a valid one
+//! ```
+//!
+//! Without the ring nothing holds the polynomial beyond the aperture and it explodes, unless the
+//! map is a polynomial of this order; then it is continued exactly. With the ring it is smooth,
+//! and follows the low orders of the map over the edge; it leaves a step there, of what the
+//! polynomial does not describe (`misfit_rms_nm`).
+//!
+//! For maps whose error is a figure of low order, and for iterations that only try to correct what
+//! is correctable.
+//!
+//! Source: T. Wang et al., Opt. Express 29 (2021) 15114 (robust iterative surface extension), for
+//! the idea; the ring's heights are the nearest ones here.
+
+use ndarray::Array2;
+use planish_numerics::statistics::statistics;
+use planish_types::{Grid, Invalid};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::{
+    basis::{Basis, Polynomial, fit},
+    distance,
+    low_order::bounding_box_mm,
+};
+
+/// Highest order: 31 x 31 terms.
+const MAX_ORDER: u32 = 30;
+
+/// Which polynomial.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Highest orders [I along x, J along y]; at most 30.
+    pub order: [u32; 2],
+    /// Whether the ring holds it. Without the ring only for maps that are polynomials.
+    pub ring: bool,
+}
+
+/// `map` (ny, nx), enlarged by `margin_mm`, with a height on every pixel.
+pub(super) fn extend(
+    map: &Array2<f64>,
+    grid: &Grid,
+    margin_mm: f64,
+    settings: &Settings,
+) -> Result<(Array2<f64>, Value), Invalid> {
+    let [along_x, along_y] = settings.order;
+    if along_x.max(along_y) > MAX_ORDER {
+        return Err(Invalid::whole(
+            "extension order",
+            format!("is {along_x} along x, {along_y} along y"),
+            format!("give at most {MAX_ORDER}"),
+        ));
+    }
+    let mut data = map.clone();
+    if settings.ring {
+        // Without the corners beyond a round aperture the polynomial would swing there.
+        let near = distance::nearest(map.view(), grid);
+        let (ny, nx) = map.dim();
+        let far_mm = margin_mm - 0.5 * grid.x.step_mm().min(grid.y.step_mm());
+        for ((r, c), z) in data.indexed_iter_mut() {
+            let outermost = r == 0 || c == 0 || r == ny - 1 || c == nx - 1;
+            if z.is_nan() && (outermost || near.distance_mm[[r, c]] >= far_mm) {
+                *z = map[near.place[[r, c]]];
+            }
+        }
+    }
+    let box_mm = bounding_box_mm(&data, grid);
+    if box_mm.iter().any(|[low, high]| low == high) {
+        return Err(Invalid::whole(
+            "extension",
+            "the valid pixels are in one row or one column",
+            "give a map of at least 2 x 2 valid pixels",
+        ));
+    }
+    let terms = (0..=along_x).flat_map(|i| (0..=along_y).map(move |j| [i, j])).collect();
+    let basis = Basis::tensor(grid, box_mm, Polynomial::Chebyshev, terms);
+    let found = fit(&basis, data.view())?;
+    let misfit_rms_nm = statistics((map - &found.map).view()).map_or(0.0, |s| s.rms);
+    Ok((found.map, json!({ "misfit_rms_nm": misfit_rms_nm, "condition": found.condition })))
+}

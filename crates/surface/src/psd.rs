@@ -1,0 +1,499 @@
+//! Power spectral densities of a rectangle of a map: along x, along y, in two dimensions, radial.
+//!
+//! ```text
+//! F[k, l] = dx dy sum z w exp(-2 pi i (k r / ny + l c / nx)),   w = w_y(r) w_x(c)
+//! two-dimensional  S[k, l] = |F|^2 / (nx dx ny dy mean(w^2)),    nm^2 mm^2, both signs of f
+//! radial           mean of S over the ring |f| = (k +- 1/2) df,  nm^2 mm^2
+//! along x          mean over the rows of  2 dx |sum z w_x exp(..)|^2 / (nx mean(w_x^2)),
+//!                  nm^2 mm, f >= 0; not doubled at f = 0 and at the Nyquist frequency
+//! band RMS^2 = sum of S df over the bins with f_0 <= f < f_1
+//! ```
+//!
+//! so that the sum of S df over all bins is the variance of the (windowed) map, exactly (Parseval),
+//! and adjoining bands add up. The plane or the mean of the rectangle is taken off first.
+//!
+//! The Hann window keeps what is not periodic in the rectangle (nearly everything) from leaking
+//! over all frequencies; it gives the middle of the map more weight than the edges. Without a
+//! window the band RMS weighs all pixels alike, and high bands hold the leakage of low ones.
+//!
+//! The rectangle has no invalid pixel: a filled-up or zero-padded one would have another spectrum.
+//! On a circular aperture it is the largest inscribed one.
+//!
+//! Source: J. M. Elson, J. M. Bennett, Appl. Opt. 34 (1995) 201; ISO 10110-8 (one-sided along a
+//! line); F. J. Harris, Proc. IEEE 66 (1978) 51 (windows).
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | rectangle of the map | (ny, nx) | nm |
+//! | f | `frequency_*_per_mm` | | 1/mm |
+//! | S | `psd_*` | | nm^2 mm^2, nm^2 mm |
+
+use std::f64::consts::PI;
+
+use ndarray::{Array2, ArrayView2, s};
+use planish_numerics::{
+    fourier,
+    statistics::{fit_plane, statistics, subtract_plane},
+};
+use planish_types::{Grid, Invalid, Surface};
+use serde::Serialize;
+
+/// Fewest pixels along an axis of the rectangle.
+const MIN_PIXELS: usize = 8;
+
+/// How the spectrum is taken.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PsdSettings {
+    /// The window, along both axes.
+    pub window: Window,
+    /// What is taken off the rectangle first.
+    pub detrend: Detrend,
+    /// Bands [f_0, f_1) whose RMS is wanted, 1/mm.
+    pub band_per_mm: Vec<[f64; 2]>,
+}
+
+/// Weight of the pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Window {
+    /// `w[i] = (1 - cos(2 pi i / n)) / 2` (periodic).
+    Hann,
+    /// 1.
+    Rectangular,
+}
+
+/// What is taken off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Detrend {
+    /// The mean.
+    Mean,
+    /// The least-squares plane.
+    Plane,
+}
+
+/// The spectra.
+#[derive(Clone, Debug)]
+pub struct Psd {
+    /// Frequencies along x of `psd_2d_nm2_mm2`, ascending, (nx), 1/mm.
+    pub frequency_2d_x_per_mm: Vec<f64>,
+    /// Frequencies along y of `psd_2d_nm2_mm2`, ascending, (ny), 1/mm.
+    pub frequency_2d_y_per_mm: Vec<f64>,
+    /// Two-dimensional, both signs, (ny, nx), nm^2 mm^2.
+    pub psd_2d_nm2_mm2: Array2<f64>,
+    /// Frequencies along x, (nx / 2 + 1), 1/mm.
+    pub frequency_x_per_mm: Vec<f64>,
+    /// One-sided along x, mean of the rows, nm^2 mm.
+    pub psd_x_nm2_mm: Vec<f64>,
+    /// Frequencies along y, (ny / 2 + 1), 1/mm.
+    pub frequency_y_per_mm: Vec<f64>,
+    /// One-sided along y, mean of the columns, nm^2 mm.
+    pub psd_y_nm2_mm: Vec<f64>,
+    /// Middles of the rings, 1/mm.
+    pub frequency_radial_per_mm: Vec<f64>,
+    /// Mean of the two-dimensional one over the rings, nm^2 mm^2.
+    pub psd_radial_nm2_mm2: Vec<f64>,
+    /// Numbers for the manifest.
+    pub report: PsdReport,
+}
+
+/// What was measured, in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PsdReport {
+    /// The rectangle: smallest and largest x, mm.
+    pub x_mm: [f64; 2],
+    /// The rectangle: smallest and largest y, mm.
+    pub y_mm: [f64; 2],
+    /// Its pixels (rows, columns).
+    pub shape: (usize, usize),
+    /// Its pixels over the valid pixels of the map.
+    pub share_of_valid_pixels: f64,
+    /// RMS of the detrended rectangle without a window, nm.
+    pub rms_nm: f64,
+    /// Root of the integral of the two-dimensional PSD: the RMS weighted by the window, nm.
+    pub spectral_rms_nm: f64,
+    /// The bands.
+    pub bands: Vec<BandRms>,
+}
+
+/// RMS within a band of spatial frequencies.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BandRms {
+    /// [f_0, f_1), 1/mm.
+    pub band_per_mm: [f64; 2],
+    /// From the two-dimensional PSD, |f| in the band, nm.
+    pub rms_nm: f64,
+    /// From the PSD along x, nm.
+    pub rms_x_nm: f64,
+    /// From the PSD along y, nm.
+    pub rms_y_nm: f64,
+}
+
+/// The spectra of the largest rectangle of valid pixels of `surface`.
+pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
+    let (origin, (ny, nx)) = largest_rectangle(&surface.height_nm().mapv(|v| !v.is_nan()));
+    if ny < MIN_PIXELS || nx < MIN_PIXELS {
+        return Err(Invalid::whole(
+            "psd",
+            format!("the largest rectangle of valid pixels has {nx} x {ny} px"),
+            format!(
+                "give a map with at least {MIN_PIXELS} x {MIN_PIXELS} px without a hole \
+                 (planish-surface prepare --fill fills them)"
+            ),
+        ));
+    }
+    let part = s![origin.0..origin.0 + ny, origin.1..origin.1 + nx];
+    let grid = Grid {
+        x: surface.grid().x.crop(origin.1, origin.1 + nx - 1)?,
+        y: surface.grid().y.crop(origin.0, origin.0 + ny - 1)?,
+    };
+    let z = detrended(surface.height_nm().slice(part), &grid, settings.detrend);
+    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+    let (w_x, w_y) = (window(settings.window, nx), window(settings.window, ny));
+
+    // S = |F|^2 / (nx dx ny dy mean(w^2)), F = dx dy DFT(z w)
+    let weighted = Array2::from_shape_fn((ny, nx), |(r, c)| z[[r, c]] * w_y[r] * w_x[c]);
+    let scale = dx * dy / ((nx * ny) as f64 * mean_square(&w_x) * mean_square(&w_y));
+    let power = fourier::forward(weighted.view()).mapv(|v| v.norm_sqr() * scale);
+    let (order_x, order_y) = (ascending(nx), ascending(ny));
+    let at = |k: usize, n: usize, step: f64| fourier::frequency(k, n) / step;
+    let frequency_2d_x_per_mm: Vec<f64> = order_x.iter().map(|k| at(*k, nx, dx)).collect();
+    let frequency_2d_y_per_mm: Vec<f64> = order_y.iter().map(|k| at(*k, ny, dy)).collect();
+    let psd_2d_nm2_mm2 = Array2::from_shape_fn((ny, nx), |(r, c)| power[[order_y[r], order_x[c]]]);
+
+    let (frequency_x_per_mm, psd_x_nm2_mm) = along_rows(z.view(), dx, &w_x);
+    let (frequency_y_per_mm, psd_y_nm2_mm) = along_rows(z.t(), dy, &w_y);
+    let frequencies = (&frequency_2d_y_per_mm[..], &frequency_2d_x_per_mm[..]);
+    let (frequency_radial_per_mm, psd_radial_nm2_mm2) = radial(&psd_2d_nm2_mm2, frequencies);
+
+    // band RMS^2 = sum of S df
+    let df2 = 1.0 / (nx as f64 * dx * ny as f64 * dy);
+    let in_band = |band: [f64; 2]| {
+        let of = |f: f64| f >= band[0] && f < band[1];
+        let line = |f: &[f64], s: &[f64]| {
+            let sum: f64 = f.iter().zip(s).filter(|(f, _)| of(**f)).map(|(_, s)| s).sum();
+            (sum * f[1]).sqrt()
+        };
+        let both = psd_2d_nm2_mm2
+            .indexed_iter()
+            .filter(|((r, c), _)| of(frequency_2d_x_per_mm[*c].hypot(frequency_2d_y_per_mm[*r])));
+        BandRms {
+            band_per_mm: band,
+            rms_nm: (both.map(|(_, s)| s).sum::<f64>() * df2).sqrt(),
+            rms_x_nm: line(&frequency_x_per_mm, &psd_x_nm2_mm),
+            rms_y_nm: line(&frequency_y_per_mm, &psd_y_nm2_mm),
+        }
+    };
+    let highest = (0.5 / dx).hypot(0.5 / dy);
+    let mut bands = Vec::new();
+    for band in &settings.band_per_mm {
+        check_band(*band, (frequency_x_per_mm[1]).min(frequency_y_per_mm[1]), highest)?;
+        bands.push(in_band(*band));
+    }
+    let report = PsdReport {
+        x_mm: [grid.x.start_mm(), grid.x.end_mm()],
+        y_mm: [grid.y.start_mm(), grid.y.end_mm()],
+        shape: (ny, nx),
+        share_of_valid_pixels: (nx * ny) as f64 / surface.statistics().valid_count as f64,
+        rms_nm: statistics(z.view()).map_or(0.0, |s| s.rms),
+        spectral_rms_nm: (psd_2d_nm2_mm2.sum() * df2).sqrt(),
+        bands,
+    };
+    Ok(Psd {
+        frequency_2d_x_per_mm,
+        frequency_2d_y_per_mm,
+        psd_2d_nm2_mm2,
+        frequency_x_per_mm,
+        psd_x_nm2_mm,
+        frequency_y_per_mm,
+        psd_y_nm2_mm,
+        frequency_radial_per_mm,
+        psd_radial_nm2_mm2,
+        report,
+    })
+}
+
+fn check_band([low, high]: [f64; 2], lowest: f64, highest: f64) -> Result<(), Invalid> {
+    if low >= 0.0 && low < high && high.is_finite() && low < highest && high > lowest {
+        return Ok(());
+    }
+    Err(Invalid::whole(
+        "band",
+        format!("{low} .. {high} /mm holds no frequency of the map ({lowest} .. {highest} /mm)"),
+        "give 0 <= low < high in 1/mm; a wavelength L is 1 / L",
+    ))
+}
+
+fn detrended(z: ArrayView2<f64>, grid: &Grid, detrend: Detrend) -> Array2<f64> {
+    let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
+    let flat = match detrend {
+        Detrend::Plane => fit_plane(z, &x, &y).map(|p| subtract_plane(z, &x, &y, p)),
+        Detrend::Mean => None,
+    };
+    let flat = flat.unwrap_or_else(|| z.to_owned());
+    let mean = flat.mean().unwrap_or(0.0);
+    flat - mean
+}
+
+fn window(window: Window, n: usize) -> Vec<f64> {
+    let at = |i: usize| match window {
+        Window::Hann => 0.5 * (1.0 - (2.0 * PI * i as f64 / n as f64).cos()),
+        Window::Rectangular => 1.0,
+    };
+    (0..n).map(at).collect()
+}
+
+fn mean_square(w: &[f64]) -> f64 {
+    w.iter().map(|w| w * w).sum::<f64>() / w.len() as f64
+}
+
+/// Elements of a transform of length `n` by ascending frequency.
+fn ascending(n: usize) -> Vec<usize> {
+    (n / 2 + 1..n).chain(0..=n / 2).collect()
+}
+
+/// Frequencies and the mean one-sided PSD of the rows.
+fn along_rows(z: ArrayView2<f64>, step_mm: f64, w: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let (rows, n) = z.dim();
+    let mut sums = vec![0.0; n / 2 + 1];
+    for row in z.outer_iter() {
+        let line = Array2::from_shape_fn((1, n), |(_, c)| row[c] * w[c]);
+        let spectrum = fourier::forward(line.view());
+        sums.iter_mut().zip(&spectrum).for_each(|(s, v)| *s += v.norm_sqr());
+    }
+    let scale = step_mm / (n as f64 * mean_square(w) * rows as f64);
+    let once = |k: usize| k == 0 || 2 * k == n;
+    let psd = sums.iter().enumerate();
+    let psd = psd.map(|(k, s)| s * scale * if once(k) { 1.0 } else { 2.0 }).collect();
+    ((0..=n / 2).map(|k| k as f64 / (n as f64 * step_mm)).collect(), psd)
+}
+
+/// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist
+/// frequency; the ring about 0 holds what is nearer to 0 than half a step.
+fn radial(power: &Array2<f64>, (fy, fx): (&[f64], &[f64])) -> (Vec<f64>, Vec<f64>) {
+    let df = (fx[1] - fx[0]).max(fy[1] - fy[0]);
+    let nyquist = fx[fx.len() - 1].min(fy[fy.len() - 1]);
+    let rings = (nyquist / df + 1e-9).floor() as usize + 1;
+    let (mut sum, mut count) = (vec![0.0; rings], vec![0_usize; rings]);
+    for ((r, c), s) in power.indexed_iter() {
+        let ring = (fx[c].hypot(fy[r]) / df).round() as usize;
+        if ring < rings {
+            sum[ring] += s;
+            count[ring] += 1;
+        }
+    }
+    let mean = sum.iter().zip(&count).map(|(s, n)| s / *n as f64).collect();
+    ((0..rings).map(|k| k as f64 * df).collect(), mean)
+}
+
+/// The largest rectangle of true by area: its first (row, column) and its (rows, columns). Of
+/// equal ones the first.
+fn largest_rectangle(flags: &Array2<bool>) -> ((usize, usize), (usize, usize)) {
+    let (ny, nx) = flags.dim();
+    let mut best = ((0, 0), (0, 0));
+    let mut height = vec![0_usize; nx];
+    for r in 0..ny {
+        for c in 0..nx {
+            height[c] = if flags[[r, c]] { height[c] + 1 } else { 0 };
+        }
+        // Columns of ascending heights whose rectangles are still open: (first column, height).
+        let mut open: Vec<(usize, usize)> = Vec::new();
+        for c in 0..=nx {
+            let h = if c < nx { height[c] } else { 0 };
+            let mut start = c;
+            while let Some(&(first, tall)) = open.last().filter(|o| o.1 >= h) {
+                if tall * (c - first) > best.1.0 * best.1.1 {
+                    best = ((r + 1 - tall, first), (tall, c - first));
+                }
+                start = first;
+                open.pop();
+            }
+            open.push((start, h));
+        }
+    }
+    best
+}
+
+/// The frequency at which `along` is largest, for a message.
+pub fn strongest_per_mm(frequency_per_mm: &[f64], along: &[f64]) -> f64 {
+    let all = frequency_per_mm.iter().zip(along).skip(1);
+    all.fold((0.0, 0.0), |best, (f, s)| if *s > best.1 { (*f, *s) } else { best }).0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Axis;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    const WINDOWS: [Window; 2] = [Window::Hann, Window::Rectangular];
+
+    fn grid(nx: usize, ny: usize) -> Grid {
+        Grid { x: Axis::new(3.0, 0.1, nx).unwrap(), y: Axis::new(-1.0, 0.15, ny).unwrap() }
+    }
+
+    fn settings(window: Window, band_per_mm: Vec<[f64; 2]>) -> PsdSettings {
+        PsdSettings { window, detrend: Detrend::Mean, band_per_mm }
+    }
+
+    fn map(g: Grid, f: impl FnMut((usize, usize)) -> f64) -> Surface {
+        Surface::new(g, Array2::from_shape_fn(g.shape(), f)).unwrap()
+    }
+
+    #[test]
+    fn the_band_of_a_sine_holds_half_its_amplitude_squared_in_all_spectra() {
+        // 20 periods in 200 px of 0.1 mm along x: 1 /mm; amplitude 1 nm.
+        let g = grid(200, 64);
+        let wave = |c: usize| (2.0 * PI * 20.0 * c as f64 / 200.0 + 0.3).sin();
+        let surface = map(g, |(_, c)| wave(c));
+        for window in WINDOWS {
+            let found = psd(&surface, &settings(window, vec![[0.8, 1.2], [1.2, 3.0]])).unwrap();
+            let [band, other] = found.report.bands[..] else { panic!() };
+            // 1 / sqrt(2) to rounding: the window's own spectrum ends within three bins of 0.05.
+            assert!((band.rms_nm - 0.5_f64.sqrt()).abs() < 1e-12, "{window:?} {band:?}");
+            assert!((band.rms_x_nm - 0.5_f64.sqrt()).abs() < 1e-12, "{window:?} {band:?}");
+            // Along y there is nothing but the same height everywhere: it is at f = 0.
+            assert!(band.rms_y_nm < 1e-12 && other.rms_nm < 1e-12 && other.rms_x_nm < 1e-12);
+            let strongest = strongest_per_mm(&found.frequency_x_per_mm, &found.psd_x_nm2_mm);
+            assert!((strongest - 1.0).abs() < 1e-12);
+        }
+        // Transposed, it is along y.
+        let g = Grid { x: g.x, y: Axis::new(0.0, 0.1, 200).unwrap() };
+        let found = psd(&map(g, |(r, _)| wave(r)), &settings(Window::Hann, vec![[0.8, 1.2]]));
+        let band = found.unwrap().report.bands[0];
+        assert!((band.rms_y_nm - 0.5_f64.sqrt()).abs() < 1e-12 && band.rms_x_nm < 1e-12);
+    }
+
+    #[test]
+    fn parseval_holds_for_every_parity_and_window() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        for (nx, ny) in [(30, 21), (31, 22), (16, 16), (17, 9)] {
+            let surface = map(grid(nx, ny), |_| rng.random_range(-3.0..5.0));
+            for window in WINDOWS {
+                let p = psd(&surface, &settings(window, vec![[0.0, 99.0]])).unwrap();
+                let (w_x, w_y) = (super::window(window, nx), super::window(window, ny));
+                let mean = surface.statistics().mean;
+                let z = |r: usize, c: usize| surface.height_nm()[[r, c]] - mean;
+                let (mut both, mut along_x) = (0.0, 0.0);
+                for (r, c) in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+                    both += (z(r, c) * w_y[r] * w_x[c]).powi(2);
+                    along_x += (z(r, c) * w_x[c]).powi(2);
+                }
+                let n = (nx * ny) as f64;
+                both /= n * mean_square(&w_x) * mean_square(&w_y);
+                along_x /= n * mean_square(&w_x);
+                let report = &p.report;
+                // Sums of a few hundred terms.
+                assert!((report.spectral_rms_nm.powi(2) / both - 1.0).abs() < 1e-12);
+                assert!((report.bands[0].rms_nm.powi(2) / both - 1.0).abs() < 1e-12);
+                assert!((report.bands[0].rms_x_nm.powi(2) / along_x - 1.0).abs() < 1e-12);
+                if window == Window::Rectangular {
+                    assert!((report.spectral_rms_nm / report.rms_nm - 1.0).abs() < 1e-12);
+                    // PSD along x = integral of the two-dimensional one over f_y (both signs).
+                    let df_y = 1.0 / (ny as f64 * 0.15);
+                    for (k, f) in p.frequency_x_per_mm.iter().enumerate() {
+                        let at = |sign: f64| {
+                            let near = |v: &f64| (v - sign * f).abs() < 1e-9;
+                            p.frequency_2d_x_per_mm.iter().position(near)
+                        };
+                        let columns = if k == 0 || 2 * k == nx {
+                            vec![at(1.0)]
+                        } else {
+                            vec![at(1.0), at(-1.0)]
+                        };
+                        let sum: f64 = columns
+                            .into_iter()
+                            .map(|c| p.psd_2d_nm2_mm2.column(c.unwrap()).sum() * df_y)
+                            .sum();
+                        assert!((sum - p.psd_x_nm2_mm[k]).abs() < 1e-12 * sum.max(1e-3));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn white_noise_has_the_level_of_its_variance_times_the_pixel() {
+        let sigma = 0.7;
+        let normal = Normal::new(0.0, sigma).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let surface = map(grid(256, 256), |_| normal.sample(&mut rng));
+        for window in WINDOWS {
+            let p = psd(&surface, &settings(window, vec![])).unwrap();
+            let mean = |s: &[f64]| s[2..s.len() - 1].iter().sum::<f64>() / (s.len() - 3) as f64;
+            // Two-sided and two-dimensional: sigma^2 dx dy. One-sided along a line: 2 sigma^2 dx.
+            // 65536 samples: the mean is known to 1 / 256; 1 % is 2.5 standard deviations, 2 with
+            // the window's weights.
+            let level = sigma * sigma;
+            assert!((mean(&p.psd_radial_nm2_mm2) / (level * 0.1 * 0.15) - 1.0).abs() < 0.02);
+            assert!((mean(&p.psd_x_nm2_mm) / (2.0 * level * 0.1) - 1.0).abs() < 0.02);
+            assert!((mean(&p.psd_y_nm2_mm) / (2.0 * level * 0.15) - 1.0).abs() < 0.02);
+        }
+    }
+
+    #[test]
+    fn a_slanted_wave_is_where_its_vector_points() {
+        // 6 periods along x in 20 mm, 4 along y in 9.6 mm.
+        let g = Grid { x: Axis::new(0.0, 0.1, 200).unwrap(), y: Axis::new(0.0, 0.1, 96).unwrap() };
+        let surface =
+            map(g, |(r, c)| (2.0 * PI * (6.0 * c as f64 / 200.0 + 4.0 * r as f64 / 96.0)).cos());
+        let p = psd(&surface, &settings(Window::Rectangular, vec![])).unwrap();
+        let peaks: Vec<_> =
+            p.psd_2d_nm2_mm2.indexed_iter().filter(|(_, s)| **s > 1e-6).map(|(at, _)| at).collect();
+        let at: Vec<_> = peaks
+            .iter()
+            .map(|(r, c)| [p.frequency_2d_x_per_mm[*c] * 20.0, p.frequency_2d_y_per_mm[*r] * 9.6])
+            .collect();
+        assert_eq!(at.len(), 2);
+        for (found, want) in at.iter().zip([[-6.0, -4.0], [6.0, 4.0]]) {
+            assert!((0..2).all(|k| (found[k] - want[k]).abs() < 1e-12), "{at:?}");
+        }
+        // |f| = hypot(0.3, 0.4167) = 0.5134; rings of 0.1042: the fifth.
+        let ring = strongest_per_mm(&p.frequency_radial_per_mm, &p.psd_radial_nm2_mm2);
+        assert!((ring - 5.0 / 9.6).abs() < 1e-12, "{ring}");
+    }
+
+    #[test]
+    fn a_tilt_leaks_unless_it_is_taken_off() {
+        let surface = map(grid(100, 80), |(r, c)| 3.0 * c as f64 - r as f64);
+        let band = vec![[1.0, 2.0]];
+        let with = PsdSettings { detrend: Detrend::Plane, ..settings(Window::Hann, band.clone()) };
+        assert!(psd(&surface, &with).unwrap().report.bands[0].rms_nm < 1e-10);
+        let without = psd(&surface, &settings(Window::Rectangular, band)).unwrap();
+        assert!(without.report.bands[0].rms_nm > 1.0);
+    }
+
+    #[test]
+    fn the_largest_rectangle_is_found_like_by_trying_all() {
+        let mut rng = ChaCha8Rng::seed_from_u64(12);
+        for _ in 0..40 {
+            let (ny, nx) = (rng.random_range(1..8), rng.random_range(1..9));
+            let flags = Array2::from_shape_simple_fn((ny, nx), || rng.random_range(0.0..1.0) < 0.7);
+            let mut want = 0;
+            for (r0, c0) in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+                for (r1, c1) in (r0..ny).flat_map(|r| (c0..nx).map(move |c| (r, c))) {
+                    if flags.slice(s![r0..=r1, c0..=c1]).iter().all(|f| *f) {
+                        want = want.max((r1 + 1 - r0) * (c1 + 1 - c0));
+                    }
+                }
+            }
+            let ((r, c), (h, w)) = largest_rectangle(&flags);
+            assert_eq!(h * w, want, "{flags:?}");
+            assert!(flags.slice(s![r..r + h, c..c + w]).iter().all(|f| *f));
+        }
+    }
+
+    #[test]
+    fn what_has_no_spectrum_says_why() {
+        let surface = map(grid(40, 40), |(r, c)| if r % 7 == c % 7 { f64::NAN } else { 1.0 });
+        let error = psd(&surface, &settings(Window::Hann, vec![])).unwrap_err().to_string();
+        assert!(error.contains("largest rectangle of valid pixels has"), "{error}");
+        let surface = map(grid(40, 40), |(r, _)| r as f64);
+        for band in [[2.0, 1.0], [-1.0, 2.0], [20.0, 30.0], [0.0, 0.01], [f64::NAN, 1.0]] {
+            let error = psd(&surface, &settings(Window::Hann, vec![band])).unwrap_err();
+            assert!(error.to_string().contains("holds no frequency"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Numbers that describe a map: RMS, PV, and a PV that one bad pixel cannot decide.
+//!
+//! ```text
+//! RMS  = sqrt(mean (z - mean z)^2)        PV = max z - min z
+//! PVr  = PV(low-order fit) + 3 RMS(z - low-order fit)
+//! ```
+//!
+//! The fit of PVr has 36 terms: Zernike terms up to n = 7 where the map is a disc, Legendre terms
+//! with i + j <= 7 where it is a rectangle. The source defines PVr on discs with the first 36
+//! Zernike terms; the same number of Legendre terms on a rectangle is ours.
+//!
+//! Source: C. J. Evans, Opt. Eng. 48 (2009) 043605.
+
+use planish_types::{Invalid, Surface};
+use serde::Serialize;
+
+use crate::low_order::{Circle, Family, LowOrderSettings, low_order};
+
+/// 36 terms.
+const PVR_ORDER: u32 = 7;
+
+/// A map that fills less of its bounding box is taken for a disc (pi / 4 = 0.785).
+const RECTANGLE_FILLS: f64 = 0.9;
+
+/// Numbers that describe a map.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SurfaceStatistics {
+    /// Shape (rows, columns).
+    pub shape: (usize, usize),
+    /// Number of valid pixels.
+    pub valid_pixels: usize,
+    /// Their area, mm^2.
+    pub valid_area_mm2: f64,
+    /// Arithmetic mean, nm.
+    pub mean_nm: f64,
+    /// Population RMS, mean removed, nm.
+    pub rms_nm: f64,
+    /// Population RMS, least-squares plane removed, nm.
+    pub rms_detilted_nm: f64,
+    /// Largest minus smallest height, nm.
+    pub pv_nm: f64,
+    /// The robust PV; absent where its terms cannot be fitted.
+    pub pvr: Option<RobustPv>,
+    /// Why it is absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pvr_note: Option<String>,
+}
+
+/// PVr and its parts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RobustPv {
+    /// PVr, nm.
+    pub pvr_nm: f64,
+    /// PV of the fit over the valid pixels, nm.
+    pub fit_pv_nm: f64,
+    /// RMS of the rest, nm.
+    pub rest_rms_nm: f64,
+    /// What was fitted.
+    pub family: Family,
+    /// Highest order of the fit.
+    pub order: u32,
+    /// How it is defined.
+    pub definition: &'static str,
+}
+
+/// Describes `surface`. `family` of the fit of PVr; `None` takes Zernike terms where the valid
+/// pixels fill less than 90 % of their bounding box, else Legendre terms. `circle` is the unit circle
+/// of Zernike terms, as in [`LowOrderSettings`].
+pub fn surface_statistics(
+    surface: &Surface,
+    family: Option<Family>,
+    circle: Option<Circle>,
+) -> Result<SurfaceStatistics, Invalid> {
+    let s = surface.statistics();
+    let family = family.unwrap_or_else(|| suited(surface));
+    let (pvr, pvr_note) = match robust_pv(surface, family, circle) {
+        Ok(pvr) => (Some(pvr), None),
+        // A map that is too small for 36 terms still has an RMS; a wrong circle is a mistake.
+        Err(e) if circle.is_none() => (None, Some(e.to_string())),
+        Err(e) => return Err(e),
+    };
+    Ok(SurfaceStatistics {
+        shape: surface.height_nm().dim(),
+        valid_pixels: s.valid_count,
+        valid_area_mm2: s.valid_count as f64 * surface.grid().pixel_mm2(),
+        mean_nm: s.mean,
+        rms_nm: s.rms,
+        rms_detilted_nm: surface.detilted_rms_nm(),
+        pv_nm: s.pv,
+        pvr,
+        pvr_note,
+    })
+}
+
+/// PVr with the given terms.
+pub fn robust_pv(
+    surface: &Surface,
+    family: Family,
+    circle: Option<Circle>,
+) -> Result<RobustPv, Invalid> {
+    let fitted = low_order(surface, &LowOrderSettings { family, order: PVR_ORDER, circle })?;
+    let rest = Surface::new(*surface.grid(), surface.height_nm() - &fitted.shape_nm)?;
+    let (fit_pv_nm, rest_rms_nm) = (fitted.report.pv_nm, rest.statistics().rms);
+    Ok(RobustPv {
+        // PVr = PV(fit) + 3 RMS(rest)
+        pvr_nm: fit_pv_nm + 3.0 * rest_rms_nm,
+        fit_pv_nm,
+        rest_rms_nm,
+        family,
+        order: PVR_ORDER,
+        definition: "PV of the 36-term fit plus 3 RMS of the rest (C. J. Evans, Opt. Eng. 48, 043605)",
+    })
+}
+
+/// The terms that suit the outline of the valid pixels.
+fn suited(surface: &Surface) -> Family {
+    let map = surface.height_nm();
+    let used = |lines: &mut dyn Iterator<Item = bool>| {
+        let at: Vec<usize> = lines.enumerate().filter(|(_, u)| *u).map(|(i, _)| i).collect();
+        (at[at.len() - 1] + 1 - at[0]) as f64
+    };
+    let rows = used(&mut map.outer_iter().map(|l| l.iter().any(|v| !v.is_nan())));
+    let columns = used(&mut map.columns().into_iter().map(|l| l.iter().any(|v| !v.is_nan())));
+    let filled = surface.statistics().valid_count as f64 / (rows * columns);
+    if filled < RECTANGLE_FILLS { Family::Zernike } else { Family::Legendre }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array2;
+    use planish_types::{Axis, Grid};
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    fn map(round: bool, noise_nm: f64, f: impl Fn(f64, f64) -> f64) -> Surface {
+        let axis = Axis::new(-1.0, 0.01, 201).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let noise = Normal::new(0.0, noise_nm).unwrap();
+        let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (axis.at(c), axis.at(r));
+            let z = f(x, y) + noise.sample(&mut rng);
+            if round && x.hypot(y) > 1.0 { f64::NAN } else { z }
+        });
+        Surface::new(grid, map).unwrap()
+    }
+
+    #[test]
+    fn the_robust_pv_of_a_figure_with_noise_is_its_pv_and_three_sigma() {
+        // Astigmatism: 20 nm PV on the disc; on the square x^2 - y^2 too.
+        for (round, family) in [(true, Family::Zernike), (false, Family::Legendre)] {
+            let figure = |x: f64, y: f64| 10.0 * (x * x - y * y);
+            let s = surface_statistics(&map(round, 0.5, figure), None, None).unwrap().pvr.unwrap();
+            assert_eq!(s.family, family);
+            // The noise of 30000 pixels is known to 0.5 %; in the fit it is 0.5 sqrt(36 / 30000)
+            // RMS, at the rim some times that.
+            assert!((s.rest_rms_nm / 0.5 - 1.0).abs() < 0.02, "{s:?}");
+            assert!((s.fit_pv_nm - 20.0).abs() < 0.3, "{s:?}");
+            assert_eq!(s.pvr_nm, s.fit_pv_nm + 3.0 * s.rest_rms_nm);
+        }
+    }
+
+    #[test]
+    fn one_bad_pixel_decides_the_pv_and_not_the_robust_pv() {
+        let figure = |x: f64, y: f64| 10.0 * (x * x - y * y);
+        let with = |x: f64, y: f64| figure(x, y) + if x == -0.5 && y == -0.5 { 200.0 } else { 0.0 };
+        let clean = surface_statistics(&map(true, 0.5, figure), None, None).unwrap();
+        let dirty = surface_statistics(&map(true, 0.5, with), None, None).unwrap();
+        assert!(dirty.pv_nm > clean.pv_nm + 150.0, "{dirty:?}");
+        // 200 nm on one of 31400 pixels: sqrt(0.5^2 + 200^2 / 31400) = 1.23 nm RMS.
+        let pvr = |s: SurfaceStatistics| s.pvr.unwrap().pvr_nm;
+        assert!(pvr(dirty) < pvr(clean) + 4.0);
+    }
+
+    #[test]
+    fn a_map_that_is_too_small_for_the_fit_still_has_its_rms() {
+        let axis = Axis::new(0.0, 1.0, 2).unwrap();
+        let four = Array2::from_shape_fn((2, 2), |(r, c)| (r + c) as f64);
+        let four = Surface::new(Grid { x: axis, y: axis }, four).unwrap();
+        let s = surface_statistics(&four, None, None).unwrap();
+        assert_eq!((s.rms_nm, s.pvr), (0.5_f64.sqrt(), None));
+        assert!(s.pvr_note.unwrap().contains("4 valid pixel(s) for 36 terms"));
+        let circle = Circle { centre_mm: [0.0; 2], radius_mm: 0.0 };
+        assert!(surface_statistics(&four, Some(Family::Zernike), Some(circle)).is_err());
+    }
+}

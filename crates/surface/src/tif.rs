@@ -1,0 +1,687 @@
+//! Makes a measured tool influence function (TIF) ready for the solvers.
+//!
+//! In this order, each step only where it is asked for:
+//!
+//! 1. border: the mean of the border samples is subtracted and negative rates become zero;
+//! 2. centre: the offsets are counted from the centroid or from the peak. The samples stay where
+//!    they are, so nothing is interpolated; the axes may then have any offset;
+//! 3. rotation about the centre, counterclockwise: by multiples of 90 degrees exactly, else by
+//!    Keys' interpolation onto a lattice with a node at the centre;
+//! 4. another pitch, on a lattice with a node at the centre;
+//! 5. taper: a cosine lets the TIF end at zero instead of in a step.
+//!
+//! ```text
+//! centroid   c = sum R p / sum R
+//! rotation   R'(p) = R(turned back p)
+//! pitch      R'[k] = sum_i K((x_i - k P) / s) R[i] / sum_i K,   s = max(P, step)
+//! taper      R'(p) = R(p) (1 + cos(pi t)) / 2,  t = (rho - 1 + F) / F in [0, 1]
+//! ```
+//!
+//! with K Keys' kernel along x and along y, and rho the distance from the centre over that of the
+//! nearest border in units of the half size. To a finer pitch K interpolates; to a coarser one it is
+//! stretched, so that what the new lattice cannot hold is averaged, not aliased. Both are exact for
+//! quadratics: a smooth TIF is not widened. Rotation and pitch keep the volumetric removal rate (VRR)
+//! exactly: the samples are scaled by what the interpolation lost, and the report states it. Where it
+//! swings below zero beside a steep edge, it is clipped.
+//!
+//! None of this is needed by the solvers and the simulator: they take a TIF of any pitch, with an
+//! odd or even number of samples, centred or not, as it is: R(pixel - tool). A TIF whose centroid
+//! is off centre shifts the removal, which is right if the tool is mounted like that, and a mistake
+//! if the offset is one of the measurement.
+//!
+//! Source: R. Keys, IEEE Trans. Acoust. Speech Signal Process. 29 (1981) 1153, Eq. 15.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | R | `rate_nm_per_s` | (my, mx) | nm/s |
+//! | P | `pitch_mm` | - | mm |
+//! | F | `taper_fraction` | - | 1 |
+
+use std::f64::consts::PI;
+
+use nalgebra::{Matrix3, Vector3};
+use ndarray::{Array1, Array2};
+use planish_numerics::keys;
+use planish_types::{Axis, Grid, Invalid, Tif};
+use serde::Serialize;
+
+/// Largest number of samples along an axis.
+const MAX_SAMPLES: f64 = 5000.0;
+
+/// A TIF that ends higher than this, over its peak, prints its border onto the part.
+const NOTEWORTHY_BORDER: f64 = 0.01;
+
+/// What to do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct TifSettings {
+    /// Subtract the mean of the border samples, and clip what is then negative.
+    pub subtract_border: bool,
+    /// What the offsets are counted from.
+    pub centre: Centre,
+    /// Counterclockwise about the centre, degrees.
+    pub rotate_deg: f64,
+    /// Pitch of the new lattice, mm; `None` keeps the samples.
+    pub pitch_mm: Option<f64>,
+    /// Outer share of the half size in which the TIF goes to zero, in (0, 1]; `None` keeps the
+    /// border.
+    pub taper_fraction: Option<f64>,
+}
+
+/// What the offsets are counted from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Centre {
+    /// As given.
+    #[default]
+    Given,
+    /// The centroid of the samples.
+    Centroid,
+    /// The vertex of the parabola through the largest sample and its neighbours.
+    Peak,
+}
+
+/// What was done, in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TifReport {
+    /// The TIF as given.
+    pub before: TifStatistics,
+    /// The result.
+    pub after: TifStatistics,
+    /// Mean of the border samples that was subtracted, nm/s.
+    pub subtracted_nm_per_s: f64,
+    /// Where [x, y] of the given TIF the new centre is, mm.
+    pub centre_mm: [f64; 2],
+    /// Factor - 1 by which the samples were scaled to keep the VRR in rotation and resampling.
+    pub volume_correction: f64,
+    /// What one should know before using it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub note: Option<String>,
+}
+
+/// A TIF in numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TifStatistics {
+    /// Samples (rows, columns).
+    pub shape: (usize, usize),
+    /// Distance of the samples [x, y], mm.
+    pub pitch_mm: [f64; 2],
+    /// Smallest and largest offset along x, mm.
+    pub x_mm: [f64; 2],
+    /// Smallest and largest offset along y, mm.
+    pub y_mm: [f64; 2],
+    /// Whether a sample stands at the centre; one does in the middle of an odd number.
+    pub sample_at_centre: bool,
+    /// Largest sample, nm/s.
+    pub peak_nm_per_s: f64,
+    /// Where it is [x, y], mm.
+    pub peak_at_mm: [f64; 2],
+    /// Centroid [x, y], mm.
+    pub centroid_mm: [f64; 2],
+    /// Volumetric removal rate, nm mm^2/s.
+    pub vrr_nm_mm2_per_s: f64,
+    /// Full width at half of the peak along x and y through it, mm; absent where the samples end
+    /// before.
+    pub fwhm_mm: [Option<f64>; 2],
+    /// Largest rate on the border over the peak.
+    pub border_to_peak: f64,
+}
+
+/// Applies the steps to `tif`.
+pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport), Invalid> {
+    settings.check()?;
+    let mut now = tif.clone();
+    let mut subtracted_nm_per_s = 0.0;
+    if settings.subtract_border {
+        subtracted_nm_per_s = border_mean(&now);
+        let rate = now.rate_nm_per_s().mapv(|v| (v - subtracted_nm_per_s).max(0.0));
+        now = Tif::new(*now.grid(), rate)?;
+    }
+    let centre_mm = match settings.centre {
+        Centre::Given => [0.0; 2],
+        Centre::Centroid => centroid_mm(&now),
+        Centre::Peak => vertex_mm(&now),
+    };
+    now = Tif::new(shifted(now.grid(), centre_mm)?, now.rate_nm_per_s().clone())?;
+    let volume = now.vrr_nm_mm2_per_s();
+    now = rotated(&now, settings.rotate_deg)?;
+    if let Some(pitch_mm) = settings.pitch_mm {
+        now = resampled(&now, pitch_mm)?;
+    }
+    // Quarter turns only move samples: those stay bit for bit.
+    let interpolated =
+        quarters_and_rest(settings.rotate_deg).1 != 0.0 || settings.pitch_mm.is_some();
+    let factor = if interpolated { volume / now.vrr_nm_mm2_per_s() } else { 1.0 };
+    if interpolated {
+        now = Tif::new(*now.grid(), now.rate_nm_per_s() * factor)?;
+    }
+    if let Some(fraction) = settings.taper_fraction {
+        now = tapered(&now, fraction)?;
+    }
+    let after = tif_statistics(&now);
+    let note = (after.border_to_peak > NOTEWORTHY_BORDER).then(|| {
+        format!(
+            "the TIF ends at {:.1} % of its peak: a raster prints that step onto the part; measure a \
+             wider field, or use --subtract-border or --taper-fraction",
+            100.0 * after.border_to_peak
+        )
+    });
+    let report = TifReport {
+        before: tif_statistics(tif),
+        after,
+        subtracted_nm_per_s,
+        centre_mm,
+        volume_correction: factor - 1.0,
+        note,
+    };
+    Ok((now, report))
+}
+
+impl TifSettings {
+    fn check(&self) -> Result<(), Invalid> {
+        if !self.rotate_deg.is_finite() {
+            let problem = format!("is {}", self.rotate_deg);
+            return Err(Invalid::whole("rotation", problem, "give degrees"));
+        }
+        if let Some(f) = self.taper_fraction.filter(|f| !(*f > 0.0 && *f <= 1.0)) {
+            let remedy = "give the tapered share of the half size, above 0 and at most 1";
+            return Err(Invalid::whole("taper fraction", format!("is {f}"), remedy));
+        }
+        if let Some(p) = self.pitch_mm.filter(|p| !(p.is_finite() && *p > 0.0)) {
+            return Err(Invalid::whole(
+                "pitch",
+                format!("is {p} mm"),
+                "give a positive pitch in mm",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Describes `tif`.
+pub fn tif_statistics(tif: &Tif) -> TifStatistics {
+    let g = tif.grid();
+    let (r, c) = peak_place(tif);
+    let on_node = |axis: &Axis| {
+        let k = -axis.start_mm() / axis.step_mm();
+        (k - k.round()).abs() <= keys::SNAP && axis.start_mm() <= 0.0 && axis.end_mm() >= 0.0
+    };
+    let row: Vec<f64> = tif.rate_nm_per_s().row(r).to_vec();
+    let column: Vec<f64> = tif.rate_nm_per_s().column(c).to_vec();
+    TifStatistics {
+        shape: g.shape(),
+        pitch_mm: [g.x.step_mm(), g.y.step_mm()],
+        x_mm: [g.x.start_mm(), g.x.end_mm()],
+        y_mm: [g.y.start_mm(), g.y.end_mm()],
+        sample_at_centre: on_node(&g.x) && on_node(&g.y),
+        peak_nm_per_s: tif.peak_nm_per_s(),
+        peak_at_mm: [g.x.at(c), g.y.at(r)],
+        centroid_mm: centroid_mm(tif),
+        vrr_nm_mm2_per_s: tif.vrr_nm_mm2_per_s(),
+        fwhm_mm: [
+            width_at_half(&row, c).map(|w| w * g.x.step_mm()),
+            width_at_half(&column, r).map(|w| w * g.y.step_mm()),
+        ],
+        border_to_peak: tif.border_to_peak(),
+    }
+}
+
+/// (row, column) of the largest sample; of equal ones the first.
+fn peak_place(tif: &Tif) -> (usize, usize) {
+    let first = ((0, 0), f64::NEG_INFINITY);
+    let all = tif.rate_nm_per_s().indexed_iter();
+    all.fold(first, |best, (at, v)| if *v > best.1 { (at, *v) } else { best }).0
+}
+
+/// Samples between the half-maximum points on both sides of `peak`, linear between samples.
+fn width_at_half(line: &[f64], peak: usize) -> Option<f64> {
+    let half = 0.5 * line[peak];
+    let from = |outwards: &mut dyn Iterator<Item = f64>| {
+        let mut before = line[peak];
+        for (k, v) in outwards.enumerate() {
+            if v < half {
+                return Some(k as f64 + (before - half) / (before - v));
+            }
+            before = v;
+        }
+        None
+    };
+    let right = from(&mut line[peak + 1..].iter().copied())?;
+    Some(right + from(&mut line[..peak].iter().rev().copied())?)
+}
+
+fn border_mean(tif: &Tif) -> f64 {
+    let (ny, nx) = tif.grid().shape();
+    let border = tif
+        .rate_nm_per_s()
+        .indexed_iter()
+        .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
+    let (sum, count) = border.fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
+    sum / count
+}
+
+/// c = sum R p / sum R
+fn centroid_mm(tif: &Tif) -> [f64; 2] {
+    let g = tif.grid();
+    let mut sum = [0.0; 2];
+    for ((r, c), v) in tif.rate_nm_per_s().indexed_iter() {
+        sum[0] += v * g.x.at(c);
+        sum[1] += v * g.y.at(r);
+    }
+    sum.map(|s| s / tif.rate_nm_per_s().sum())
+}
+
+/// Vertex of the parabolas along x and y through the largest sample and its neighbours.
+fn vertex_mm(tif: &Tif) -> [f64; 2] {
+    let (r, c) = peak_place(tif);
+    let rate = tif.rate_nm_per_s();
+    let vertex = |axis: &Axis, k: usize, at: &dyn Fn(usize) -> f64| {
+        if k == 0 || k + 1 == axis.len() {
+            return axis.at(k);
+        }
+        let (a, b, c) = (at(k - 1), at(k), at(k + 1));
+        let bend = a - 2.0 * b + c;
+        let offset = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
+        axis.at(k) + offset * axis.step_mm()
+    };
+    let g = tif.grid();
+    [vertex(&g.x, c, &|k| rate[[r, k]]), vertex(&g.y, r, &|k| rate[[k, c]])]
+}
+
+/// The grid with its origin at `centre_mm`.
+fn shifted(grid: &Grid, centre_mm: [f64; 2]) -> Result<Grid, Invalid> {
+    let shift = |axis: &Axis, by: f64| Axis::new(axis.start_mm() - by, axis.step_mm(), axis.len());
+    Ok(Grid { x: shift(&grid.x, centre_mm[0])?, y: shift(&grid.y, centre_mm[1])? })
+}
+
+/// Turned counterclockwise: R'(p) = R(turned back p).
+fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
+    let (quarters, rest_deg) = quarters_and_rest(degrees);
+    let mut turned = tif.clone();
+    for _ in 0..quarters {
+        turned = quarter_turn(&turned)?;
+    }
+    if rest_deg == 0.0 {
+        return Ok(turned);
+    }
+    let rest = rest_deg.to_radians();
+    let g = turned.grid();
+    let (cos, sin) = (rest.cos(), rest.sin());
+    // The box about the turned corners, on multiples of the pitch.
+    let corners: Vec<[f64; 2]> = [g.x.start_mm(), g.x.end_mm()]
+        .iter()
+        .flat_map(|x| {
+            [g.y.start_mm(), g.y.end_mm()].map(|y| [x * cos - y * sin, x * sin + y * cos])
+        })
+        .collect();
+    let axis = |which: usize, step: f64| {
+        let ends = corners.iter().map(|p| p[which]);
+        let (low, high) =
+            ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        lattice(low, high, step)
+    };
+    let grid = Grid { x: axis(0, g.x.step_mm())?, y: axis(1, g.y.step_mm())? };
+    let least = least_rate(tif);
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        turned.rate_at(x * cos + y * sin, y * cos - x * sin).max(least)
+    });
+    Tif::new(grid, rate)
+}
+
+/// The smallest sample, or 0: beside a steep edge the interpolation swings below it, and no tool
+/// adds material.
+fn least_rate(tif: &Tif) -> f64 {
+    tif.rate_nm_per_s().iter().copied().fold(0.0, f64::min)
+}
+
+/// An angle as 0 to 3 quarter turns and at most 45 degrees more or less.
+fn quarters_and_rest(degrees: f64) -> (usize, f64) {
+    let quarters = (degrees / 90.0).round();
+    (quarters.rem_euclid(4.0) as usize, degrees - 90.0 * quarters)
+}
+
+/// By 90 degrees: R'(x, y) = R(y, -x), sample by sample.
+fn quarter_turn(tif: &Tif) -> Result<Tif, Invalid> {
+    let g = tif.grid();
+    let grid = Grid { x: Axis::new(-g.y.end_mm(), g.y.step_mm(), g.y.len())?, y: g.x };
+    let last = g.y.len() - 1;
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| tif.rate_nm_per_s()[[last - c, r]]);
+    Tif::new(grid, rate)
+}
+
+/// Multiples of `step` from `low` to `high`.
+fn lattice(low: f64, high: f64, step: f64) -> Result<Axis, Invalid> {
+    let first = (low / step - keys::SNAP).ceil();
+    let last = (high / step + keys::SNAP).floor();
+    if last - first >= MAX_SAMPLES {
+        return Err(Invalid::whole(
+            "pitch",
+            format!("of {step} mm makes {} samples along an axis", last - first + 1.0),
+            format!("give a pitch in mm that makes at most {MAX_SAMPLES}"),
+        ));
+    }
+    if last - first < 1.0 {
+        return Err(Invalid::whole(
+            "pitch",
+            format!("of {step} mm leaves less than 2 samples between {low} and {high} mm"),
+            "give a smaller pitch in mm",
+        ));
+    }
+    Axis::new(first * step, step, (last - first) as usize + 1)
+}
+
+/// On multiples of `pitch_mm`, within the rectangle of the samples.
+fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
+    let g = tif.grid();
+    let new = |axis: &Axis| lattice(axis.start_mm(), axis.end_mm(), pitch_mm);
+    let grid = Grid { x: new(&g.x)?, y: new(&g.y)? };
+    // R' = W_y R W_x^T
+    let (wx, wy) = (weights(&g.x, &grid.x), weights(&g.y, &grid.y));
+    let least = least_rate(tif);
+    Tif::new(grid, wy.dot(tif.rate_nm_per_s()).dot(&wx.t()).mapv(|v| v.max(least)))
+}
+
+/// What sample `i` of the old axis contributes to sample `k` of the new one, (new, old).
+fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
+    let n = old.len();
+    let mut out = Array2::zeros((new.len(), n));
+    for (k, mut row) in out.outer_iter_mut().enumerate() {
+        let at = (new.at(k) - old.start_mm()) / old.step_mm();
+        if new.step_mm() <= old.step_mm() {
+            let (cell, f) = keys::split(at);
+            let cell = cell.clamp(0, n as isize - 2) as usize;
+            let f = if f == 0.0 { at.round() - cell as f64 } else { f };
+            for (w, node) in keys::weights(f).into_iter().zip(cell..) {
+                // Node `node - 1`; the ghosts are what `keys::with_ghosts` makes them.
+                let ghost = |far: [usize; 3]| match n {
+                    2 => vec![(far[0], 2.0), (far[1], -1.0)],
+                    _ => vec![(far[0], 3.0), (far[1], -3.0), (far[2], 1.0)],
+                };
+                let parts = match node {
+                    0 => ghost([0, 1, 2]),
+                    _ if node == n + 1 => ghost([n - 1, n - 2, n.max(3) - 3]),
+                    _ => vec![(node - 1, 1.0)],
+                };
+                parts.into_iter().for_each(|(i, v)| row[i] += w * v);
+            }
+        } else {
+            row.assign(&averaging(n, at, new.step_mm() / old.step_mm()));
+        }
+    }
+    out
+}
+
+/// Weights of samples 0 .. n about the coordinate `at`: Keys' kernel, stretched.
+///
+/// On the samples its moments are not quite 1, 0, 0 any more; a small parabola under a bell makes
+/// them so, and the weights are exact for quadratics again.
+fn averaging(n: usize, at: f64, stretch: f64) -> Array1<f64> {
+    let t = |i: usize| (i as f64 - at) / stretch;
+    let bell = |i: usize| (1.0 - 0.25 * t(i).powi(2)).max(0.0).powi(2);
+    let mut w = Array1::from_shape_fn(n, |i| kernel(t(i)) / stretch);
+    // sum (w + bell (a + b t + c t^2)) t^k = [k = 0],  k = 0, 1, 2
+    let moment =
+        |of: &dyn Fn(usize) -> f64, k: i32| -> f64 { (0..n).map(|i| of(i) * t(i).powi(k)).sum() };
+    let lack = Vector3::from_fn(|k, _| f64::from(u8::from(k == 0)) - moment(&|i| w[i], k as i32));
+    let matrix = Matrix3::from_fn(|k, l| moment(&bell, (k + l) as i32));
+    match matrix.cholesky().map(|m| m.solve(&lack)) {
+        Some(c) => {
+            for i in 0..n {
+                w[i] += bell(i) * (c[0] + t(i) * (c[1] + t(i) * c[2]));
+            }
+            w
+        }
+        // Fewer than three samples within reach.
+        None => &w / w.sum(),
+    }
+}
+
+/// Keys' kernel, a = -1/2.
+fn kernel(t: f64) -> f64 {
+    let t = t.abs();
+    if t < 1.0 {
+        (1.5 * t - 2.5) * t * t + 1.0
+    } else if t < 2.0 {
+        ((-0.5 * t + 2.5) * t - 4.0) * t + 2.0
+    } else {
+        0.0
+    }
+}
+
+/// R (1 + cos(pi t)) / 2 on ellipses that touch the nearest borders.
+fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
+    let g = tif.grid();
+    let half = |axis: &Axis| axis.end_mm().min(-axis.start_mm());
+    let (hx, hy) = (half(&g.x), half(&g.y));
+    if !(hx > 0.0 && hy > 0.0) {
+        return Err(Invalid::whole(
+            "taper",
+            "the tool centre is not within the samples",
+            "give a centre (--centre centroid)",
+        ));
+    }
+    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        let rho = (g.x.at(c) / hx).hypot(g.y.at(r) / hy);
+        let t = ((rho - 1.0 + fraction) / fraction).clamp(0.0, 1.0);
+        tif.rate_nm_per_s()[[r, c]] * 0.5 * (1.0 + (PI * t).cos())
+    });
+    Tif::new(*g, rate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An elliptical Gaussian of 8 nm/s about (cx, cy), samples from -half in `n` steps.
+    fn gaussian(n: [usize; 2], pitch: f64, centre: [f64; 2], sigma: [f64; 2]) -> Tif {
+        let axis = |n: usize| Axis::new(-0.5 * (n - 1) as f64 * pitch, pitch, n).unwrap();
+        let grid = Grid { x: axis(n[0]), y: axis(n[1]) };
+        Tif::new(grid, bell(&grid, centre, sigma)).unwrap()
+    }
+
+    fn bell(grid: &Grid, centre: [f64; 2], sigma: [f64; 2]) -> Array2<f64> {
+        Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (grid.x.at(c) - centre[0], grid.y.at(r) - centre[1]);
+            8.0 * (-0.5 * ((x / sigma[0]).powi(2) + (y / sigma[1]).powi(2))).exp()
+        })
+    }
+
+    fn settings() -> TifSettings {
+        TifSettings::default()
+    }
+
+    fn worst(tif: &Tif, want: impl Fn(f64, f64) -> f64) -> f64 {
+        let g = tif.grid();
+        let error = |((r, c), v): ((usize, usize), &f64)| (v - want(g.x.at(c), g.y.at(r))).abs();
+        tif.rate_nm_per_s().indexed_iter().map(error).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn nothing_asked_is_nothing_done_and_the_statistics_are_the_closed_forms() {
+        for n in [[121, 101], [120, 100]] {
+            let tif = gaussian(n, 0.1, [0.3, -0.2], [0.8, 0.6]);
+            let (same, report) = prepare_tif(&tif, &settings()).unwrap();
+            assert_eq!(same.rate_nm_per_s(), tif.rate_nm_per_s());
+            assert_eq!((same.grid(), report.volume_correction), (tif.grid(), 0.0));
+            let s = report.after;
+            // 2 pi A sigma_x sigma_y; the sum over samples of a Gaussian is spectrally exact.
+            let vrr = 2.0 * PI * 8.0 * 0.48;
+            assert!((s.vrr_nm_mm2_per_s / vrr - 1.0).abs() < 1e-9, "{s:?}");
+            assert!((s.centroid_mm[0] - 0.3).abs() < 1e-9 && (s.centroid_mm[1] + 0.2).abs() < 1e-9);
+            let fwhm = 8.0_f64.sqrt() * std::f64::consts::LN_2.sqrt();
+            // Linear between samples of a tenth of sigma.
+            assert!((s.fwhm_mm[0].unwrap() / (0.8 * fwhm) - 1.0).abs() < 5e-3, "{s:?}");
+            assert!((s.fwhm_mm[1].unwrap() / (0.6 * fwhm) - 1.0).abs() < 1e-2, "{s:?}");
+            assert_eq!(s.sample_at_centre, n[0] % 2 == 1);
+        }
+    }
+
+    #[test]
+    fn the_centre_moves_the_axes_and_not_the_samples() {
+        for n in [[121, 101], [120, 100]] {
+            let tif = gaussian(n, 0.1, [0.33, -0.21], [0.8, 0.6]);
+            for (centre, tolerance) in [(Centre::Centroid, 1e-9), (Centre::Peak, 2e-3)] {
+                let (moved, report) =
+                    prepare_tif(&tif, &TifSettings { centre, ..settings() }).unwrap();
+                assert_eq!(moved.rate_nm_per_s(), tif.rate_nm_per_s());
+                let [x, y] = report.centre_mm;
+                // A parabola through three samples of a Gaussian errs by (step / sigma)^2 of the step.
+                assert!((x - 0.33).abs() < tolerance && (y + 0.21).abs() < tolerance, "{x} {y}");
+                // The same rate at the same place: r(p) was at p + centre.
+                let (a, b) = (moved.rate_at(0.5, 0.4), tif.rate_at(0.5 + x, 0.4 + y));
+                assert!((a - b).abs() < 1e-10, "{a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn quarter_turns_move_samples_and_four_are_none() {
+        let tif = gaussian([12, 9], 0.5, [0.8, 0.4], [0.8, 1.6]);
+        let turn = |tif: &Tif, rotate_deg: f64| {
+            prepare_tif(tif, &TifSettings { rotate_deg, ..settings() }).unwrap().0
+        };
+        let once = turn(&tif, 90.0);
+        assert_eq!(once.grid().shape(), (12, 9));
+        for ((r, c), v) in tif.rate_nm_per_s().indexed_iter() {
+            // (x, y) goes to (-y, x): column from the row counted from the end, row from the column.
+            assert_eq!(once.rate_nm_per_s()[[c, 8 - r]].to_bits(), v.to_bits());
+            let (x, y) = (tif.grid().x.at(c), tif.grid().y.at(r));
+            let g = once.grid();
+            assert!((g.x.at(8 - r) + y).abs() < 1e-12 && (g.y.at(c) - x).abs() < 1e-12);
+        }
+        // The spot at (0.8, 0.4) is now at (-0.4, 0.8).
+        let [x, y] = tif_statistics(&once).centroid_mm;
+        assert!(x < -0.1 && y > 0.5, "{x} {y}");
+        for (degrees, turns) in [(180.0, 2), (-90.0, 3), (450.0, 1), (360.0, 0), (-720.0, 0)] {
+            let many = (0..turns).fold(tif.clone(), |t, _| turn(&t, 90.0));
+            assert_eq!(turn(&tif, degrees).rate_nm_per_s(), many.rate_nm_per_s());
+        }
+        assert_eq!(turn(&once, -90.0).rate_nm_per_s(), tif.rate_nm_per_s());
+    }
+
+    #[test]
+    fn any_angle_turns_the_ellipse_and_keeps_the_volume() {
+        let angle = 30.0_f64.to_radians();
+        let (cos, sin) = (angle.cos(), angle.sin());
+        let turned = |x: f64, y: f64| {
+            let (u, v) = (x * cos + y * sin - 0.3, y * cos - x * sin);
+            8.0 * (-0.5 * ((u / 0.9).powi(2) + (v / 0.5).powi(2))).exp()
+        };
+        let error = |pitch: f64| {
+            let n = (10.0 / pitch) as usize + 1;
+            let tif = gaussian([n, n - 1], pitch, [0.3, 0.0], [0.9, 0.5]);
+            let (t, report) =
+                prepare_tif(&tif, &TifSettings { rotate_deg: 30.0, ..settings() }).unwrap();
+            let after = report.after.vrr_nm_mm2_per_s;
+            assert!((after / report.before.vrr_nm_mm2_per_s - 1.0).abs() < 1e-12);
+            assert!(report.volume_correction.abs() < 1e-2 && report.after.sample_at_centre);
+            worst(&t, turned)
+        };
+        let (coarse, fine) = (error(0.1), error(0.05));
+        // Keys' interpolation is of the third order.
+        let order = (coarse / fine).log2();
+        assert!(order > 2.7 && coarse < 0.02, "{coarse} {fine}: order {order}");
+    }
+
+    #[test]
+    fn a_resampled_gaussian_converges_and_its_volume_stays() {
+        // To a pitch 0.7 of the own one (interpolated) and to 1.7 (averaged).
+        for (ratio, least_order) in [(0.7, 2.8), (1.7, 2.8)] {
+            let error = |pitch: f64| {
+                let n = (10.0 / pitch).round() as usize;
+                let tif = gaussian([n, n + 1], pitch, [0.1, -0.3], [0.8, 0.7]);
+                let s = TifSettings { pitch_mm: Some(ratio * pitch), ..settings() };
+                let (t, report) = prepare_tif(&tif, &s).unwrap();
+                let before = report.before.vrr_nm_mm2_per_s;
+                assert!((report.after.vrr_nm_mm2_per_s / before - 1.0).abs() < 1e-12);
+                assert!(report.after.sample_at_centre);
+                assert!(report.volume_correction.abs() < 1e-3, "{report:?}");
+                worst(&t, |x, y| {
+                    8.0 * (-0.5 * (((x - 0.1) / 0.8).powi(2) + ((y + 0.3) / 0.7).powi(2))).exp()
+                })
+            };
+            let (coarse, fine) = (error(0.1), error(0.05));
+            let order = (coarse / fine).log2();
+            assert!(order > least_order, "{ratio}: {coarse} {fine}: order {order}");
+        }
+    }
+
+    #[test]
+    fn resampling_onto_its_own_lattice_changes_nothing() {
+        let tif = gaussian([21, 31], 0.25, [0.1, 0.0], [0.8, 0.7]);
+        let s = TifSettings { pitch_mm: Some(0.25), ..settings() };
+        let (same, _) = prepare_tif(&tif, &s).unwrap();
+        assert_eq!(same.grid().shape(), tif.grid().shape());
+        let difference = same.rate_nm_per_s() - tif.rate_nm_per_s();
+        assert!(difference.iter().all(|d| d.abs() < 1e-14));
+    }
+
+    #[test]
+    fn a_coarse_lattice_averages_what_it_cannot_hold() {
+        // Stripes of two samples: no lattice of five samples can hold them, and picking every
+        // fifth would make stripes of ten.
+        let axis = Axis::new(-5.0, 0.1, 101).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let rate = Array2::from_shape_fn(grid.shape(), |(_, c)| if c % 2 == 0 { 2.0 } else { 0.0 });
+        let s = TifSettings { pitch_mm: Some(0.5), ..settings() };
+        let (coarse, _) = prepare_tif(&Tif::new(grid, rate).unwrap(), &s).unwrap();
+        let middle = coarse.rate_nm_per_s().slice(ndarray::s![.., 3..18]).to_owned();
+        let (low, high) =
+            middle.iter().fold((9.0_f64, 0.0_f64), |(l, h), v| (l.min(*v), h.max(*v)));
+        assert!(high - low < 0.05 * high, "{low} {high}");
+    }
+
+    #[test]
+    fn beside_a_steep_edge_no_rate_is_negative() {
+        let axis = Axis::new(-3.0, 0.2, 31).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            if axis.at(c).hypot(axis.at(r)) < 1.5 { 4.0 } else { 0.0 }
+        });
+        let top_hat = Tif::new(grid, rate).unwrap();
+        for (rotate_deg, pitch_mm) in [(20.0, None), (0.0, Some(0.13)), (0.0, Some(0.31))] {
+            let s = TifSettings { rotate_deg, pitch_mm, ..settings() };
+            let (t, report) = prepare_tif(&top_hat, &s).unwrap();
+            assert!(t.rate_nm_per_s().iter().all(|v| *v >= 0.0), "{s:?}");
+            let vrr = [report.before, report.after].map(|s| s.vrr_nm_mm2_per_s);
+            assert!((vrr[1] / vrr[0] - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn border_and_taper_end_the_tif_at_zero() {
+        let axis = Axis::new(-2.0, 0.1, 41).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let pedestal = Tif::new(grid, bell(&grid, [0.0; 2], [0.5; 2]) + 0.4).unwrap();
+        let plain = prepare_tif(&pedestal, &settings()).unwrap().1;
+        assert!(plain.note.as_ref().is_some_and(|n| n.contains("4.8 % of its peak")), "{plain:?}");
+        let s = TifSettings { subtract_border: true, ..settings() };
+        let (clean, report) = prepare_tif(&pedestal, &s).unwrap();
+        // The Gaussian itself is 8 exp(-8) = 0.003 on the middle of the border.
+        assert!((report.subtracted_nm_per_s - 0.4).abs() < 2e-3, "{report:?}");
+        assert!(clean.border_to_peak() < 1e-3 && report.note.is_none());
+        let s = TifSettings { taper_fraction: Some(0.15), ..settings() };
+        let (tapered, report) = prepare_tif(&pedestal, &s).unwrap();
+        assert!(tapered.border_to_peak() < 1e-12 && report.note.is_none());
+        // Within 85 % of the half size nothing changed.
+        assert_eq!(tapered.rate_nm_per_s()[[20, 36]], pedestal.rate_nm_per_s()[[20, 36]]);
+        assert!(tapered.rate_nm_per_s()[[20, 38]] < pedestal.rate_nm_per_s()[[20, 38]]);
+    }
+
+    #[test]
+    fn bad_settings_are_refused() {
+        let tif = gaussian([21, 21], 0.25, [0.0; 2], [0.8; 2]);
+        let message = |s: TifSettings| prepare_tif(&tif, &s).unwrap_err().to_string();
+        let pitch = |p| TifSettings { pitch_mm: Some(p), ..settings() };
+        assert!(message(pitch(0.0)).contains("is 0 mm"));
+        assert!(message(pitch(9.0)).contains("less than 2 samples"));
+        assert!(message(pitch(1e-6)).contains("at most 5000"));
+        assert!(message(TifSettings { rotate_deg: f64::NAN, ..settings() }).contains("is NaN"));
+        let taper = TifSettings { taper_fraction: Some(1.5), ..settings() };
+        assert!(message(taper).contains("is 1.5"));
+        let off = Tif::new(shifted(tif.grid(), [9.0, 0.0]).unwrap(), tif.rate_nm_per_s().clone());
+        let taper = TifSettings { taper_fraction: Some(0.1), ..settings() };
+        let error = prepare_tif(&off.unwrap(), &taper).unwrap_err().to_string();
+        assert!(error.contains("not within the samples"), "{error}");
+    }
+}
