@@ -325,7 +325,7 @@ pub const PSD: Kind = Kind {
         array(
             "psd_2d_nm2_mm2",
             Dtype::F64,
-            &["ny", "nx"],
+            &["nfy", "nfx"],
             &["fy", "fx"],
             "nm^2 mm^2",
             "Two-dimensional, for both signs of the frequencies.",
@@ -333,7 +333,7 @@ pub const PSD: Kind = Kind {
         array(
             "frequency_2d_x_per_mm",
             Dtype::F64,
-            &["nx"],
+            &["nfx"],
             &["fx"],
             "1/mm",
             "Frequencies along x of the two-dimensional density.",
@@ -341,7 +341,7 @@ pub const PSD: Kind = Kind {
         array(
             "frequency_2d_y_per_mm",
             Dtype::F64,
-            &["ny"],
+            &["nfy"],
             &["fy"],
             "1/mm",
             "Frequencies along y of the two-dimensional density.",

@@ -140,7 +140,8 @@ fn units_are_in_the_names() {
 fn lengths_are_mm_heights_nm_times_s() {
     let mut units: BTreeSet<&str> =
         kind::ALL.iter().flat_map(|k| k.arrays).map(|a| a.unit).collect();
-    for known in ["mm", "nm", "nm/s", "s", "mm/s^order", "1"] {
+    let spectral = ["1/mm", "nm^2 mm", "nm^2 mm^2"];
+    for known in ["mm", "nm", "nm/s", "s", "mm/s^order", "1"].into_iter().chain(spectral) {
         assert!(units.remove(known), "no array in {known}");
     }
     assert!(units.is_empty(), "{units:?}");
