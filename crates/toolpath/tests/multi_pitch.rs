@@ -56,12 +56,12 @@ fn line_length_mm(made: &MultiPitch) -> Vec<f64> {
     length
 }
 
-/// Pairs of lines that lie on each other, by the exact coordinates.
+/// Pairs of lines that lie on each other, to 1e-9 mm.
 fn coincident(path: &ToolPath) -> usize {
-    let mut by_line: BTreeMap<u64, Vec<[f64; 2]>> = BTreeMap::new();
+    let mut by_line: BTreeMap<i64, Vec<[f64; 2]>> = BTreeMap::new();
     for (i, p) in path.point_mm().windows(2).enumerate() {
         if path.tool_on()[i] && p[0][1] == p[1][1] {
-            let key = p[0][1].to_bits();
+            let key = (p[0][1] * 1e9).round() as i64;
             by_line.entry(key).or_default().push([p[0][0].min(p[1][0]), p[0][0].max(p[1][0])]);
         }
     }
@@ -185,6 +185,26 @@ fn borders_have_neither_gaps_nor_double_lines() {
     });
     assert_eq!(reach.count(), 18 + 36);
     assert_eq!(statistics(&made.path, &surface).lifts, 1);
+}
+
+#[test]
+fn no_line_reaches_into_the_region_beside_it() {
+    // An overscan of 1.79 pixels of 0.5 mm, and a pixel alone beside a half disc. The line at 3.75
+    // mm lies between two rows: both regions have it, one used to run it past its last pixel.
+    let first = [5, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 4, 4, 5].map(|c| 0.5 * f64::from(c));
+    let surface = map([3.5, 7.5], 0.5, |x, y| {
+        let alone = (x, y) == (0.0, 4.5);
+        if alone || x >= first[(2.0 * y) as usize] { 50.0 } else { f64::NAN }
+    });
+    let settings = MultiPitchSettings {
+        overscan_mm: 0.897,
+        min_pitch_mm: 0.3,
+        max_pitch_mm: 0.4,
+        step_mm: 0.3,
+        ..settings(1, 0.4 * std::f64::consts::PI)
+    };
+    let made = multi_pitch(&surface, &tif(1.0), &settings).unwrap();
+    assert_eq!((made.report.regions.len(), coincident(&made.path)), (2, 0));
 }
 
 #[test]

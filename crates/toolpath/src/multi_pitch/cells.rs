@@ -59,7 +59,8 @@ pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
         let mut lines = Vec::with_capacity(count as usize);
         for k in 0..count as usize {
             let w = first_mm + k as f64 * d;
-            let row = ((w - y0) / hy).round().clamp(r0 as f64, r1 as f64) as usize;
+            // The row that the line lies in; of two, by more than rounding, the upper one.
+            let row = ((w - y0) / hy + SLACK).round().clamp(r0 as f64, r1 as f64) as usize;
             let line = stretches(field, id, row, [c0, c1], d);
             for s in &line {
                 let columns = [((s.low - x0) / hx - SLACK).ceil(), (s.high - x0) / hx + SLACK];
@@ -120,13 +121,13 @@ fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64)
             c += 1;
         }
         let inner = [end(begin.wrapping_sub(1)), end(c)];
-        let mut next =
-            Stretch { low: x(begin) - margin(inner[0]), high: x(c - 1) + margin(inner[1]), inner };
+        let mut margins = inner.map(margin);
         // Every stretch has a length.
-        if inner == [false; 2] {
-            let short = 0.5 * (h - (next.high - next.low)).max(0.0);
-            (next.low, next.high) = (next.low - short, next.high + short);
+        if begin + 1 == c {
+            let least = if inner == [false; 2] { 0.5 * h } else { 0.0 };
+            margins = margins.map(|m| m.max(least));
         }
+        let next = Stretch { low: x(begin) - margins[0], high: x(c - 1) + margins[1], inner };
         match found.last_mut() {
             Some(last)
                 if !last.inner[1]

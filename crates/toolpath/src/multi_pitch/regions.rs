@@ -147,7 +147,8 @@ pub(super) struct Field {
     pub pixel_mm: [f64; 2],
     /// Centre of the first pixel [x, y], mm.
     pub first_mm: [f64; 2],
-    /// From the last pixel's centre to the end of the overscan, less than a pixel [x, y], mm.
+    /// From the last pixel's centre to the end of the overscan [x, y], mm: from -1/2 to 1/2 of a
+    /// pixel, so that no line leaves the pixels of its region.
     pub rest_mm: [f64; 2],
 }
 
@@ -156,7 +157,7 @@ impl Field {
     pub fn new(grid: &Grid, label: &Array2<usize>, overscan_mm: f64) -> Option<Self> {
         let axes = [&grid.x, &grid.y];
         let pixel_mm = axes.map(|a| a.step_mm());
-        let more = pixel_mm.map(|h| (overscan_mm / h + SLACK).floor());
+        let more = pixel_mm.map(|h| (overscan_mm / h - 0.5 - SLACK).ceil().max(0.0));
         let (ny, nx) = label.dim();
         let pixels = (nx as f64 + 2.0 * more[0]) * (ny as f64 + 2.0 * more[1]);
         if pixels > 2.0 * MAX_SEGMENTS as f64 {
@@ -196,7 +197,7 @@ impl Field {
             inside,
             pixel_mm,
             first_mm: [0, 1].map(|i| axes[i].start_mm() - more[i] * pixel_mm[i]),
-            rest_mm: [0, 1].map(|i| (overscan_mm - more[i] * pixel_mm[i]).max(0.0)),
+            rest_mm: [0, 1].map(|i| overscan_mm - more[i] * pixel_mm[i]),
         })
     }
 }
