@@ -39,7 +39,7 @@ ci: test
     just python-example
 
 # Write the generated pages and pictures in docs/
-docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
+docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
     @cargo run --quiet --locked -p planish-handoff --example formats > docs/formats.md
 
 # Draw a path over a fixture to docs/paths/NAME.svg
@@ -48,6 +48,10 @@ picture name method fixture flags: build
     @target/release/planish-fixture fixtures/{{ fixture }}.json --out out/pictures/{{ fixture }} --force
     @target/release/planish-toolpath {{ method }} --surface out/pictures/{{ fixture }}/surface --tif out/pictures/{{ fixture }}/tif {{ flags }} --out out/pictures/{{ name }} --force
     @target/release/planish-toolpath draw --tool-path out/pictures/{{ name }} --surface out/pictures/{{ fixture }}/surface --out docs/paths/{{ name }}.svg --force
+
+# Print the table of docs/paths.md: every path on the reference mirror (PLANISH_REFERENCE)
+paths-table: build
+    @sh docs/paths/table.sh
 
 # Run docs/replace_a_stage.py in the place of the dwell solver (makes its own virtual environment)
 python-example: build
