@@ -118,6 +118,8 @@ pub struct RandomAdaptiveReport {
     pub largest_spacing_mm: f64,
     /// Largest step with the tool on, as a multiple of the local spacing at its middle.
     pub longest_step_per_spacing: f64,
+    /// Steps of a tour that would leave the region: the tool is off there, and the path open.
+    pub steps_off: usize,
     /// Corners that were not cut, because the cut would have crossed another step.
     pub corners_kept: usize,
     /// Points that stand closer than the wanted step, because the step would have crossed another.
@@ -169,9 +171,10 @@ pub fn random_adaptive(
         }
     }
     let (_, trial) = best.expect("there is a trial");
-    let report = trial.report(&field);
     let lifted =
         |a: Point, b: Point| settings.construction == Construction::Tour && field.leaves(a, b);
+    let steps_off = trial.steps().filter(|[a, b]| lifted(*a, *b)).count();
+    let report = trial.report(&field, steps_off);
     Ok(RandomAdaptive { path: trial.path(&lifted)?, report })
 }
 
@@ -253,7 +256,7 @@ impl Trial {
         })
     }
 
-    fn report(&self, field: &Field) -> RandomAdaptiveReport {
+    fn report(&self, field: &Field, steps_off: usize) -> RandomAdaptiveReport {
         let spacings =
             || field.cells().map(|k| self.pitch_scale * field.spacing_mm(field.centre(k)));
         let relative = |[a, b]: [Point; 2]| {
@@ -265,6 +268,7 @@ impl Trial {
             smallest_spacing_mm: spacings().fold(f64::INFINITY, f64::min),
             largest_spacing_mm: spacings().fold(0.0, f64::max),
             longest_step_per_spacing: self.steps().map(relative).fold(0.0, f64::max),
+            steps_off,
             corners_kept: self.corners_kept,
             points_kept: self.points_kept,
         }
