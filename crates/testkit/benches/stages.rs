@@ -12,8 +12,8 @@ use planish_numerics::cholesky::Cholesky;
 use planish_schedule::pvt::{self, Mode};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::{ion_beam, workspace};
-use planish_toolpath::{RasterSettings, Scan, Turn, raster};
-use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
+use planish_toolpath::{MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
+use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 
 struct Case {
@@ -98,4 +98,25 @@ fn cholesky_nalgebra(bencher: Bencher, n: usize) {
     bencher
         .with_inputs(|| DMatrix::from_fn(n, n, |i, j| a[[i, j]]))
         .bench_values(|a| a.cholesky().unwrap());
+}
+
+/// 400 x 400 mm at a pitch of 0.5 mm, 6.4e5 cells: shall take less than 3 s.
+#[divan::bench(args = ["depth-first", "wilson"], sample_count = 5)]
+fn maze_of_a_large_part(tree: &str) {
+    let axis = Axis::new(0.0, 0.5, 801).unwrap();
+    let part = Surface::new(Grid { x: axis, y: axis }, Array2::zeros((801, 801))).unwrap();
+    let tree = match tree {
+        "wilson" => Tree::Wilson,
+        _ => Tree::DepthFirst { straightness: 0.0 },
+    };
+    let settings = MazeSettings {
+        pitch_mm: 0.5,
+        step_mm: 0.5,
+        overscan_mm: 0.0,
+        seed: 1,
+        tree,
+        corner_radius_mm: 0.0,
+        open: false,
+    };
+    black_box(maze(&part, &settings).unwrap());
 }

@@ -168,7 +168,8 @@ struct MultiPitchArgs {
     /// Smallest pitch: what the machine can position, mm
     #[arg(long, value_name = "A", default_value_t = 0.1, allow_negative_numbers = true)]
     min_pitch_mm: f64,
-    /// Largest pitch, mm [default: a sixth of the TIF's size]
+    /// Largest pitch, mm [default: a sixth of the TIF's size, or less where the lines of a Gaussian
+    /// as large would leave a ripple of 0.1 %]
     #[arg(long, value_name = "B", allow_negative_numbers = true)]
     max_pitch_mm: Option<f64>,
     /// Least area of a region, mm^2 [default: 25 pitches squared, at least 50]
@@ -348,7 +349,10 @@ fn multi_pitch_stage(args: MultiPitchArgs) -> Result<Status, Failure> {
         classes: args.classes,
         max_velocity_mm_per_s,
         min_pitch_mm: args.min_pitch_mm,
-        max_pitch_mm: args.max_pitch_mm.unwrap_or(pitch_limit(&tif).tif_size_sixth_mm),
+        max_pitch_mm: args.max_pitch_mm.unwrap_or_else(|| {
+            let limit = pitch_limit(&tif);
+            limit.tif_size_sixth_mm.min(limit.ripple_mm)
+        }),
         min_area_mm2: args.min_area_mm2,
         step_mm: args.step_mm,
         overscan_mm: on.overscan_mm,

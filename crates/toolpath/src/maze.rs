@@ -791,15 +791,12 @@ mod tests {
     }
 
     #[test]
-    fn a_large_part_is_quick() {
-        // 400 x 400 mm at 0.5 mm, 6.4e5 cells: 0.3 s in release; 10 s leaves room for a test
-        // build on a busy machine.
+    fn a_large_part_is_covered() {
+        // 400 x 400 mm at 0.5 mm, 6.4e5 cells; `just bench` has the time.
         let surface = map(801, 801, |_, _| true);
         for tree in [Tree::DepthFirst { straightness: 0.0 }, Tree::Wilson] {
-            let begin = std::time::Instant::now();
             let made = maze(&surface, &MazeSettings { tree, ..settings(0.5, 0.0, 1) }).unwrap();
             assert_eq!(made.cells, 801 * 801 + 2 * 801 + 1);
-            assert!(begin.elapsed().as_secs() < 10, "{:?}", begin.elapsed());
         }
     }
 

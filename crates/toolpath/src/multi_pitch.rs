@@ -27,6 +27,11 @@
 //! * Lines that continue each other one to one form a cell and are joined with the tool on, where
 //!   a link along a border is at most 4 pitches (or pixels) long. From cell to cell the tool is
 //!   lifted.
+//! * Links along borders remove with the lines beside them, and a tool turns at rest: the dwell
+//!   times take that back, if the steps are short (half a standard deviation of the TIF; on a
+//!   200 mm plate steps of 2 mm instead of 1 double the residual of the executed motion).
+//!   Drawing the ends back by half a link, which makes the length per area that of the lines,
+//!   leaves holes that no dwell time fills: 3.6 nm instead of 1.8 there.
 //! * The cells of a region follow each other; the order of regions, cells and directions is the
 //!   nearest end first, then improved by reversing parts (2-opt).
 //!
@@ -65,7 +70,7 @@ pub struct MultiPitchSettings {
     pub max_velocity_mm_per_s: f64,
     /// Smallest pitch, what the machine can position, mm; > 0.
     pub min_pitch_mm: f64,
-    /// Largest pitch, mm; at least the smallest. A sixth of the TIF's size hides the lines.
+    /// Largest pitch, mm; at least the smallest. [`crate::pitch_limit`] says what hides the lines.
     pub max_pitch_mm: f64,
     /// Least area of a region, mm^2; >= 0. `None` for 25 pitches squared, and at least 50 mm^2.
     pub min_area_mm2: Option<f64>,

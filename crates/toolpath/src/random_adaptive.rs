@@ -19,10 +19,13 @@
 //!   a third of a mesh edge at most (about 1.5 d); steps cannot cross, whatever the region.
 //! * [`Construction::Tour`]: a short tour through random points. Its turns are sharper.
 //!
-//! Corner treatment: passes of Chaikin's subdivision, each halves the turning angles about. With
-//! one pass the largest turn of a mesh-tree path was 92 degrees (measured on fixtures of up to
-//! 2e5 points). A division into steps of a wanted length makes steps shorter where the path turns
-//! by more than 90 degrees along one; it makes turns of up to about 125 degrees.
+//! Corner treatment: passes of Chaikin's subdivision, each halves the turning angles about; what
+//! still turns by more than 90 degrees after them becomes two corners of half the angle. So no
+//! turn exceeds 90 degrees, but for `corners_kept`. A division into steps of a wanted length makes
+//! steps shorter where the path turns by more than 90 degrees along one; it makes turns of up to
+//! about 125 degrees.
+//! A tour does not pass a hole or a notch where it can avoid it; a step that still goes more than
+//! 2p/3 beyond the region is run with the tool off.
 //! Whatever is done to the path afterwards, steps that would cross are taken back: in the end
 //! nothing crosses.
 //!
@@ -96,7 +99,7 @@ pub enum Construction {
 /// A path and what is known of its making.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RandomAdaptive {
-    /// Closed, one pass per island, lifts between them.
+    /// One pass per island, lifts between them; closed, but for tours that jump over a hole.
     pub path: ToolPath,
     /// About the path.
     pub report: RandomAdaptiveReport,
@@ -115,6 +118,8 @@ pub struct RandomAdaptiveReport {
     pub largest_spacing_mm: f64,
     /// Largest step with the tool on, as a multiple of the local spacing at its middle.
     pub longest_step_per_spacing: f64,
+    /// Steps of a tour that would leave the region: the tool is off there, and the path open.
+    pub steps_off: usize,
     /// Corners that were not cut, because the cut would have crossed another step.
     pub corners_kept: usize,
     /// Points that stand closer than the wanted step, because the step would have crossed another.
@@ -166,8 +171,11 @@ pub fn random_adaptive(
         }
     }
     let (_, trial) = best.expect("there is a trial");
-    let report = trial.report(&field);
-    Ok(RandomAdaptive { path: trial.path()?, report })
+    let lifted =
+        |a: Point, b: Point| settings.construction == Construction::Tour && field.leaves(a, b);
+    let steps_off = trial.steps().filter(|[a, b]| lifted(*a, *b)).count();
+    let report = trial.report(&field, steps_off);
+    Ok(RandomAdaptive { path: trial.path(&lifted)?, report })
 }
 
 fn check(settings: &RandomAdaptiveSettings) -> Result<(), Invalid> {
@@ -213,7 +221,11 @@ impl Trial {
         };
         let visits = made.iter().map(|l| l.visits).sum();
         let mut loops: Vec<Vec<Point>> = made.into_iter().map(|l| l.node_mm).collect();
-        let corners_kept = (0..settings.rounding_passes).map(|_| rounding::round(&mut loops)).sum();
+        let mut corners_kept: usize =
+            (0..settings.rounding_passes).map(|_| rounding::round(&mut loops)).sum();
+        if settings.rounding_passes > 0 {
+            corners_kept += rounding::blunt(&mut loops);
+        }
         let spacing = |p: Point| scale * field.spacing_mm(p);
         let divide = |step| rounding::divide(&mut loops, step, &spacing);
         let points_kept = settings.step_mm.map_or(0, divide);
@@ -244,7 +256,7 @@ impl Trial {
         })
     }
 
-    fn report(&self, field: &Field) -> RandomAdaptiveReport {
+    fn report(&self, field: &Field, steps_off: usize) -> RandomAdaptiveReport {
         let spacings =
             || field.cells().map(|k| self.pitch_scale * field.spacing_mm(field.centre(k)));
         let relative = |[a, b]: [Point; 2]| {
@@ -256,6 +268,7 @@ impl Trial {
             smallest_spacing_mm: spacings().fold(f64::INFINITY, f64::min),
             largest_spacing_mm: spacings().fold(0.0, f64::max),
             longest_step_per_spacing: self.steps().map(relative).fold(0.0, f64::max),
+            steps_off,
             corners_kept: self.corners_kept,
             points_kept: self.points_kept,
         }
@@ -263,7 +276,8 @@ impl Trial {
 
     /// The loops one after the other: first the one that reaches farthest towards small x + y,
     /// from there; then always the nearest node that is left.
-    fn path(mut self) -> Result<ToolPath, Invalid> {
+    /// Steps that are `lifted` have the tool off.
+    fn path(mut self, lifted: &impl Fn(Point, Point) -> bool) -> Result<ToolPath, Invalid> {
         let (mut point_mm, mut tool_on, mut pass_idx) = (Vec::new(), Vec::new(), Vec::new());
         let mut pass = 0;
         while !self.loops.is_empty() {
@@ -281,14 +295,28 @@ impl Trial {
                 .reduce(|a, b| if b.0 < a.0 { b } else { a })
                 .expect("a loop has nodes");
             let mut nodes = self.loops.swap_remove(l);
-            nodes.rotate_left(i);
-            nodes.push(nodes[0]);
+            let n = nodes.len();
+            let off = |k: usize| lifted(nodes[k % n], nodes[(k + 1) % n]);
+            match (0..n).find(|k| off(*k) && !off(k + 1)) {
+                // Open: it begins behind a lift, and ends before one.
+                Some(k) => {
+                    nodes.rotate_left((k + 1) % n);
+                    while nodes.len() > 2 && lifted(nodes[nodes.len() - 2], nodes[nodes.len() - 1])
+                    {
+                        nodes.pop();
+                    }
+                }
+                None => {
+                    nodes.rotate_left(i);
+                    nodes.push(nodes[0]);
+                }
+            }
             if !point_mm.is_empty() {
                 tool_on.push(false);
                 pass_idx.push(pass);
                 pass += 1;
             }
-            tool_on.extend((1..nodes.len()).map(|_| true));
+            tool_on.extend(nodes.windows(2).map(|w| !lifted(w[0], w[1])));
             pass_idx.extend((1..nodes.len()).map(|_| pass));
             point_mm.extend(nodes);
         }

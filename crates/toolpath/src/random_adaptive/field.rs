@@ -49,6 +49,8 @@ pub(super) struct Field {
     /// Number of the island (4-connected part of the region), or [`OUTSIDE`].
     island: Vec<u32>,
     pub(super) island_area_mm2: Vec<f64>,
+    /// Cells within [`CLOSING_CELLS`] of the region.
+    near: Vec<bool>,
     /// Cells whose nearest pixel is valid.
     aperture: Vec<bool>,
     spacing_mm: Vec<f64>,
@@ -109,6 +111,7 @@ impl Field {
             count,
             island: Vec::new(),
             island_area_mm2: Vec::new(),
+            near: Vec::new(),
             aperture: Vec::new(),
             spacing_mm: vec![0.0; count[0] * count[1]],
         };
@@ -138,6 +141,7 @@ impl Field {
         let aperture = mask(axes.map(|a| 0.5 * a.step_mm()));
         field.aperture = aperture;
         field.label(&inside);
+        field.near = spread(inside, count, true);
         Ok(field)
     }
 
@@ -285,6 +289,17 @@ impl Field {
         (island != OUTSIDE).then_some(island as usize)
     }
 
+    /// Whether the step from `a` to `b` goes more than [`CLOSING_CELLS`] beyond the region.
+    pub(super) fn leaves(&self, a: [f64; 2], b: [f64; 2]) -> bool {
+        let cells = [0, 1].map(|x| ((b[x] - a[x]) / self.side_mm[x]).abs());
+        let parts = cells[0].max(cells[1]).ceil().max(1.0);
+        (0..=parts as usize).any(|k| {
+            let f = k as f64 / parts;
+            let at = self.cell([0, 1].map(|x| a[x] + f * (b[x] - a[x])));
+            at.is_none_or(|k| !self.near[k])
+        })
+    }
+
     /// Number of the island of cell `k`.
     pub(super) fn island_of_cell(&self, k: usize) -> Option<usize> {
         (self.island[k] != OUTSIDE).then_some(self.island[k] as usize)
@@ -332,17 +347,20 @@ fn within(axis: &Axis, x: f64, reach: f64) -> Range<usize> {
 }
 
 /// Closing by a square: dilation, then erosion.
-fn close(mut mask: Vec<bool>, count: [usize; 2]) -> Vec<bool> {
-    for grow in [true, false] {
-        for a in [0, 1] {
-            let before = mask.clone();
-            let stride = if a == 0 { 1 } else { count[0] };
-            for k in 0..mask.len() {
-                let i = k / stride % count[a];
-                let low = k - stride * i.min(CLOSING_CELLS);
-                let high = k + stride * (count[a] - 1 - i).min(CLOSING_CELLS);
-                mask[k] = (low..=high).step_by(stride).any(|m| before[m] == grow) == grow;
-            }
+fn close(mask: Vec<bool>, count: [usize; 2]) -> Vec<bool> {
+    spread(spread(mask, count, true), count, false)
+}
+
+/// Spreads `value` by [`CLOSING_CELLS`] in each direction.
+fn spread(mut mask: Vec<bool>, count: [usize; 2], value: bool) -> Vec<bool> {
+    for a in [0, 1] {
+        let before = mask.clone();
+        let stride = if a == 0 { 1 } else { count[0] };
+        for k in 0..mask.len() {
+            let i = k / stride % count[a];
+            let low = k - stride * i.min(CLOSING_CELLS);
+            let high = k + stride * (count[a] - 1 - i).min(CLOSING_CELLS);
+            mask[k] = (low..=high).step_by(stride).any(|m| before[m] == value) == value;
         }
     }
     mask

@@ -6,7 +6,8 @@
 //! P, Q, R  ->  .., P/4 + 3Q/4, 3Q/4 + R/4, ..
 //! ```
 //!
-//! which halves the turning angles about. Afterwards the path may be divided anew at equal parts
+//! which halves the turning angles about. What still turns by more than 90 degrees is cut once
+//! more, as far from Q on both sides: two corners of half the angle. Afterwards the path may be divided anew at equal parts
 //! of the integral of
 //!
 //! ```text
@@ -26,26 +27,63 @@ const MAX_STEP: f64 = 2.0;
 
 /// One pass over closed paths that do not cross; how many corners had to stay.
 pub(super) fn round(loops: &mut [Vec<Point>]) -> usize {
-    let mut stays: Vec<Vec<bool>> = loops.iter().map(|l| vec![false; l.len()]).collect();
+    // 3Q/4 + P/4
+    let quarter = |q: Point, other: Point, _: f64| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]);
+    cut(loops, |_| false, quarter)
+}
+
+/// Cuts the corners of more than 90 degrees into two equal ones; how many had to stay.
+pub(super) fn blunt(loops: &mut [Vec<Point>]) -> usize {
+    // Q + t (P - Q) / |P - Q|, as far from Q on both sides
+    let even = |q: Point, other: Point, shorter: f64| {
+        let f = 0.25 * shorter / distance(q, other);
+        [0, 1].map(|x| q[x] + f * (other[x] - q[x]))
+    };
+    cut(loops, |[p, q, r]| turn(p, q, r) <= MAX_TURN, even)
+}
+
+/// Puts two nodes in the place of every corner that need not stay: `place(corner, neighbour,
+/// length of the shorter side)`.
+fn cut(
+    loops: &mut [Vec<Point>],
+    stay: impl Fn([Point; 3]) -> bool,
+    place: impl Fn(Point, Point, f64) -> Point,
+) -> usize {
+    let mut stays: Vec<Vec<bool>> = loops
+        .iter()
+        .map(|l| {
+            let n = l.len();
+            (0..n).map(|i| stay([l[(i + n - 1) % n], l[i], l[(i + 1) % n]])).collect()
+        })
+        .collect();
+    let mut given_up = 0;
     loop {
-        let (cut, corner_of): (Vec<_>, Vec<_>) =
-            loops.iter().zip(&stays).map(|(nodes, stays)| cut_corners(nodes, stays)).unzip();
+        let (new, corner_of): (Vec<_>, Vec<_>) = loops
+            .iter()
+            .zip(&stays)
+            .map(|(nodes, stays)| cut_corners(nodes, stays, &place))
+            .unzip();
         let mut kept = 0;
-        for (l, step) in crossings(&cut).into_iter().flatten() {
-            let (from, to) = (corner_of[l][step], corner_of[l][(step + 1) % cut[l].len()]);
+        for (l, step) in crossings(&new).into_iter().flatten() {
+            let (from, to) = (corner_of[l][step], corner_of[l][(step + 1) % new[l].len()]);
             if from == to {
                 kept += usize::from(!std::mem::replace(&mut stays[l][from], true));
             }
         }
+        given_up += kept;
         if kept == 0 {
-            loops.iter_mut().zip(cut).for_each(|(old, new)| *old = new);
-            return stays.iter().flatten().filter(|s| **s).count();
+            loops.iter_mut().zip(new).for_each(|(old, new)| *old = new);
+            return given_up;
         }
     }
 }
 
 /// The new nodes, and the corner that each belongs to.
-fn cut_corners(nodes: &[Point], stays: &[bool]) -> (Vec<Point>, Vec<usize>) {
+fn cut_corners(
+    nodes: &[Point],
+    stays: &[bool],
+    place: &impl Fn(Point, Point, f64) -> Point,
+) -> (Vec<Point>, Vec<usize>) {
     let n = nodes.len();
     let (mut new, mut corner_of) = (Vec::new(), Vec::new());
     for (i, q) in nodes.iter().enumerate() {
@@ -54,9 +92,10 @@ fn cut_corners(nodes: &[Point], stays: &[bool]) -> (Vec<Point>, Vec<usize>) {
             corner_of.push(i);
             continue;
         }
-        for other in [nodes[(i + n - 1) % n], nodes[(i + 1) % n]] {
-            // 3Q/4 + P/4
-            new.push([0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]));
+        let beside = [nodes[(i + n - 1) % n], nodes[(i + 1) % n]];
+        let shorter = distance(*q, beside[0]).min(distance(*q, beside[1]));
+        for other in beside {
+            new.push(place(*q, other, shorter));
             corner_of.push(i);
         }
     }
@@ -168,6 +207,19 @@ mod tests {
         assert_eq!(round(&mut loops), 0);
         assert_eq!(loops[0][..3], [[0.0, 1.0], [1.0, 0.0], [3.0, 0.0]]);
         assert_eq!(loops[0].len(), 8);
+    }
+
+    #[test]
+    fn a_hairpin_becomes_two_right_angles() {
+        let mut loops = [vec![[0.0, 0.0], [4.0, 0.0], [-3.0, 1e-3]]];
+        assert_eq!(blunt(&mut loops), 0);
+        let (l, n) = (&loops[0], loops[0].len());
+        assert_eq!(n, 5);
+        let turns = (0..n).map(|i| turn(l[i], l[(i + 1) % n], l[(i + 2) % n]));
+        assert!(turns.fold(0.0, f64::max) <= MAX_TURN);
+        let square = vec![[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]];
+        let mut loops = [square.clone()];
+        assert_eq!((blunt(&mut loops), &loops[0]), (0, &square));
     }
 
     #[test]

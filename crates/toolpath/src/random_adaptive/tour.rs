@@ -2,7 +2,7 @@
 //!
 //! Points by darts of the radius 0.83 d; from each the nearest one that is left; then 2-opt and
 //! Or-opt (moves of one to three points, either way round) over the nearest neighbours until
-//! neither shortens the tour; pairs of crossing steps exchanged, which always shortens, until
+//! neither shortens the tour, in which steps beyond the region count ten times; pairs of crossing steps exchanged, which always shortens, until
 //! there are none; points moved into steps that are still long; long steps cut into equal parts.
 //!
 //! Source: J. L. Bentley, ORSA J. Comput. 4 (1992) 387 (neighbour lists, don't-look bits).
@@ -27,6 +27,8 @@ const NEIGHBOURS: usize = 12;
 pub(super) const LONG: f64 = 2.2;
 /// Most points that Or-opt moves at once.
 const MOVED: usize = 3;
+/// What a step that leaves the region counts: a way around a hole is shorter.
+const DETOUR: f64 = 10.0;
 /// Times that long steps are repaired and crossings exchanged.
 const REPAIRS: usize = 4;
 
@@ -41,16 +43,24 @@ pub(super) fn tour(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop>
         }
     }
     islands.retain(|points| points.len() >= 3);
-    islands.into_iter().map(|points| closed(points, &spacing)).collect()
+    islands.into_iter().map(|points| closed(points, field, &spacing)).collect()
 }
 
-fn closed(points: Vec<Point>, spacing: &impl Fn(Point) -> f64) -> Loop {
+fn closed(points: Vec<Point>, field: &Field, spacing: &impl Fn(Point) -> f64) -> Loop {
     let visits = points.len();
     let near = neighbours(&points);
     let order = nearest_neighbour(&points);
-    let mut tour = Tour::new(points, order);
+    let mut tour = Tour::new(points, order, field);
     tour.shorten(&near);
     tour.uncross();
+    // An exchange of crossing steps does not look at the region.
+    for _ in 0..REPAIRS {
+        if tour.leaving() == 0 {
+            break;
+        }
+        tour.shorten(&near);
+        tour.uncross();
+    }
     for _ in 0..REPAIRS {
         if tour.repair(&near, spacing) == 0 {
             break;
@@ -119,17 +129,18 @@ fn cut_long(nodes: &[Point], spacing: &impl Fn(Point) -> f64) -> Vec<Point> {
 }
 
 /// A cyclic order of points, and where each stands in it.
-struct Tour {
+struct Tour<'a> {
+    field: &'a Field,
     points: Vec<Point>,
     order: Vec<u32>,
     place: Vec<u32>,
 }
 
-impl Tour {
-    fn new(points: Vec<Point>, order: Vec<u32>) -> Self {
+impl<'a> Tour<'a> {
+    fn new(points: Vec<Point>, order: Vec<u32>, field: &'a Field) -> Self {
         let mut place = vec![0; order.len()];
         order.iter().enumerate().for_each(|(i, c)| place[*c as usize] = i as u32);
-        Self { points, order, place }
+        Self { field, points, order, place }
     }
 
     fn len(&self) -> usize {
@@ -148,6 +159,20 @@ impl Tour {
 
     fn distance(&self, a: u32, b: u32) -> f64 {
         distance(self.points[a as usize], self.points[b as usize])
+    }
+
+    fn leaves(&self, a: u32, b: u32) -> bool {
+        self.field.leaves(self.points[a as usize], self.points[b as usize])
+    }
+
+    /// Distance, where a step that leaves the region counts [`DETOUR`] times.
+    fn cost(&self, a: u32, b: u32) -> f64 {
+        self.distance(a, b) * if self.leaves(a, b) { DETOUR } else { 1.0 }
+    }
+
+    /// Steps that leave the region.
+    fn leaving(&self) -> usize {
+        self.order.iter().filter(|c| self.leaves(**c, self.next(**c))).count()
     }
 
     /// Reverses the path from a to b (in the order of the tour), or the rest of the tour.
@@ -195,17 +220,17 @@ impl Tour {
         for ahead in [true, false] {
             let step = |t: &Self, c| if ahead { t.next(c) } else { t.previous(c) };
             let a_next = step(self, a);
-            let old = self.distance(a, a_next);
+            let old = self.cost(a, a_next);
             for &b in &near[a as usize] {
-                let new = self.distance(a, b);
-                if new >= old {
+                if self.distance(a, b) >= old {
                     break;
                 }
+                let new = self.cost(a, b);
                 let b_next = step(self, b);
                 if b == a_next || b_next == a {
                     continue;
                 }
-                let change = new + self.distance(a_next, b_next) - old - self.distance(b, b_next);
+                let change = new + self.cost(a_next, b_next) - old - self.cost(b, b_next);
                 if change < -TINY * old {
                     if ahead {
                         self.exchange(a, b)
@@ -230,13 +255,13 @@ impl Tour {
                 }
                 let (first, last) = if ahead { (a, z) } else { (z, a) };
                 let (before, after) = (self.previous(first), self.next(last));
-                let gain = self.distance(before, first) + self.distance(last, after)
-                    - self.distance(before, after);
+                let gain =
+                    self.cost(before, first) + self.cost(last, after) - self.cost(before, after);
                 for &b in &near[a as usize] {
-                    let joined = self.distance(a, b);
-                    if joined >= gain {
+                    if self.distance(a, b) >= gain {
                         break;
                     }
+                    let joined = self.cost(a, b);
                     let offset = (self.place[b as usize] + self.len() as u32
                         - self.place[first as usize])
                         % self.len() as u32;
@@ -246,7 +271,7 @@ impl Tour {
                     // a beside b, z beside the next or the one before b.
                     for c in [self.next(b), self.previous(b)] {
                         let within = c == first || c == last;
-                        let change = joined + self.distance(z, c) - self.distance(b, c) - gain;
+                        let change = joined + self.cost(z, c) - self.cost(b, c) - gain;
                         if !within && change < -TINY * gain {
                             self.relocate([before, first, last, after], [b, c], a);
                             return Some([before, after, b, c, a, z]);

@@ -1,0 +1,38 @@
+#!/bin/sh
+# Every path on the reference mirror at about the published number of dwell points (2678), least
+# dwell time 0.1 s, unrefined and refined: the table of docs/paths.md. `just paths-table` runs it.
+set -e
+: "${PLANISH_REFERENCE:?names the folder that holds nsls2-mirror/}"
+mirror=$PLANISH_REFERENCE/nsls2-mirror
+out=out/paths-table
+mkdir -p "$out/map" "$out/tif"
+cp "$mirror/height_nm.npy" "$mirror/x_mm.npy" "$mirror/y_mm.npy" "$out/map/"
+cp "$mirror/tif_nm_per_s.npy" "$out/tif/rate_nm_per_s.npy"
+cp "$mirror/tif_x_mm.npy" "$out/tif/x_mm.npy"
+cp "$mirror/tif_y_mm.npy" "$out/tif/y_mm.npy"
+
+# Name, pipeline and its settings; the paths share 5 mm of overscan.
+while read -r name pipeline settings; do
+    # shellcheck disable=SC2086
+    just --justfile "pipelines/$pipeline.just" --working-directory . \
+        surface="$out/map" tif="$out/tif" overscan_mm=5 refine=yes out="$out/$name" \
+        $settings run >"$out/$name.log" 2>&1 || { cat "$out/$name.log"; exit 1; }
+done <<PATHS
+raster raster
+maze maze
+mesh-tree random-adaptive pitch_mm=1.13
+tour random-adaptive pitch_mm=1.17 construction=tour rounding_passes=0
+multi-pitch multi-pitch max_velocity_mm_per_s=6 step_mm=1 max_pitch_mm=1.6 min_dwell_s_per_mm=
+PATHS
+
+echo '| path | points | motion | raw RMS, nm | total time, s | largest acceleration x, y, mm/s^2 |'
+echo '|---|---|---|---|---|---|'
+for name in raster maze mesh-tree tour multi-pitch; do
+    points=$(jq .outcome.points "$out/$name/tool_path/manifest.json")
+    jq -r --arg name "$name" --arg points "$points" '
+        def shown($n): . * $n | round / $n;
+        .methods as $m | ("pvt", "pvt+refined") as $k | $m[$k] | "| \($name) | \($points) | \($k)"
+        + " | \(.rms_nm | shown(1e4)) | \(.total_time_s | shown(10))"
+        + " | \(.max_acceleration_mm_per_s2 | map(shown(1)) | join(", ")) |"
+    ' "$out/$name/report/summary.json"
+done
