@@ -2,23 +2,19 @@
 //!
 //! ```text
 //! removal = R * tau                       tau: seconds per node of the lattice of tool positions   (1)
-//! t_j = a_j rho_j sum(tau) / sum_k(a_k rho_k)                                              (2)
+//! t_j = sum of tau over the nodes whose nearest dwell point is j                          (2)
 //! ```
 //!
-//! The lattice has the pitch of the map and reaches as far as the tool reaches the map. `a_j` is the
-//! number of nodes whose nearest dwell point is j (its share of the surface: pitch times step on a
-//! raster), `rho_j` the mean of tau along column j by Keys' interpolation. The factor keeps the total
-//! time. What a path cannot follow between its lines is lost: the pitch must be fine against the TIF.
+//! The lattice has the pitch of the map and reaches as far as the tool reaches the map. (2) keeps the
+//! time, everywhere: on a raster it is the density times pitch times step. It averages over a cell of
+//! the path; interpolating tau at the dwell points instead would let what is rough in it (noise, the
+//! edge of a margin) alias into the shape of the part. What a path cannot follow between its lines is
+//! lost: the pitch must be fine against the TIF.
 
 use ndarray::{Array2, Zip};
-use planish_numerics::{
-    fft::{Complex64, Convolution},
-    keys,
-};
+use planish_numerics::fft::{Complex64, Convolution};
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
-
-use crate::columns::Place;
 
 /// (1): R at the pixels of the map.
 pub(crate) struct DwellMap {
@@ -111,49 +107,16 @@ impl Cells {
         self.owner.mapv(|j| j != NOBODY)
     }
 
-    /// (2), s.
-    pub fn to_path(&self, seconds: &Array2<f64>, grid: &Grid, places: &[Vec<Place>]) -> Vec<f64> {
-        let mut share = vec![0.0; places.len()];
-        let mut total = 0.0;
+    /// (2) for `n` dwell points, s.
+    pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
+        let mut t = vec![0.0; n];
         Zip::from(&self.owner).and(seconds).for_each(|j, tau| {
             if *j != NOBODY {
-                share[*j as usize] += 1.0;
-                total += tau;
+                t[*j as usize] += tau;
             }
         });
-        let mut t: Vec<f64> = places
-            .iter()
-            .zip(&share)
-            .map(|(places, a)| {
-                let rho: f64 =
-                    places.iter().map(|p| p.part * interpolate(seconds, grid, p.position_mm)).sum();
-                // Keys' interpolation overshoots next to a step.
-                a * rho.max(0.0)
-            })
-            .collect();
-        let sum: f64 = t.iter().sum();
-        if sum > 0.0 {
-            t.iter_mut().for_each(|t| *t *= total / sum);
-        }
         t
     }
-}
-
-/// Keys' interpolation; zero outside.
-fn interpolate(map: &Array2<f64>, grid: &Grid, p: [f64; 2]) -> f64 {
-    let along = |axis: &Axis, p: f64| keys::split((p - axis.start_mm()) / axis.step_mm());
-    let ((cx, fx), (cy, fy)) = (along(&grid.x, p[0]), along(&grid.y, p[1]));
-    let (wx, wy) = (keys::weights(fx), keys::weights(fy));
-    let at = |r: isize, c: isize| -> f64 {
-        let place = usize::try_from(r).ok().zip(usize::try_from(c).ok());
-        place.and_then(|rc| map.get(rc)).copied().unwrap_or(0.0)
-    };
-    let rows = (0..4).zip(wy);
-    rows.map(|(b, wy)| {
-        let row = (0..4).zip(wx).map(|(a, wx)| wx * at(cy + b - 1, cx + a - 1));
-        wy * row.sum::<f64>()
-    })
-    .sum()
 }
 
 /// Points sorted into squares, for the search of the nearest one.
@@ -236,7 +199,6 @@ impl Buckets {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::columns::Columns;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -298,7 +260,7 @@ mod tests {
         // 2 + 0.1 x seconds per mm^2, 100 nodes per mm^2.
         let density = |x: f64| 2.0 + 0.1 * x;
         let seconds = Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.at(c)));
-        let t = cells.to_path(&seconds, &grid, &Columns::Point.places(&path));
+        let t = cells.to_path(&seconds, n);
         let owned: f64 =
             cells.owned().iter().zip(&seconds).filter(|(o, _)| **o).map(|(_, s)| s).sum();
         assert!((t.iter().sum::<f64>() - owned).abs() < 1e-9, "the total time is kept");

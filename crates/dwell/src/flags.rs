@@ -88,6 +88,9 @@ pub struct LucyRichardson {
     /// Removal at the lowest pixel, as a part of the PV of what is to be removed
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
     margin: f64,
+    /// Part of the pixels, the lowest ones, that may be cut off as pits
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().pits)]
+    pits: f64,
     /// End when ten steps lower the RMS by less than this part
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().tolerance)]
     tolerance: f64,
@@ -113,6 +116,9 @@ pub struct Rifta {
     /// RMS that a smaller margin around the aperture may cost, nm
     #[arg(long, value_name = "NM", default_value_t = rifta::Settings::default().margin_tolerance_nm)]
     margin_tolerance_nm: f64,
+    /// Part of the pixels, the lowest ones, that do not decide how much is removed
+    #[arg(long, value_name = "PART", default_value_t = rifta::Settings::default().pits)]
+    pits: f64,
 }
 
 #[derive(Args)]
@@ -303,6 +309,7 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
         },
         total_variation: cli.total_variation,
         margin: cli.margin,
+        pits: cli.pits,
         tolerance: cli.tolerance,
         max_iterations: cli.max_iterations,
     };
@@ -319,6 +326,7 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
 pub fn rifta(cli: &Rifta) -> Result<Status, Failure> {
     let settings = rifta::Settings {
         margin_tolerance_nm: cli.margin_tolerance_nm,
+        pits: cli.pits,
         ..rifta::Settings::default()
     };
     solve("rifta", &cli.given, &cli.least, settings, rifta::solve, |r| {

@@ -1,11 +1,12 @@
 //! Lucy-Richardson deconvolution with total-variation smoothing.
 //!
 //! ```text
-//! E = z - B lo - min(z - B lo) + c                         positive on the aperture            (1)
+//! E = max(z - B lo - low, 0) + c                           positive on the aperture            (1)
 //! T <- T / (1 - mu kappa) * (B' (w E / B T)) / (B' w)      kappa = div(grad T / |grad T|)      (2)
 //! ```
 //!
-//! The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson
+//! `low` is the lowest height but for a given part of the pixels: otherwise one pit would decide how
+//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson
 //! process, which here is a device to keep T positive. Without smoothing the likelihood never falls,
 //! and after every step the removed volume is the desired one. `B' w` in place of the volume of the
 //! TIF is the whole treatment of the boundary: a dwell point near it is judged by the pixels that it
@@ -58,6 +59,8 @@ pub struct Settings {
     pub total_variation: f64,
     /// c: what is removed at the lowest pixel, as a part of the largest minus the smallest E; > 0.
     pub margin: f64,
+    /// Part of the pixels, the lowest ones, that may be cut off; in [0, 1).
+    pub pits: f64,
     /// It ends when ten steps lower the RMS by less than this part.
     pub tolerance: f64,
     /// Most steps.
@@ -70,6 +73,7 @@ impl Default for Settings {
             unknowns: Unknowns::Path,
             total_variation: 1e-3,
             margin: 0.02,
+            pits: 1e-3,
             tolerance: 1e-3,
             max_iterations: 300,
         }
@@ -103,11 +107,12 @@ const RUNAWAY: f64 = 20.0;
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("total_variation", settings.total_variation, |m| m >= 0.0, "give a number >= 0")?;
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
+    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
     check("tolerance", settings.tolerance, |t| t >= 0.0, "give a number >= 0")?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
     let problem = &Problem { tif: &tif, ..*problem };
     let model = Model::new(problem)?;
-    let e = positive_target(&model, settings.margin);
+    let e = positive_target(&model, settings);
     let (t, mut report) = match settings.unknowns {
         Unknowns::Path => on_path(&model, &e, settings),
         Unknowns::Map => on_map(&model, &e, settings)?,
@@ -124,19 +129,17 @@ fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
 }
 
 /// (1), 0 where the weight is 0.
-fn positive_target(model: &Model<'_>, margin: f64) -> Array2<f64> {
+fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
     let target = model.target();
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    Zip::from(&target).and(&model.weight).for_each(|z, w| {
-        if *w > 0.0 {
-            (low, high) = (low.min(*z), high.max(*z));
-        }
-    });
+    let low = model.lowest(&target, settings.pits);
+    let high = Zip::from(&target)
+        .and(&model.weight)
+        .fold(low, |high, z, w| if *w > 0.0 { high.max(*z) } else { high });
     // A flat map asks for the same everywhere: any positive number.
-    let c = if high > low { margin * (high - low) } else { 1.0 };
+    let c = if high > low { settings.margin * (high - low) } else { 1.0 };
     Zip::from(&target)
         .and(&model.weight)
-        .map_collect(|z, w| if *w > 0.0 { z - low + c } else { 0.0 })
+        .map_collect(|z, w| if *w > 0.0 { (z - low).max(0.0) + c } else { 0.0 })
 }
 
 /// What (2) needs.
@@ -214,7 +217,7 @@ fn on_map(
         uniform: &vec![1.0; active.len()],
     };
     let (t, report) = iterate(model, e, &unknown, settings);
-    Ok((cells.to_path(&as_map(&t), &map.grid, &model.places), report))
+    Ok((cells.to_path(&as_map(&t), path.len()), report))
 }
 
 /// Whether the pixel nearest to `p` counts.

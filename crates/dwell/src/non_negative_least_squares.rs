@@ -40,7 +40,7 @@ impl Default for Settings {
     fn default() -> Self {
         // alpha is at the rounding of the single precision in which maps are measured; below, the
         // columns of neighbours cannot be told apart.
-        Self { tikhonov: 1e-7, tolerance: 1e-9, max_changes_per_point: 10 }
+        Self { tikhonov: 1e-7, tolerance: 1e-12, max_changes_per_point: 10 }
     }
 }
 

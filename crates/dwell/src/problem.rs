@@ -175,6 +175,14 @@ impl<'a> Model<'a> {
         sum / self.weight.sum()
     }
 
+    /// Lowest value where the weight is not zero, but for this part of the pixels.
+    pub fn lowest(&self, map: &Array2<f64>, part: f64) -> f64 {
+        let counted = map.iter().zip(&self.weight).filter(|(_, w)| **w > 0.0);
+        let mut values: Vec<f64> = counted.map(|(z, _)| *z).collect();
+        let rank = ((part * values.len() as f64) as usize).min(values.len() - 1);
+        *values.select_nth_unstable_by(rank, f64::total_cmp).1
+    }
+
     /// `z - mean z`, 0 where the weight is 0.
     pub fn centred(&self, map: &Array2<f64>) -> Array2<f64> {
         let mean = self.mean(map);

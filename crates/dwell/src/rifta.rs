@@ -49,12 +49,14 @@ pub struct Settings {
     pub piston_tolerance_nm: f64,
     /// Most lifts.
     pub max_lifts: usize,
+    /// Part of the pixels, the lowest ones, that do not decide how much is removed; in [0, 1).
+    pub pits: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        // Those of the source.
-        Self { margin_tolerance_nm: 0.02, piston_tolerance_nm: 1e-3, max_lifts: 10 }
+        // Those of the source, where the lowest pixel decides.
+        Self { margin_tolerance_nm: 0.02, piston_tolerance_nm: 1e-3, max_lifts: 10, pits: 1e-3 }
     }
 }
 
@@ -82,9 +84,10 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let Settings { margin_tolerance_nm, piston_tolerance_nm, .. } = *settings;
     check("margin_tolerance", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
     check("piston_tolerance", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
+    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::new(problem)?;
-    let fourier = Fourier::new(&model)?;
+    let fourier = Fourier::new(&model, settings.pits)?;
     // Reference: the margin of the TIF; then smaller ones, from a third of it.
     let reference = fourier.solve(fourier.radius_mm, settings);
     let mut tried = vec![reference];
@@ -99,7 +102,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let (first, last) = (&tried[0], &tried[tried.len() - 1]);
     let smaller = last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm;
     let best = if smaller { last } else { first };
-    let t = fourier.cells.to_path(&best.seconds, &fourier.map.grid, &model.places);
+    let t = fourier.cells.to_path(&best.seconds, problem.path.len());
     let report = Report {
         relative_gamma: best.gamma * fourier.map.rate_sum,
         piston_nm: best.piston_nm,
@@ -158,7 +161,7 @@ struct Found {
 }
 
 impl<'a> Fourier<'a> {
-    fn new(model: &'a Model<'a>) -> Result<Self, DwellError> {
+    fn new(model: &'a Model<'a>, pits: f64) -> Result<Self, DwellError> {
         let Problem { desired, tif, path, .. } = model.problem;
         let [half_x, half_y] = tif.half_size_mm();
         let radius_mm = half_x.max(half_y);
@@ -168,9 +171,7 @@ impl<'a> Fourier<'a> {
         let valid = model.weight.mapv(|w| w > 0.0);
         let extension = Extension::new(desired.grid(), &valid, border, radius_mm)?;
         let target = model.target();
-        let low = Zip::from(&target)
-            .and(&model.weight)
-            .fold(f64::INFINITY, |low, z, w| if *w > 0.0 { low.min(*z) } else { low });
+        let low = model.lowest(&target, pits);
         let target = extension.rise(&target.mapv(|z| z - low));
         let taper = Array2::from_shape_fn(target.dim(), |p| {
             let beyond = (extension.distance_mm(p) / radius_mm - 1.5).clamp(0.0, 1.0);
@@ -221,9 +222,7 @@ impl<'a> Fourier<'a> {
         let (mut seconds, mut residual, mut rms) = self.apply(piston_nm, gamma, margin_mm);
         for _ in 0..settings.max_lifts {
             // Lift by the largest excess of the removal.
-            let excess = Zip::from(&residual)
-                .and(&self.model.weight)
-                .fold(0.0_f64, |m, r, w| if *w > 0.0 { m.max(-r) } else { m });
+            let excess = (-self.model.lowest(&residual, settings.pits)).max(0.0);
             let before = rms;
             let next = self.apply(excess, gamma, margin_mm);
             if next.2 > before {

@@ -56,7 +56,7 @@ impl Default for Settings {
     fn default() -> Self {
         // On a measured mirror dwell times are not negative from 1e-2 on, and the residual is within
         // a tenth of the unconstrained least one.
-        Self { damping: Damping::Relative(1e-2), tolerance: 1e-7, max_iterations: 2000 }
+        Self { damping: Damping::Relative(1e-2), tolerance: 1e-6, max_iterations: 2000 }
     }
 }
 
