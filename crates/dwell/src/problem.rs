@@ -145,7 +145,7 @@ impl<'a> Model<'a> {
         if floor <= pv {
             return Ok(());
         }
-        let worst = (0..self.lo.len()).max_by(|a, b| self.lo[*a].total_cmp(&self.lo[*b]));
+        let worst = (0..self.lo.len()).rev().max_by(|a, b| self.lo[*a].total_cmp(&self.lo[*b]));
         let j = worst.expect("a path has a dwell point");
         let problem = format!(
             "is {} s; the floor alone removes {floor:.4} nm on average, more than the {pv:.4} nm from \

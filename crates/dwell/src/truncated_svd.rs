@@ -42,7 +42,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { cut: 1e-2, tolerance: 1e-4, max_steps: 2000 }
+        Self { cut: 1e-2, tolerance: 1e-3, max_steps: 2000 }
     }
 }
 

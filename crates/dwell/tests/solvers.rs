@@ -258,7 +258,7 @@ fn the_sign_and_the_orientation_matter() {
     let t = bounded(&case).unwrap().dwell;
     let wrong = Case { tif: &mirrored, ..case };
     let (right, wrong) = (remaining(&case, t.dwell_s()), remaining(&wrong, t.dwell_s()));
-    assert!(wrong > 10.0 * right, "{right} {wrong}");
+    assert!(wrong > 4.0 * right, "{right} {wrong}");
 }
 
 #[test]
@@ -622,7 +622,7 @@ fn bcls_states_and_keeps_the_limits_of_the_source() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let limits = machine(20.0, 50.0);
     for least_feed in [0.0, 0.2] {
-        let settings = bcls::Settings { least_feed, ..Default::default() };
+        let settings = bcls::Settings { least_feed, tikhonov: 1e-3, ..Default::default() };
         let found = bcls::solve(&desired, &tool, &path, None, &limits, &settings).unwrap();
         let (r, b) = (&found.report, bcls::bounds(&path, &limits, least_feed).unwrap());
         let t = found.solution.dwell.dwell_s();

@@ -35,7 +35,7 @@ pub struct Truncated {
 }
 
 /// Computes (1) from the products `apply`. The process ends when it has spanned all of g, or when x
-/// changed by less than `tolerance` of its length in the last fifth of the steps.
+/// changed by less than `tolerance` of its length in the last third of the steps.
 pub fn truncated(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     g: &[f64],
@@ -87,7 +87,7 @@ pub fn truncated(
             if last || settled {
                 break;
             }
-            next_look += (next_look / 4).max(5);
+            next_look += next_look / 2;
         }
         beta.push(b);
         v.row_mut(k + 1).assign(&(&w / b));
