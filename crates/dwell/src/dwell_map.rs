@@ -248,7 +248,7 @@ mod tests {
         let grid = Grid { x: axis(-3.0, 0.1, 161), y: axis(-3.0, 0.1, 121) };
         let points: Vec<[f64; 2]> = (0..7)
             .flat_map(|j| {
-                (0..11).map(move |i| [if j % 2 == 0 { i } else { 10 - i } as f64, j as f64])
+                (0..11).map(move |i| [f64::from(if j % 2 == 0 { i } else { 10 - i }), f64::from(j)])
             })
             .collect();
         let n = points.len();

@@ -147,7 +147,7 @@ fn chebyshev(n: usize, count: usize) -> Array2<f64> {
     for k in 1..count {
         let next = match k {
             1 => x.clone(),
-            _ => 2.0 * &x * &t.column(k - 1) - &t.column(k - 2),
+            _ => 2.0 * &x * t.column(k - 1) - t.column(k - 2),
         };
         t.column_mut(k).assign(&next);
     }

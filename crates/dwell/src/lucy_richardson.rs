@@ -15,7 +15,7 @@
 //!
 //! The unknowns are the dwell times of the path (smoothness of the density along the path), or a map
 //! of dwell times on the pixels, as in the source (smoothness in two dimensions), which then goes to
-//! the path ([`crate::dwell_map`]).
+//! the path (`dwell_map.rs`).
 //!
 //! It ends when ten steps lower the RMS of the residual by less than a given part.
 //!

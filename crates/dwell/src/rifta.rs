@@ -12,9 +12,9 @@
 //! * *margin*: dwell times reach beyond the aperture by the half size of the TIF at most; the
 //!   smallest margin is taken that costs less time and hardly any residual.
 //!
-//! The dwell map then goes to the path ([`crate::dwell_map`]). Solves on the pixels of the map, so
+//! The dwell map then goes to the path (`dwell_map.rs`). Solves on the pixels of the map, so
 //! the pitch of the path must be fine against the TIF. The map beyond the aperture is
-//! [`crate::extension`], brought down to zero beyond the reach of the margin.
+//! `extension.rs`, brought down to zero beyond the reach of the margin.
 //!
 //! Source: T. Wang et al., Sci. Rep. 10 (2020) 8135, with the search in one dimension (theirs is a
 //! simplex) and the floor in the model.

@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(corner(&r, &n), 4);
         // A curve that turns the other way has no corner there.
         let points: Vec<(f64, f64)> =
-            (0..9).map(|k| f64::from(k)).map(|s| (-s, 0.02 * s * s)).collect();
+            (0..9).map(f64::from).map(|s: f64| (-s, 0.02 * s * s)).collect();
         let (r, n): (Vec<f64>, Vec<f64>) = points.iter().map(|(r, n)| (r.exp(), n.exp())).unzip();
         assert!(corner(&r, &n) < 9);
     }

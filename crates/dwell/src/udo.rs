@@ -5,7 +5,7 @@
 //! t <- t + beta gamma (b - min b)      for the map, then for what remains of it            (2)
 //! ```
 //!
-//! z_e is the map beyond the aperture by half the TIF, by polynomials ([`crate::extension`]), B_e the
+//! z_e is the map beyond the aperture by half the TIF, by polynomials (`extension.rs`), B_e the
 //! removal there. gamma is the step with the least RMS, in closed form: the objective is quadratic in
 //! it. It ends when the RMS falls below a threshold, rises (that step is discarded), or after a
 //! number of rounds.
