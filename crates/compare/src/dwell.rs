@@ -206,8 +206,9 @@ mod tests {
         let text = table("coupon", &desired, &rows);
         assert!(text.starts_with("coupon: initial surface 1.4142 nm RMS, 4.00 nm PV\n"));
         let udo = text.lines().find(|l| l.starts_with("udo")).unwrap();
+        // The plane through 0, 0, -2, 2 rises by 2 along x and leaves 1, -1, -1, 1.
         let words: Vec<&str> = udo.split_whitespace().collect();
-        assert_eq!(words[1..8], ["1.4142", "1.4142", "0.0000", "1.50", "1.75", "0.1000", "0.5000"]);
+        assert_eq!(words[1..8], ["1.4142", "1.4142", "1.0000", "1.50", "1.75", "0.1000", "0.5000"]);
         assert_eq!(words[9..], ["0.50", "-"]);
         assert!(text.ends_with("refused:\nrifta: the TIF is larger\n"), "{text}");
         let json = serde_json::to_value(&rows[1].1).unwrap();
