@@ -8,6 +8,10 @@ default:
 run name *overrides: build
     @just --justfile pipelines/{{ name }}.just --working-directory . {{ overrides }} run
 
+# Every dwell solver on one mirror: just compare-dwell coupon-ring pitch_mm=0.5
+compare-dwell fixture="coupon" *overrides: build
+    @just --justfile pipelines/compare-dwell.just --working-directory . fixture={{ fixture }} {{ overrides }} run
+
 # Show a pipeline with its settings and their defaults
 show name:
     @cat pipelines/{{ name }}.just pipelines/stages.just

@@ -9,6 +9,7 @@ use std::{
 
 use planish_compare::{
     diff::Elements,
+    dwell::{Row, Solver},
     summary::{Method, VerdictOutcome, WallTimes},
 };
 use planish_handoff::{
@@ -17,7 +18,7 @@ use planish_handoff::{
     kind::{self, Dtype},
     npy::{self, ArrayData},
 };
-use planish_types::Surface;
+use planish_types::{DwellTime, Removal, Surface, ToolPath, Trajectory};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -69,7 +70,7 @@ fn read_method(
         if !path.exists() {
             return Ok(None);
         }
-        let Wall { wall_s } = stage.read_json(&format!("{role}/{name}-wall"), &path)?;
+        let Wall { wall_s, .. } = stage.read_json(&format!("{role}/{name}-wall"), &path)?;
         Ok(Some(wall_s))
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
@@ -82,6 +83,56 @@ fn read_method(
 #[derive(Deserialize)]
 struct Wall {
     wall_s: f64,
+    #[serde(default)]
+    peak_memory_mb: Option<f64>,
+}
+
+/// Reads a run of dwell solvers: its surface, and what each solver made of it.
+pub fn read_solvers(
+    stage: &mut Stage,
+    run: &Path,
+) -> Result<(Surface, Vec<(String, Row)>), Failure> {
+    let surface: Surface = stage.read("surface", &run.join("surface"))?;
+    let path: ToolPath = stage.read("tool-path", &run.join("tool_path"))?;
+    let dir = run.join("solvers");
+    let mut rows = Vec::new();
+    for name in entries(&dir)?.into_iter().filter(|n| dir.join(n).is_dir()) {
+        let row = read_solver(stage, &name, &dir.join(&name), &path)?;
+        rows.push((name, row));
+    }
+    if rows.is_empty() {
+        let message = "holds no solver; solve, schedule and simulate at least once";
+        return Err(Failure::new(format!("{}: {message}", dir.display())));
+    }
+    Ok((surface, rows))
+}
+
+/// A solver without dwell times has left its message.
+fn read_solver(stage: &mut Stage, name: &str, dir: &Path, path: &ToolPath) -> Result<Row, Failure> {
+    if !dir.join("dwell").exists() {
+        let file = dir.join("message.txt");
+        let text = fs::read_to_string(&file).map_err(|e| {
+            Failure::new(format!("{}: cannot read: {e}; and there is no dwell/", file.display()))
+        })?;
+        let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
+        return Ok(Row::Refused { refused: last.trim_start_matches("error: ").to_string() });
+    }
+    let dwell: DwellTime = stage.read(&format!("{name}/dwell"), &dir.join("dwell"))?;
+    let position: Removal =
+        stage.read(&format!("{name}/position"), &dir.join("position/removal"))?;
+    let executed: Removal =
+        stage.read(&format!("{name}/executed"), &dir.join("executed/removal"))?;
+    let motion: Trajectory =
+        stage.read(&format!("{name}/trajectory"), &dir.join("executed/trajectory"))?;
+    let mut solver = Solver::new(path, &dwell, &position, &executed, motion.total_time_s())
+        .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
+    let wall = dir.join("dwell-wall.json");
+    if wall.exists() {
+        let Wall { wall_s, peak_memory_mb } =
+            stage.read_json(&format!("{name}/dwell-wall"), &wall)?;
+        (solver.wall_s, solver.peak_memory_mb) = (Some(wall_s), peak_memory_mb);
+    }
+    Ok(Row::Solved(solver))
 }
 
 /// The arrays of two directories, by name; refuses unlike kinds and unlike sets of arrays.

@@ -2,8 +2,10 @@
 //!
 //! * [`summary`]: the numbers of `summary.json`.
 //! * [`table`]: the same numbers as a table, methods side by side.
+//! * [`dwell`]: dwell solvers side by side.
 //! * [`diff`]: how far two arrays are apart.
 
 pub mod diff;
+pub mod dwell;
 pub mod summary;
 pub mod table;

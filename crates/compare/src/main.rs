@@ -7,6 +7,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Parser, Subcommand};
 use planish_compare::{
     diff::difference,
+    dwell,
     summary::{Summary, to_json},
     table::{table, table_of_runs},
 };
@@ -25,6 +26,8 @@ struct Cli {
 enum Command {
     /// Print the results of the methods of one or several runs side by side, and write summary.json
     Report(Report),
+    /// Print the results of dwell solvers side by side, and write summary.json
+    Dwell(Dwell),
     /// Print how far the arrays of two artifacts are apart; exit code 1 above the tolerance
     Diff(Diff),
 }
@@ -37,6 +40,19 @@ struct Report {
     /// Name of the pipeline [default: the name of the run's directory]
     #[arg(long, value_name = "NAME")]
     pipeline: Option<String>,
+    /// Name of the mirror
+    #[arg(long, value_name = "NAME", default_value = "")]
+    fixture: String,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(clap::Args)]
+struct Dwell {
+    /// Run: a directory with surface/, tool_path/ and solvers/<solver>/ with dwell/,
+    /// position/removal/, executed/{trajectory,removal}/, dwell-wall.json, or only message.txt
+    #[arg(value_name = "RUN_DIR")]
+    run: PathBuf,
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     fixture: String,
@@ -61,6 +77,7 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     run(|| match &cli.command {
         Command::Report(arguments) => report(arguments),
+        Command::Dwell(arguments) => dwell_solvers(arguments),
         Command::Diff(arguments) => diff(arguments),
     })
 }
@@ -89,6 +106,32 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
         [one] => table(one),
         _ => table_of_runs(&names.iter().map(String::as_str).zip(&summaries).collect::<Vec<_>>()),
     });
+    say(output.out.join("summary.json").display());
+    Ok(Status::Done)
+}
+
+fn dwell_solvers(arguments: &Dwell) -> Result<Status, Failure> {
+    let Dwell { run, fixture, output } = arguments;
+    let mut stage = Stage::new("planish-compare", env!("CARGO_PKG_VERSION"), "dwell", output);
+    stage.settings(json!({ "fixture": fixture }));
+    let (surface, rows) = files::read_solvers(&mut stage, run)?;
+    let begin = stage.begin(&[""], &kind::REPORT)?;
+    let solvers: serde_json::Map<String, serde_json::Value> =
+        rows.iter().map(|(name, row)| (name.clone(), json!(row))).collect();
+    let initial = surface.statistics();
+    let summary = json!({
+        "fixture": fixture,
+        "initial": { "rms_nm": initial.rms, "pv_nm": initial.pv },
+        "solvers": solvers,
+    });
+    let mut bytes = serde_json::to_vec_pretty(&summary)?;
+    bytes.push(b'\n');
+    // The table is wanted every time, also when the file is there already.
+    if begin == Begin::Run {
+        let beside = [("summary.json", bytes)];
+        stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
+    }
+    say(dwell::table(fixture, &surface, &rows));
     say(output.out.join("summary.json").display());
     Ok(Status::Done)
 }

@@ -219,7 +219,10 @@ pub fn solve_columns(
 }
 
 /// The given weights, zero on invalid pixels.
-fn pixel_weights(desired: &Surface, weight: Option<&Array2<f64>>) -> Result<Array2<f64>, Invalid> {
+pub(crate) fn pixel_weights(
+    desired: &Surface,
+    weight: Option<&Array2<f64>>,
+) -> Result<Array2<f64>, Invalid> {
     let height = desired.height_nm();
     let mut w = height.mapv(|z| if z.is_nan() { 0.0 } else { 1.0 });
     if let Some(given) = weight {
@@ -566,7 +569,7 @@ impl Patch {
     }
 
     /// Sum of the products where both patches are.
-    fn dot(&self, other: &Self) -> f64 {
+    pub(crate) fn dot(&self, other: &Self) -> f64 {
         let overlap = |a: usize, n: usize, b: usize, m: usize| (a.max(b), (a + n).min(b + m));
         let ((ny, nx), (my, mx)) = (self.rate_nm_per_s.dim(), other.rate_nm_per_s.dim());
         let (r0, r1) = overlap(self.origin.0, ny, other.origin.0, my);

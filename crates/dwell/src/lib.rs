@@ -7,13 +7,31 @@
 //! removal = B t,   B_ij = mean of R(x_i - P) over the dwell point or segment j
 //! ```
 //!
-//! | solver | what it minimises |
+//! | solver | what it does |
 //! |---|---|
-//! | [`bounded_least_squares`] | RMS of the residual, with bounds on every dwell time |
+//! | [`bounded_least_squares`] | least RMS of the residual, with bounds on every dwell time |
+//! | [`mod@bcls`] | the same, with bounds from the feed and acceleration limits of a machine |
+//! | [`non_negative_least_squares`] | the same with a floor only, one component at a time |
+//! | [`tikhonov_lsqr`] | least RMS plus the length of the dwell times, without bounds |
+//! | [`truncated_svd`] | least RMS in the space of the large singular values, without bounds |
+//! | [`lucy_richardson`] | largest Poisson likelihood by positive steps, total variation |
+//! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
+//! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
 
+pub mod bcls;
 pub mod bounded_least_squares;
 pub mod columns;
+mod dwell_map;
+mod extension;
 mod fft_operator;
+pub mod lucy_richardson;
+pub mod non_negative_least_squares;
+mod operator;
+pub mod problem;
+pub mod rifta;
+pub mod tikhonov_lsqr;
+pub mod truncated_svd;
+pub mod udo;
 
 use planish_types::Invalid;
 

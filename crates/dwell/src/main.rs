@@ -1,5 +1,7 @@
 //! `planish-dwell`: dwell times for a desired removal along a tool path.
 
+mod flags;
+
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -23,6 +25,20 @@ struct Cli {
 enum Solver {
     /// Smallest RMS residual with a free piston and bounds on every dwell time
     BoundedLeastSquares(BoundedLeastSquares),
+    /// The same within the dwell times that feed and acceleration limits allow
+    Bcls(flags::Bcls),
+    /// The same with a floor only, one component at a time (Lawson and Hanson); slow
+    NonNegativeLeastSquares(flags::NonNegativeLeastSquares),
+    /// Damped least squares without bounds; damping given, by discrepancy, or by L-curve
+    TikhonovLsqr(flags::TikhonovLsqr),
+    /// Least squares in the space of the large singular values, without bounds
+    TruncatedSvd(flags::TruncatedSvd),
+    /// Positive multiplicative steps with total-variation smoothing
+    LucyRichardson(flags::LucyRichardson),
+    /// Inverse filter with an optimised cap of its gain
+    Rifta(flags::Rifta),
+    /// Adjoint image of the extended map, refined by its residual
+    Udo(flags::Udo),
 }
 
 #[derive(Args)]
@@ -76,6 +92,13 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     run(|| match &cli.solver {
         Solver::BoundedLeastSquares(arguments) => bounded_least_squares(arguments),
+        Solver::Bcls(arguments) => flags::bcls(arguments),
+        Solver::NonNegativeLeastSquares(arguments) => flags::non_negative_least_squares(arguments),
+        Solver::TikhonovLsqr(arguments) => flags::tikhonov_lsqr(arguments),
+        Solver::TruncatedSvd(arguments) => flags::truncated_svd(arguments),
+        Solver::LucyRichardson(arguments) => flags::lucy_richardson(arguments),
+        Solver::Rifta(arguments) => flags::rifta(arguments),
+        Solver::Udo(arguments) => flags::udo(arguments),
     })
 }
 

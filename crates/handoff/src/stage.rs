@@ -50,8 +50,8 @@ pub struct OutputArgs {
     /// Replace an output that was made from other inputs or settings
     #[arg(long)]
     pub force: bool,
-    /// Also write the seconds that the stage took to FILE, as JSON (kept out of the artifact, which
-    /// is the same for the same command)
+    /// Also write the seconds that the stage took, and the most memory that it held, to FILE, as JSON
+    /// (kept out of the artifact, which is the same for the same command)
     #[arg(long, value_name = "FILE")]
     pub wall_time: Option<PathBuf>,
 }
@@ -384,9 +384,18 @@ impl Stage {
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent).map_err(|e| HandoffError::io(parent, "create", &e))?;
         }
-        let text = format!("{}\n", json!({ "wall_s": self.started.elapsed().as_secs_f64() }));
+        let wall_s = self.started.elapsed().as_secs_f64();
+        let text = format!("{}\n", json!({ "wall_s": wall_s, "peak_memory_mb": peak_memory_mb() }));
         fs::write(path, text).map_err(|e| HandoffError::io(path, "write", &e))
     }
+}
+
+/// The most memory that this process has held, in 2^20 bytes, where the system tells (Linux).
+fn peak_memory_mb() -> Option<f64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some((kilobytes / 1024.0).round())
 }
 
 /// Whether the output directory is there; an error when it is something else or cannot be.

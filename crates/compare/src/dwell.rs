@@ -1,0 +1,217 @@
+//! Dwell solvers side by side: what their dwell times leave, and what they cost.
+//!
+//! ```text
+//! roughness = sqrt(mean (q_{k+1} - q_k)^2) / mean q        q_k = t_k / l_k                 (1)
+//! ```
+//!
+//! over neighbours along the path that both have a length; dwell-time densities that differ from
+//! segment to segment are what a machine cannot follow.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | t | `dwell` | (n) | s |
+//! | l | `segment_length_mm` | (n) | mm |
+
+use planish_types::{DwellTime, Invalid, Removal, Surface, ToolPath};
+use serde::Serialize;
+
+/// What one solver made of a mirror.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Solver {
+    /// RMS (mean removed) with the dwell times at the dwell points, no dynamics, nm.
+    pub position_rms_nm: f64,
+    /// RMS (mean removed) of the executed motion, nm.
+    pub executed_rms_nm: f64,
+    /// The same, plane removed, nm.
+    pub executed_rms_detilted_nm: f64,
+    /// Duration of the executed motion, s.
+    pub executed_time_s: f64,
+    /// Sum of the dwell times, s.
+    pub total_time_s: f64,
+    /// Smallest dwell time, s.
+    pub smallest_dwell_s: f64,
+    /// Largest dwell time, s.
+    pub largest_dwell_s: f64,
+    /// (1).
+    pub roughness: f64,
+    /// Seconds that the solver took, `null` when not measured.
+    pub wall_s: Option<f64>,
+    /// Most memory that it held, 2^20 bytes, `null` when not measured.
+    pub peak_memory_mb: Option<f64>,
+}
+
+/// A solver's numbers, or why it has none.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", untagged)]
+pub enum Row {
+    /// It solved.
+    Solved(Solver),
+    /// It refused, with this message.
+    Refused {
+        /// What it said.
+        refused: String,
+    },
+}
+
+impl Solver {
+    /// The numbers of one solver; refuses dwell times of another path.
+    pub fn new(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        position: &Removal,
+        executed: &Removal,
+        executed_time_s: f64,
+    ) -> Result<Self, Invalid> {
+        let t = dwell.dwell_s();
+        if t.len() != path.len() {
+            let problem = format!("has {} elements for {} dwell points", t.len(), path.len());
+            return Err(Invalid::whole("dwell_s", problem, "solve on the path of this run"));
+        }
+        Ok(Self {
+            position_rms_nm: position.residual().statistics().rms,
+            executed_rms_nm: executed.residual().statistics().rms,
+            executed_rms_detilted_nm: executed.residual().detilted_rms_nm(),
+            executed_time_s,
+            total_time_s: dwell.total_s(),
+            smallest_dwell_s: t.iter().copied().fold(f64::INFINITY, f64::min),
+            largest_dwell_s: t.iter().copied().fold(0.0, f64::max),
+            roughness: roughness(path, t),
+            wall_s: None,
+            peak_memory_mb: None,
+        })
+    }
+}
+
+/// (1); 0 for a path without neighbours.
+fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
+    let density = |k: usize| {
+        let length = path.segment_length_mm(k);
+        (length > 0.0 && path.tool_on()[k]).then(|| t[k] / length)
+    };
+    let (mut squares, mut pairs, mut sum, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for k in 0..t.len() {
+        let Some(q) = density(k) else { continue };
+        sum += q;
+        count += 1.0;
+        if let Some(before) = k.checked_sub(1).and_then(density) {
+            squares += (q - before) * (q - before);
+            pairs += 1.0;
+        }
+    }
+    if pairs > 0.0 && sum > 0.0 { f64::sqrt(squares / pairs) / (sum / count) } else { 0.0 }
+}
+
+/// Headings and units of the table.
+const HEADINGS: [[&str; 2]; 11] = [
+    ["", "solver"],
+    ["position", "RMS nm"],
+    ["executed", "RMS nm"],
+    ["detilted", "nm"],
+    ["dwell", "s"],
+    ["executed", "s"],
+    ["smallest", "s"],
+    ["largest", "s"],
+    ["", "roughness"],
+    ["wall", "s"],
+    ["memory", "MB"],
+];
+
+/// The table; ends with a newline.
+pub fn table(fixture: &str, desired: &Surface, rows: &[(String, Row)]) -> String {
+    let mut cells: Vec<Vec<String>> =
+        (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();
+    let mut refused = String::new();
+    for (name, row) in rows {
+        match row {
+            Row::Solved(s) => cells.push(line(name, s)),
+            Row::Refused { refused: message } => refused += &format!("{name}: {message}\n"),
+        }
+    }
+    let width = |c: usize| cells.iter().map(|r| r[c].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..HEADINGS.len()).map(width).collect();
+    let mut text = format!(
+        "{fixture}: initial surface {:.4} nm RMS, {:.2} nm PV\n\n",
+        desired.statistics().rms,
+        desired.statistics().pv
+    );
+    for row in &cells {
+        let padded = row.iter().zip(&widths).enumerate().map(|(c, (cell, &w))| {
+            if c == 0 { format!("{cell:<w$}") } else { format!("{cell:>w$}") }
+        });
+        text += padded.collect::<Vec<_>>().join("  ").trim_end();
+        text.push('\n');
+    }
+    if !refused.is_empty() {
+        text += &format!("\nrefused:\n{refused}");
+    }
+    text
+}
+
+fn line(name: &str, s: &Solver) -> Vec<String> {
+    let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| format!("{v:.d$}"));
+    vec![
+        name.to_string(),
+        format!("{:.4}", s.position_rms_nm),
+        format!("{:.4}", s.executed_rms_nm),
+        format!("{:.4}", s.executed_rms_detilted_nm),
+        format!("{:.2}", s.total_time_s),
+        format!("{:.2}", s.executed_time_s),
+        format!("{:.4}", s.smallest_dwell_s),
+        format!("{:.4}", s.largest_dwell_s),
+        format!("{:.4}", s.roughness),
+        or_dash(s.wall_s, 2),
+        or_dash(s.peak_memory_mb, 0),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+    use planish_types::{Axis, Grid};
+
+    fn path() -> ToolPath {
+        // Lengths 1, 2, 0, 1, 1; the last one lifted.
+        let x = [0.0, 1.0, 3.0, 3.0, 4.0, 5.0];
+        let on = vec![true, true, true, true, false];
+        ToolPath::through(x.iter().map(|x| [*x, 0.0]).collect(), on, vec![0; 5]).unwrap()
+    }
+
+    #[test]
+    fn roughness_is_that_of_the_density_along_the_path() {
+        // Densities 2, 3, (rest), 4, (lifted): one pair of neighbours, mean 3.
+        let found = roughness(&path(), &[2.0, 6.0, 9.0, 4.0, 100.0]);
+        assert!((found - 1.0 / 3.0).abs() < 1e-15, "{found}");
+        // Equal densities are smooth whatever the lengths.
+        assert_eq!(roughness(&path(), &[0.5, 1.0, 0.0, 0.5, 0.0]), 0.0);
+    }
+
+    #[test]
+    fn numbers_and_refusals_are_in_the_table() {
+        let grid = Grid { x: Axis::new(0.0, 1.0, 2).unwrap(), y: Axis::new(0.0, 1.0, 2).unwrap() };
+        let desired = Surface::new(grid, array![[11.0, 11.0], [9.0, 13.0]]).unwrap();
+        let removal = Removal::new(&desired, ndarray::Array2::from_elem((2, 2), 3.0)).unwrap();
+        let dwell = DwellTime::new(vec![0.1, 0.2, 0.3, 0.4, 0.5]).unwrap();
+        let solver = Solver::new(&path(), &dwell, &removal, &removal, 1.75).unwrap();
+        assert_eq!((solver.smallest_dwell_s, solver.largest_dwell_s), (0.1, 0.5));
+        // Mean 11, deviations 0, 0, -2, 2.
+        assert!((solver.position_rms_nm - 2.0_f64.sqrt()).abs() < 1e-15);
+        let other = DwellTime::new(vec![0.1]).unwrap();
+        let error = Solver::new(&path(), &other, &removal, &removal, 1.0).unwrap_err();
+        assert!(error.to_string().contains("has 1 elements for 5 dwell points"));
+        let rows = [
+            ("udo".to_string(), Row::Solved(Solver { wall_s: Some(0.5), ..solver })),
+            ("rifta".to_string(), Row::Refused { refused: "the TIF is larger".into() }),
+        ];
+        let text = table("coupon", &desired, &rows);
+        assert!(text.starts_with("coupon: initial surface 1.4142 nm RMS, 4.00 nm PV\n"));
+        let udo = text.lines().find(|l| l.starts_with("udo")).unwrap();
+        // The plane through 0, 0, -2, 2 rises by 2 along x and leaves 1, -1, -1, 1.
+        let words: Vec<&str> = udo.split_whitespace().collect();
+        assert_eq!(words[1..8], ["1.4142", "1.4142", "1.0000", "1.50", "1.75", "0.1000", "0.5000"]);
+        assert_eq!(words[9..], ["0.50", "-"]);
+        assert!(text.ends_with("refused:\nrifta: the TIF is larger\n"), "{text}");
+        let json = serde_json::to_value(&rows[1].1).unwrap();
+        assert_eq!(json["refused"], "the TIF is larger");
+    }
+}

@@ -1,0 +1,218 @@
+//! Constrained least squares: feed and acceleration limits as bounds of the dwell times.
+//!
+//! ```text
+//! V* = min(V, sqrt(2 d A / (1 - eta^2)))                                                  (1)
+//! d / V* <= t <= d / (eta V*)                                                             (2)
+//! d >= V^2 (1 - eta^2) / (2 A)                                                            (3)
+//! ```
+//!
+//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1), so a feed
+//! may change from the least to the largest allowed one, or back, in any segment: every sequence of
+//! dwell times within (2) can be executed by trapezoidal feeds. (3) is the pitch limit of the source:
+//! on shorter segments the machine does not reach its largest feed V. It is enforced through (2):
+//! there the least dwell time is `d / V*`, above `d / V`. V and A are the limits along the segment,
+//! the axis that reaches its own first. Where lengths differ, the least feed is eta times the largest
+//! V* of the segment and its neighbours, and the change is made in the longer one. Changes of
+//! direction are not part of the source's model: a corner asks for more.
+//!
+//! The minimum within (2) is that of [`crate::bounded_least_squares`], almost without
+//! regularisation.
+//!
+//! Source: trigonometric-spline scheduling, Opt. Express 32 (2024) 9255 (the bounds and (3), for one
+//! spacing and one axis).
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | V* | `reachable_mm_per_s` | (n) | mm/s |
+//! | d | `segment_length_mm` | (n) | mm |
+//! | eta | `least_feed` | - | 1 |
+
+use ndarray::Array2;
+use planish_types::{Invalid, Limits, Surface, Tif, ToolPath};
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    bounded_least_squares::{self, Program, Solution},
+    columns::Columns,
+    problem::check,
+};
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// What a dwell time is spent on.
+    pub columns: Columns,
+    /// eta: least feed as a part of the largest reachable one; in [0, 1), 0 for none.
+    pub least_feed: f64,
+    /// alpha of the least squares.
+    pub tikhonov: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { columns: Columns::Segment, least_feed: 0.0, tikhonov: 1e-6 }
+    }
+}
+
+/// The bounds, and what became of them.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// (3) for the largest limits along a segment of the path, mm.
+    pub pitch_limit_mm: f64,
+    /// Shortest segment with a length, mm.
+    pub shortest_segment_mm: f64,
+    /// Segments below (3): their least dwell time is longer than the largest feed asks for.
+    pub below_pitch_limit: usize,
+    /// Smallest and largest V* of (1), mm/s.
+    pub reachable_mm_per_s: [f64; 2],
+    /// Neighbours whose change of feed does not fit into the longer one of them; 0.
+    pub trapezoid_violations: usize,
+}
+
+/// The least-squares solution within (2).
+#[derive(Clone, Debug)]
+pub struct Bcls {
+    /// Dwell times and certificate.
+    pub solution: Solution,
+    /// The bounds.
+    pub report: Report,
+}
+
+/// Solves within (2).
+pub fn solve(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    weight: Option<&Array2<f64>>,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Bcls, DwellError> {
+    let bounds = bounds(path, limits, settings.least_feed)?;
+    let places = settings.columns.places(path);
+    let squares = bounded_least_squares::Settings {
+        columns: settings.columns,
+        tikhonov: settings.tikhonov,
+        smoothness: 0.0,
+        ..bounded_least_squares::Settings::default()
+    };
+    let program =
+        Program { places: &places, lo: bounds.lo.clone(), hi: bounds.hi.clone(), guess: None };
+    let solution =
+        bounded_least_squares::solve_columns(desired, tif, path, weight, &squares, &program)?;
+    let report = bounds.report(path, solution.dwell.dwell_s());
+    Ok(Bcls { solution, report })
+}
+
+/// (1) and (2) of every segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bounds {
+    /// d / V*, s; 0 for a rest.
+    pub lo: Vec<f64>,
+    /// d / (eta V*), s.
+    pub hi: Vec<f64>,
+    /// V*, mm/s.
+    reachable_mm_per_s: Vec<f64>,
+    /// A along the segment, mm/s^2.
+    acceleration_mm_per_s2: Vec<f64>,
+    /// (3), mm.
+    pitch_limit_mm: Vec<f64>,
+}
+
+/// (1) and (2); refuses a path whose lengths differ too much for the least feed.
+pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bounds, Invalid> {
+    check("least_feed", least_feed, |e| (0.0..1.0).contains(&e), "give a part from 0 to below 1")?;
+    let n = path.len();
+    let along = |j: usize, limit: [f64; 2]| {
+        let (d, length) = (path.displacement_mm(j), path.segment_length_mm(j));
+        // The axis that reaches its limit first; a rest has no direction.
+        let of =
+            |a: usize| if d[a] == 0.0 { f64::INFINITY } else { limit[a] * length / d[a].abs() };
+        of(0).min(of(1))
+    };
+    let change = 1.0 - least_feed * least_feed;
+    let velocity: Vec<f64> = (0..n).map(|j| along(j, limits.max_velocity_mm_per_s())).collect();
+    let acceleration: Vec<f64> =
+        (0..n).map(|j| along(j, limits.max_acceleration_mm_per_s2())).collect();
+    // V* = min(V, sqrt(2 d A / (1 - eta^2)))
+    let reachable: Vec<f64> = (0..n)
+        .map(|j| {
+            let d = path.segment_length_mm(j);
+            if d > 0.0 { velocity[j].min((2.0 * d * acceleration[j] / change).sqrt()) } else { 0.0 }
+        })
+        .collect();
+    let lo: Vec<f64> = (0..n)
+        .map(|j| if reachable[j] > 0.0 { path.segment_length_mm(j) / reachable[j] } else { 0.0 })
+        .collect();
+    let hi: Vec<f64> = (0..n)
+        .map(|j| {
+            let around = &reachable[j.saturating_sub(1)..(j + 2).min(n)];
+            let largest = around.iter().copied().fold(0.0, f64::max);
+            if least_feed * largest > 0.0 && reachable[j] > 0.0 {
+                path.segment_length_mm(j) / (least_feed * largest)
+            } else {
+                f64::INFINITY
+            }
+        })
+        .collect();
+    if let Some(j) = (0..n).find(|j| hi[*j] < lo[*j]) {
+        let problem = format!(
+            "has the length {:.4} mm between segments on which the machine is more than {:.3} times \
+             as fast",
+            path.segment_length_mm(j),
+            1.0 / least_feed
+        );
+        let remedy = "lower --least-feed, or give a path with segments of more equal length";
+        return Err(Invalid::at("point_mm", j, problem, remedy));
+    }
+    let pitch_limit_mm = (0..n)
+        .map(|j| {
+            let limit = velocity[j] * velocity[j] * change / (2.0 * acceleration[j]);
+            if limit.is_finite() { limit } else { 0.0 }
+        })
+        .collect();
+    Ok(Bounds {
+        lo,
+        hi,
+        reachable_mm_per_s: reachable,
+        acceleration_mm_per_s2: acceleration,
+        pitch_limit_mm,
+    })
+}
+
+impl Bounds {
+    fn report(&self, path: &ToolPath, dwell_s: &[f64]) -> Report {
+        let moving = || (0..path.len()).filter(|j| path.segment_length_mm(*j) > 0.0);
+        let least = |of: &dyn Fn(usize) -> f64| moving().map(of).fold(f64::INFINITY, f64::min);
+        let most = |of: &dyn Fn(usize) -> f64| moving().map(of).fold(0.0, f64::max);
+        let shortest = least(&|j| path.segment_length_mm(j));
+        Report {
+            pitch_limit_mm: most(&|j| self.pitch_limit_mm[j]),
+            shortest_segment_mm: if shortest.is_finite() { shortest } else { 0.0 },
+            below_pitch_limit: moving()
+                .filter(|j| path.segment_length_mm(*j) < self.pitch_limit_mm[*j] * (1.0 - 1e-12))
+                .count(),
+            reachable_mm_per_s: [
+                least(&|j| self.reachable_mm_per_s[j]).min(1e12),
+                most(&|j| self.reachable_mm_per_s[j]),
+            ],
+            trapezoid_violations: self.trapezoid_violations(path, dwell_s),
+        }
+    }
+
+    /// Neighbours with `|v_{k+1}^2 - v_k^2| > max(2 A d)` of the two, v = d / t: the change of feed does
+    /// not fit into the longer of them.
+    pub fn trapezoid_violations(&self, path: &ToolPath, dwell_s: &[f64]) -> usize {
+        let d = |j: usize| path.segment_length_mm(j);
+        let v = |j: usize| if dwell_s[j] > 0.0 { d(j) / dwell_s[j] } else { 0.0 };
+        let room = |j: usize| 2.0 * self.acceleration_mm_per_s2[j] * d(j);
+        (1..path.len())
+            .filter(|k| d(k - 1) > 0.0 && d(*k) > 0.0)
+            .filter(|k| {
+                let change = (v(*k).powi(2) - v(k - 1).powi(2)).abs();
+                // Rounding of the squares.
+                change > room(k - 1).max(room(*k)) * (1.0 + 1e-9)
+            })
+            .count()
+    }
+}

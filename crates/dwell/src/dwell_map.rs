@@ -1,0 +1,274 @@
+//! Dwell times on the pixels of the map, and from there to the points of a path.
+//!
+//! ```text
+//! removal = R * tau                       tau: seconds per node of the lattice of tool positions   (1)
+//! t_j = sum of tau over the nodes whose nearest dwell point is j                          (2)
+//! ```
+//!
+//! The lattice has the pitch of the map and reaches as far as the tool reaches the map. (2) keeps the
+//! time, everywhere: on a raster it is the density times pitch times step. It averages over a cell of
+//! the path; interpolating tau at the dwell points instead would let what is rough in it (noise, the
+//! edge of a margin) alias into the shape of the part. What a path cannot follow between its lines is
+//! lost: the pitch must be fine against the TIF.
+
+use ndarray::{Array2, Zip};
+use planish_numerics::fft::{Complex64, Convolution};
+use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
+use rayon::prelude::*;
+
+/// (1): R at the pixels of the map.
+pub(crate) struct DwellMap {
+    /// Tool positions.
+    pub grid: Grid,
+    /// Sum of R over the pixels, nm/s.
+    pub rate_sum: f64,
+    convolution: Convolution,
+}
+
+impl DwellMap {
+    /// The lattice for maps on `grid`.
+    pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
+        let samples = |map: &Axis, tif: &Axis| {
+            // The tolerance of a shared pitch that is rounded differently in the two files.
+            ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1
+        };
+        let t = tif.grid();
+        let (sx, sy) = (samples(&grid.x, &t.x), samples(&grid.y, &t.y));
+        let offset = |map: &Axis, tif: &Axis, k: usize| tif.start_mm() + k as f64 * map.step_mm();
+        let kernel = Array2::from_shape_fn((sy, sx), |(r, c)| {
+            tif.rate_at(offset(&grid.x, &t.x, c), offset(&grid.y, &t.y, r))
+        });
+        // Node 0 reaches pixel 0 with the last sample of R.
+        let lattice = |map: &Axis, tif: &Axis, samples: usize| {
+            let start = map.start_mm() - offset(map, tif, samples - 1);
+            Axis::new(start, map.step_mm(), map.len() + samples - 1)
+        };
+        let nodes = Grid { x: lattice(&grid.x, &t.x, sx)?, y: lattice(&grid.y, &t.y, sy)? };
+        let convolution = Convolution::new(kernel.view(), nodes.shape());
+        Ok(Self { grid: nodes, rate_sum: kernel.sum(), convolution })
+    }
+
+    /// (1): (ny, nx), nm.
+    pub fn removal(&self, seconds: &Array2<f64>) -> Array2<f64> {
+        self.convolution.valid(seconds.view())
+    }
+
+    /// Adjoint of (1).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Array2<f64> {
+        self.convolution.adjoint(map.view())
+    }
+
+    /// The adjoint with `filter` of the spectrum of R in place of its conjugate.
+    pub fn filtered(
+        &self,
+        map: &Array2<f64>,
+        filter: impl Fn(Complex64) -> Complex64 + Sync,
+    ) -> Array2<f64> {
+        self.convolution.filtered(map.view(), filter)
+    }
+}
+
+/// Which dwell point a node belongs to.
+pub(crate) struct Cells {
+    /// Nearest dwell point, [`NOBODY`] where none is near enough.
+    owner: Array2<u32>,
+}
+
+const NOBODY: u32 = u32::MAX;
+
+impl Cells {
+    /// Nodes belong to the nearest dwell point with the tool on, unless it is further away than twice
+    /// the median distance of the nodes in the `aperture` (mm bounds [x, y] are not enough for a disk:
+    /// a test of a position): in a cell of a lattice the corner is 1.8 medians from the middle.
+    pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
+        let points: Vec<(u32, [f64; 2])> = (0..path.len())
+            .filter(|j| path.tool_on()[*j])
+            .map(|j| (j as u32, path.dwell_point_mm()[j]))
+            .collect();
+        let buckets = Buckets::new(&points);
+        let mut nearest = Array2::from_elem(grid.shape(), (NOBODY, f64::INFINITY));
+        nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
+            for (c, n) in row.iter_mut().enumerate() {
+                *n = buckets.nearest([grid.x.at(c), grid.y.at(r)]);
+            }
+        });
+        let mut inside: Vec<f64> = nearest
+            .indexed_iter()
+            .filter(|((r, c), _)| aperture([grid.x.at(*c), grid.y.at(*r)]))
+            .map(|(_, n)| n.1)
+            .collect();
+        inside.sort_by(f64::total_cmp);
+        let far = inside.get(inside.len() / 2).map_or(0.0, |median| 2.0 * median);
+        Self { owner: nearest.mapv(|(j, d)| if d <= far { j } else { NOBODY }) }
+    }
+
+    /// Whether somebody is near enough.
+    pub fn owned(&self) -> Array2<bool> {
+        self.owner.mapv(|j| j != NOBODY)
+    }
+
+    /// (2) for `n` dwell points, s.
+    pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
+        let mut t = vec![0.0; n];
+        Zip::from(&self.owner).and(seconds).for_each(|j, tau| {
+            if *j != NOBODY {
+                t[*j as usize] += tau;
+            }
+        });
+        t
+    }
+}
+
+/// Points sorted into squares, for the search of the nearest one.
+struct Buckets {
+    start: [f64; 2],
+    side: f64,
+    shape: [usize; 2],
+    points: Vec<Vec<(u32, [f64; 2])>>,
+}
+
+impl Buckets {
+    fn new(points: &[(u32, [f64; 2])]) -> Self {
+        let range = |a: usize| {
+            let ends = points.iter().map(|(_, p)| p[a]);
+            ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
+        };
+        let (x, y) = (range(0), range(1));
+        // About one point in each square; a line of points has no area.
+        let (width, height) = ((x.1 - x.0).max(0.0), (y.1 - y.0).max(0.0));
+        let n = points.len().max(1) as f64;
+        let side = (width * height / n).sqrt().max((width + height) / n).max(1e-9);
+        let shape = [width, height].map(|w| (w / side) as usize + 1);
+        let mut buckets =
+            Self { start: [x.0, y.0], side, shape, points: vec![Vec::new(); shape[0] * shape[1]] };
+        for (j, p) in points {
+            let [bx, by] = [0, 1]
+                .map(|a| (((p[a] - buckets.start[a]) / side) as usize).min(buckets.shape[a] - 1));
+            buckets.points[by * shape[0] + bx].push((*j, *p));
+        }
+        buckets
+    }
+
+    /// Number of and distance to the nearest point; the lowest number of equals.
+    fn nearest(&self, p: [f64; 2]) -> (u32, f64) {
+        let at = [0, 1].map(|a| {
+            let b = ((p[a] - self.start[a]) / self.side).floor();
+            b.clamp(-1e9, 1e9) as isize
+        });
+        let mut best = (NOBODY, f64::INFINITY);
+        // Rings of squares; the first that can hold a point, and the last.
+        let gap = |a: usize| (-at[a]).max(at[a] - self.shape[a] as isize + 1).max(0);
+        let span = |a: usize| at[a].abs().max((self.shape[a] as isize - 1 - at[a]).abs());
+        for ring in gap(0).max(gap(1))..=span(0).max(span(1)) {
+            // All points of this ring are at least ring - 1 sides away.
+            if best.1 <= (ring - 1) as f64 * self.side {
+                break;
+            }
+            let mut look = |bx: isize, by: isize| {
+                let inside = |b: isize, a: usize| b >= 0 && b < self.shape[a] as isize;
+                if !(inside(bx, 0) && inside(by, 1)) {
+                    return;
+                }
+                for (j, q) in &self.points[by as usize * self.shape[0] + bx as usize] {
+                    let d = (q[0] - p[0]).hypot(q[1] - p[1]);
+                    if d < best.1 || d == best.1 && *j < best.0 {
+                        best = (*j, d);
+                    }
+                }
+            };
+            for by in [at[1] - ring, at[1] + ring] {
+                let from = (at[0] - ring).max(0);
+                for bx in from..=(at[0] + ring).min(self.shape[0] as isize - 1) {
+                    look(bx, by);
+                }
+                if ring == 0 {
+                    break;
+                }
+            }
+            for bx in [at[0] - ring, at[0] + ring] {
+                let from = (at[1] - ring + 1).max(0);
+                for by in from..(at[1] + ring).min(self.shape[1] as isize) {
+                    look(bx, by);
+                }
+            }
+        }
+        best
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn axis(start: f64, step: f64, n: usize) -> Axis {
+        Axis::new(start, step, n).unwrap()
+    }
+
+    #[test]
+    fn one_node_gives_the_tif_where_it_stands() {
+        // Not symmetric, and off the pixels: samples from -0.35 to 0.65 mm.
+        let t = Grid { x: axis(-0.35, 0.1, 11), y: axis(-0.2, 0.1, 6) };
+        let tif =
+            Tif::new(t, Array2::from_shape_fn(t.shape(), |(r, c)| 1.0 + r as f64 + 0.3 * c as f64))
+                .unwrap();
+        let grid = Grid { x: axis(1.0, 0.1, 40), y: axis(2.0, 0.1, 30) };
+        let map = DwellMap::new(&tif, &grid).unwrap();
+        let mut seconds = Array2::zeros(map.grid.shape());
+        seconds[[12, 17]] = 2.0;
+        let tool = [map.grid.x.at(17), map.grid.y.at(12)];
+        let found = map.removal(&seconds);
+        for ((r, c), z) in found.indexed_iter() {
+            let expected = 2.0 * tif.rate_at(grid.x.at(c) - tool[0], grid.y.at(r) - tool[1]);
+            // Rounding of an FFT; at the border of the TIF a pixel is in or out by rounding too.
+            assert!((z - expected).abs() < 1e-12, "{r} {c}: {z} {expected}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_point_is_found() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let random =
+            |rng: &mut ChaCha8Rng| [rng.random_range(0.0..9.0), rng.random_range(0.0..2.0)];
+        let points: Vec<(u32, [f64; 2])> = (0..70).map(|j| (j, random(&mut rng))).collect();
+        for points in [&points[..], &points[..1]] {
+            let buckets = Buckets::new(points);
+            for _ in 0..500 {
+                let p = [rng.random_range(-9.0..18.0), rng.random_range(-9.0..9.0)];
+                let d = |q: &[f64; 2]| (q[0] - p[0]).hypot(q[1] - p[1]);
+                let best = points.iter().map(|(_, q)| d(q)).fold(f64::INFINITY, f64::min);
+                assert_eq!(buckets.nearest(p).1, best);
+            }
+        }
+    }
+
+    #[test]
+    fn a_raster_gets_pitch_times_step_times_the_density() {
+        let grid = Grid { x: axis(-3.0, 0.1, 161), y: axis(-3.0, 0.1, 121) };
+        let points: Vec<[f64; 2]> = (0..7)
+            .flat_map(|j| {
+                (0..11).map(move |i| [f64::from(if j % 2 == 0 { i } else { 10 - i }), f64::from(j)])
+            })
+            .collect();
+        let n = points.len();
+        let mut ends = points.clone();
+        ends.push(points[n - 1]);
+        let path = ToolPath::new(ends, points, vec![true; n], vec![0; n]).unwrap();
+        let inside = |p: [f64; 2]| p[0] > 0.0 && p[0] < 10.0 && p[1] > 0.0 && p[1] < 6.0;
+        let cells = Cells::new(&path, &grid, inside);
+        // 2 + 0.1 x seconds per mm^2, 100 nodes per mm^2.
+        let density = |x: f64| 2.0 + 0.1 * x;
+        let seconds = Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.at(c)));
+        let t = cells.to_path(&seconds, n);
+        let owned: f64 =
+            cells.owned().iter().zip(&seconds).filter(|(o, _)| **o).map(|(_, s)| s).sum();
+        assert!((t.iter().sum::<f64>() - owned).abs() < 1e-9, "the total time is kept");
+        for (t, p) in t.iter().zip(path.dwell_point_mm()) {
+            if inside(*p) {
+                // Nodes on the border of two cells fall to one of them: up to 10 in 100.
+                assert!((t / density(p[0]) - 1.0).abs() < 0.11, "{p:?}: {t}");
+            }
+        }
+    }
+}

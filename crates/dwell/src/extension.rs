@@ -1,0 +1,273 @@
+//! A map beyond its aperture, for solvers that look there (inverse filter, adjoint image).
+//!
+//! ```text
+//! odd   z(p) = 2 z(e) - z(2e - p),   e the valid pixel nearest to p                        (1)
+//! rise  z(p) = sum_ab c_ab T_a(y) T_b(x),   c fitted to the valid pixels and to a ring of (1)   (2)
+//! ```
+//!
+//! T_a are Chebyshev polynomials on the extended map. The ring (all that is at least the given
+//! distance from the aperture) keeps the polynomial from running away; valid pixels keep their value.
+//! Where the mirrored pixel `2e - p` is not valid, (1) is the nearest value z(e).
+//!
+//! Source: T. Wang et al., Opt. Express 29 (2021) 15114 (the fit of correctable errors beyond the
+//! aperture; their ring is a natural-neighbour interpolation).
+
+use ndarray::{Array1, Array2, Axis as ArrayAxis, s};
+use planish_numerics::cholesky::Cholesky;
+use planish_types::{Axis, Grid, Invalid};
+use rayon::prelude::*;
+
+/// Chebyshev polynomials along y and x, those of the source.
+const POLYNOMIALS: (usize, usize) = (6, 9);
+
+/// A map with a border on every side, and the pixels that are known.
+pub(crate) struct Extension {
+    /// The extended map.
+    pub grid: Grid,
+    /// Pixels of border on every side.
+    pub border: usize,
+    /// Known pixels of the extended map.
+    valid: Array2<bool>,
+    /// Per pixel: the nearest valid one.
+    nearest: Array2<(usize, usize)>,
+    ring: Array2<bool>,
+    /// Chebyshev polynomials at the rows (ny, a) and columns (nx, b).
+    basis: (Array2<f64>, Array2<f64>),
+    /// Factor of the normal equations of (2).
+    factor: Option<Cholesky>,
+}
+
+impl Extension {
+    /// A border of `border` pixels around the pixels of `grid` with `valid`; the ring of (2) begins
+    /// `ring_mm` from the nearest valid pixel.
+    pub fn new(
+        grid: &Grid,
+        valid: &Array2<bool>,
+        border: usize,
+        ring_mm: f64,
+    ) -> Result<Self, Invalid> {
+        let widen = |a: &Axis| {
+            Axis::new(a.start_mm() - border as f64 * a.step_mm(), a.step_mm(), a.len() + 2 * border)
+        };
+        let extended = Grid { x: widen(&grid.x)?, y: widen(&grid.y)? };
+        let (ny, nx) = grid.shape();
+        let mut wide = Array2::from_elem(extended.shape(), false);
+        wide.slice_mut(s![border..border + ny, border..border + nx]).assign(valid);
+        let nearest = nearest_valid(&wide, grid.x.step_mm(), grid.y.step_mm());
+        let mut extension = Self {
+            grid: extended,
+            border,
+            valid: wide,
+            nearest,
+            ring: Array2::from_elem(extended.shape(), false),
+            basis: (
+                chebyshev(extended.y.len(), POLYNOMIALS.0),
+                chebyshev(extended.x.len(), POLYNOMIALS.1),
+            ),
+            factor: None,
+        };
+        extension.ring =
+            Array2::from_shape_fn(extended.shape(), |p| extension.distance_mm(p) >= ring_mm);
+        extension.factor = extension.normal_equations();
+        Ok(extension)
+    }
+
+    /// Distance of a pixel to the nearest valid one, mm.
+    pub fn distance_mm(&self, (r, c): (usize, usize)) -> f64 {
+        let (nr, nc) = self.nearest[[r, c]];
+        let (dy, dx) = (r as f64 - nr as f64, c as f64 - nc as f64);
+        (dx * self.grid.x.step_mm()).hypot(dy * self.grid.y.step_mm())
+    }
+
+    /// The part of an extended map that is the map.
+    pub fn inner(&self, map: &Array2<f64>) -> Array2<f64> {
+        let (ny, nx) = map.dim();
+        let b = self.border;
+        map.slice(s![b..ny - b, b..nx - b]).to_owned()
+    }
+
+    /// (2) for a map (ny, nx) whose invalid pixels may hold anything.
+    pub fn rise(&self, map: &Array2<f64>) -> Array2<f64> {
+        let mut z = Array2::zeros(self.valid.dim());
+        let (ny, nx) = map.dim();
+        let b = self.border;
+        z.slice_mut(s![b..b + ny, b..b + nx]).assign(map);
+        let odd = Array2::from_shape_fn(z.dim(), |p| self.odd(&z, p));
+        let Some(factor) = &self.factor else { return odd };
+        // Phi' z over the valid pixels and the ring, as T_y' Z T_x.
+        let (ty, tx) = &self.basis;
+        let known = Array2::from_shape_fn(z.dim(), |p| if self.fitted(p) { odd[p] } else { 0.0 });
+        let mut c: Vec<f64> = ty.t().dot(&known).dot(tx).iter().copied().collect();
+        factor.solve(&mut c);
+        let c = Array2::from_shape_vec(POLYNOMIALS, c).expect("one per product");
+        let polynomial = ty.dot(&c).dot(&tx.t());
+        Array2::from_shape_fn(z.dim(), |p| if self.fitted(p) { odd[p] } else { polynomial[p] })
+    }
+
+    /// Pixels that (2) is fitted to, and which keep their value.
+    fn fitted(&self, p: (usize, usize)) -> bool {
+        self.valid[p] || self.ring[p]
+    }
+
+    /// (1); the value itself on valid pixels.
+    fn odd(&self, z: &Array2<f64>, p: (usize, usize)) -> f64 {
+        let e = self.nearest[p];
+        let mirrored = (2 * e.0).checked_sub(p.0).zip((2 * e.1).checked_sub(p.1));
+        match mirrored.filter(|m| self.valid.get(*m) == Some(&true)) {
+            Some(m) => 2.0 * z[e] - z[m],
+            None => z[e],
+        }
+    }
+
+    /// Phi' Phi over the fitted pixels; `None` when it is singular (all valid pixels on a line).
+    fn normal_equations(&self) -> Option<Cholesky> {
+        let (ty, tx) = &self.basis;
+        let (a, b) = POLYNOMIALS;
+        let fitted = Array2::from_shape_fn(self.valid.dim(), |p| f64::from(self.fitted(p)));
+        // sum over pixels of T_a T_a' T_b T_b': products along one axis, then along the other.
+        let products = |t: &Array2<f64>| {
+            let k = t.ncols();
+            Array2::from_shape_fn((t.nrows(), k * k), |(i, q)| t[[i, q / k]] * t[[i, q % k]])
+        };
+        let sums = products(ty).t().dot(&fitted).dot(&products(tx));
+        let gram = Array2::from_shape_fn((a * b, a * b), |(p, q)| {
+            let ((pa, pb), (qa, qb)) = ((p / b, p % b), (q / b, q % b));
+            sums[[pa * a + qa, pb * b + qb]]
+        });
+        let largest = gram.diag().iter().copied().fold(0.0, f64::max);
+        // Far below the noise of any map, far above the rounding of the sums.
+        Cholesky::new(gram + Array2::<f64>::eye(a * b) * (1e-10 * largest))
+    }
+}
+
+/// T_0 .. T_{count-1} at `n` points from -1 to 1.
+fn chebyshev(n: usize, count: usize) -> Array2<f64> {
+    let x = Array1::from_iter((0..n).map(|i| 2.0 * i as f64 / (n - 1) as f64 - 1.0));
+    let mut t = Array2::ones((n, count));
+    for k in 1..count {
+        let next = match k {
+            1 => x.clone(),
+            _ => 2.0 * &x * t.column(k - 1) - t.column(k - 2),
+        };
+        t.column_mut(k).assign(&next);
+    }
+    t
+}
+
+/// Per pixel the nearest true one (Euclidean, pixels of dx by dy); one must be true.
+///
+/// Exact in two passes: nearest in the column, then the lower envelope of the parabolas
+/// `(c - k)^2 dx^2 + d_k^2` along each row. Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory of
+/// Computing 8 (2012) 415.
+fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize)> {
+    const NONE: usize = usize::MAX;
+    let (ny, nx) = valid.dim();
+    let mut row_of = Array2::from_elem((ny, nx), NONE);
+    row_of.axis_iter_mut(ArrayAxis(1)).into_par_iter().enumerate().for_each(|(c, mut column)| {
+        let mut last = NONE;
+        for r in 0..ny {
+            if valid[[r, c]] {
+                last = r;
+            }
+            column[r] = last;
+        }
+        let mut next = NONE;
+        for r in (0..ny).rev() {
+            if valid[[r, c]] {
+                next = r;
+            }
+            if next != NONE && (column[r] == NONE || next - r < r - column[r]) {
+                column[r] = next;
+            }
+        }
+    });
+    let mut nearest = Array2::from_elem((ny, nx), (0, 0));
+    nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut out)| {
+        let f = |k: usize| ((r as f64 - row_of[[r, k]] as f64) * dy).powi(2);
+        let at = |k: usize| k as f64 * dx;
+        let (mut parabolas, mut from): (Vec<usize>, Vec<f64>) = (Vec::new(), Vec::new());
+        for q in (0..nx).filter(|q| row_of[[r, *q]] != NONE) {
+            loop {
+                let Some(&v) = parabolas.last() else {
+                    from.push(f64::NEG_INFINITY);
+                    break;
+                };
+                let crossing =
+                    (f(q) + at(q).powi(2) - f(v) - at(v).powi(2)) / (2.0 * (at(q) - at(v)));
+                if crossing > *from.last().expect("one per parabola") {
+                    from.push(crossing);
+                    break;
+                }
+                parabolas.pop();
+                from.pop();
+            }
+            parabolas.push(q);
+        }
+        let mut k = 0;
+        for c in 0..nx {
+            while k + 1 < parabolas.len() && from[k + 1] < at(c) {
+                k += 1;
+            }
+            out[c] = (row_of[[r, parabolas[k]]], parabolas[k]);
+        }
+    });
+    nearest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(nx: usize, ny: usize) -> Grid {
+        Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(-3.0, 0.4, ny).unwrap() }
+    }
+
+    #[test]
+    fn nearest_is_nearest() {
+        let valid = Array2::from_shape_fn((17, 23), |(r, c)| (r * 7 + c * 11) % 29 == 3);
+        let found = nearest_valid(&valid, 0.5, 0.4);
+        for ((r, c), (nr, nc)) in found.indexed_iter() {
+            let d = |r2: usize, c2: usize| {
+                ((c as f64 - c2 as f64) * 0.5).hypot((r as f64 - r2 as f64) * 0.4)
+            };
+            assert!(valid[[*nr, *nc]]);
+            let all = valid.indexed_iter().filter(|(_, v)| **v).map(|((a, b), _)| d(a, b));
+            assert!(d(*nr, *nc) <= all.fold(f64::INFINITY, f64::min) + 1e-12, "{r} {c}");
+        }
+    }
+
+    #[test]
+    fn constants_and_planes_continue_and_valid_pixels_stay() {
+        let g = grid(40, 30);
+        let valid = Array2::from_elem(g.shape(), true);
+        let e = Extension::new(&g, &valid, 9, 3.2).unwrap();
+        for (a, b) in [(0.0, 0.0), (0.3, -0.7)] {
+            let plane = |x: f64, y: f64| 5.0 + a * x + b * y;
+            let map = Array2::from_shape_fn(g.shape(), |(r, c)| plane(g.x.at(c), g.y.at(r)));
+            let found = e.rise(&map);
+            assert_eq!(e.inner(&found), map);
+            for ((r, c), z) in found.indexed_iter() {
+                // Opposite a side, not a corner, the mirror is a reflection in the side; the ridge of
+                // 1e-10 of the normal equations decides the rest.
+                let expected = plane(e.grid.x.at(c), e.grid.y.at(r));
+                assert!((z - expected).abs() < 1e-6, "{r} {c}: {z} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_hole_and_a_disk_are_filled_within_reason() {
+        let g = grid(60, 60);
+        let disk = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (y, x) = (r as f64 - 29.5, c as f64 - 29.5);
+            x.hypot(y) < 25.0 && x.hypot(y - 5.0) > 3.0
+        });
+        let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            if disk[[r, c]] { (0.1 * r as f64).sin() + 0.05 * c as f64 } else { f64::NAN }
+        });
+        let e = Extension::new(&g, &disk, 10, 4.0).unwrap();
+        let found = e.rise(&map);
+        // The map is within -1 and 4; an odd reflection doubles the way to the edge value.
+        assert!(found.iter().all(|z| z.is_finite() && *z > -4.0 && *z < 7.0));
+    }
+}

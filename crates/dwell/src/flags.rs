@@ -1,0 +1,460 @@
+//! Flags of the solvers that face [`Problem`], and what they print.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use planish_dwell::{
+    DwellError, bcls,
+    bounded_least_squares::Bound,
+    columns::Columns,
+    lucy_richardson, non_negative_least_squares,
+    problem::{Outcome, Problem, Solution},
+    rifta, tikhonov_lsqr, truncated_svd, udo,
+};
+use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, stage::say};
+use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath};
+use serde::Serialize;
+use serde_json::json;
+
+/// What every solver is given.
+#[derive(Args)]
+pub struct Given {
+    /// Desired removal [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Tool path [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    tool_path: PathBuf,
+    /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
+    #[arg(long, value_name = "FILE")]
+    weight: Option<PathBuf>,
+    /// What a dwell time is spent on
+    #[arg(long, value_enum, default_value = "segment")]
+    columns: ColumnKind,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The floor.
+#[derive(Args)]
+pub struct LeastDwell {
+    /// Least dwell time of every dwell point, s [default: 0]
+    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
+    min_dwell_s: Option<f64>,
+    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
+    #[arg(long, value_name = "T")]
+    min_dwell_s_per_mm: Option<f64>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ColumnKind {
+    /// Uniform motion along the segment
+    Segment,
+    /// Standing at the dwell point
+    Point,
+}
+
+impl From<ColumnKind> for Columns {
+    fn from(kind: ColumnKind) -> Self {
+        match kind {
+            ColumnKind::Segment => Self::Segment,
+            ColumnKind::Point => Self::Point,
+        }
+    }
+}
+
+impl LeastDwell {
+    fn bound(&self) -> Bound {
+        let per_mm = self.min_dwell_s_per_mm.map(Bound::SecondsPerMm);
+        self.min_dwell_s.map(Bound::Seconds).or(per_mm).unwrap_or(Bound::Seconds(0.0))
+    }
+}
+
+#[derive(Args)]
+pub struct LucyRichardson {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: LeastDwell,
+    /// What is solved for
+    #[arg(long, value_enum, default_value = "path")]
+    unknowns: UnknownKind,
+    /// Weight of the total variation, useful from 0 to 0.02
+    #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
+    total_variation: f64,
+    /// Removal at the lowest pixel, as a part of the PV of what is to be removed
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
+    margin: f64,
+    /// Part of the pixels, the lowest ones, that may be cut off as pits
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().pits)]
+    pits: f64,
+    /// End when ten steps lower the RMS by less than this part
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().tolerance)]
+    tolerance: f64,
+    /// Most steps
+    #[arg(long, value_name = "N", default_value_t = lucy_richardson::Settings::default().max_iterations)]
+    max_iterations: usize,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum UnknownKind {
+    /// Dwell times of the path
+    Path,
+    /// A map of dwell times, which then goes to the path
+    Map,
+}
+
+#[derive(Args)]
+pub struct Rifta {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: LeastDwell,
+    /// RMS that a smaller margin around the aperture may cost, nm
+    #[arg(long, value_name = "NM", default_value_t = rifta::Settings::default().margin_tolerance_nm)]
+    margin_tolerance_nm: f64,
+    /// Part of the pixels, the lowest ones, that do not decide how much is removed
+    #[arg(long, value_name = "PART", default_value_t = rifta::Settings::default().pits)]
+    pits: f64,
+}
+
+#[derive(Args)]
+pub struct Udo {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: LeastDwell,
+    /// How the floor is kept
+    #[arg(long, value_enum, default_value = "model")]
+    floor: FloorKind,
+    /// Part of the best step that is taken from the second round on
+    #[arg(long, value_name = "BETA", default_value_t = udo::Settings::default().step)]
+    step: f64,
+    /// RMS at which it ends, nm
+    #[arg(long, value_name = "NM", default_value_t = udo::Settings::default().threshold_nm)]
+    threshold_nm: f64,
+    /// Most rounds
+    #[arg(long, value_name = "N", default_value_t = udo::Settings::default().max_iterations)]
+    max_iterations: usize,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FloorKind {
+    /// The removal by the floor is part of the model
+    Model,
+    /// All dwell times are lifted alike at the end, as published
+    Shift,
+}
+
+#[derive(Args)]
+pub struct TikhonovLsqr {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: LeastDwell,
+    /// Damping as a part of the largest singular value [default: 0.01]
+    #[arg(long, value_name = "PART", group = "choice")]
+    damping: Option<f64>,
+    /// Choose the largest damping whose residual is at most this noise, nm
+    #[arg(long, value_name = "NM", group = "choice")]
+    noise_nm: Option<f64>,
+    /// Choose the damping at the corner of the L-curve
+    #[arg(long, group = "choice")]
+    l_curve: bool,
+    /// Most steps of LSQR
+    #[arg(long, value_name = "N", default_value_t = tikhonov_lsqr::Settings::default().max_iterations)]
+    max_iterations: usize,
+}
+
+#[derive(Args)]
+pub struct TruncatedSvd {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: LeastDwell,
+    /// Leave out singular values up to this part of the largest
+    #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
+    cut: f64,
+    /// Most steps; each keeps a vector of the number of dwell points
+    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_steps)]
+    max_steps: usize,
+}
+
+#[derive(Args)]
+pub struct NonNegativeLeastSquares {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: LeastDwell,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = non_negative_least_squares::Settings::default().tikhonov)]
+    tikhonov: f64,
+}
+
+#[derive(Args)]
+pub struct Bcls {
+    #[command(flatten)]
+    given: Given,
+    /// Limits of the machine [.json file]
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// Least feed as a part of the largest that is reachable on a segment; 0 for none
+    #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
+    least_feed: f64,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = bcls::Settings::default().tikhonov)]
+    tikhonov: f64,
+}
+
+/// Settings of a solver with those that all have.
+#[derive(Serialize)]
+struct Resolved<S> {
+    columns: Columns,
+    min_dwell: Bound,
+    #[serde(flatten)]
+    solver: S,
+}
+
+/// The solver's own report with the numbers that all have.
+#[derive(Serialize)]
+struct Reported<'a, R> {
+    #[serde(flatten)]
+    outcome: &'a Outcome,
+    #[serde(flatten)]
+    report: &'a R,
+}
+
+/// The nouns that a solver is given.
+struct Nouns {
+    desired: Surface,
+    tif: Tif,
+    path: ToolPath,
+    weight: Option<ndarray::Array2<f64>>,
+}
+
+impl Given {
+    fn stage(&self, method: &'static str) -> Stage {
+        Stage::new("planish-dwell", env!("CARGO_PKG_VERSION"), method, &self.output)
+    }
+
+    fn read(&self, stage: &mut Stage) -> Result<Nouns, Failure> {
+        let weight = |stage: &mut Stage| {
+            self.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()
+        };
+        Ok(Nouns {
+            desired: stage.read("surface", &self.surface)?,
+            tif: stage.read("tif", &self.tif)?,
+            path: stage.read("tool-path", &self.tool_path)?,
+            weight: weight(stage)?,
+        })
+    }
+}
+
+/// Reads, solves, writes, and prints one line; `ended` says of a report why the verdict is
+/// negative, if it is, and what else there is to say.
+fn solve<S: Serialize, R: Serialize>(
+    method: &'static str,
+    given: &Given,
+    least: &LeastDwell,
+    settings: S,
+    solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
+    ended: impl FnOnce(&R) -> (Option<String>, String),
+) -> Result<Status, Failure> {
+    let mut stage = given.stage(method);
+    let resolved =
+        Resolved { columns: given.columns.into(), min_dwell: least.bound(), solver: settings };
+    stage.settings(&resolved);
+    let nouns = given.read(&mut stage)?;
+    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
+        return Ok(status);
+    }
+    let problem = Problem {
+        desired: &nouns.desired,
+        tif: &nouns.tif,
+        path: &nouns.path,
+        weight: nouns.weight.as_ref(),
+        columns: resolved.columns,
+        min_dwell: resolved.min_dwell,
+    };
+    let solution = solver(&problem, &resolved.solver)?;
+    let (negative, words) = ended(&solution.report);
+    let status = negative.map_or(Status::Done, Status::Negative);
+    let Solution { dwell, outcome, report } = &solution;
+    stage.write("", dwell, json!({ "report": Reported { outcome, report } }), &status)?;
+    let unreached = match outcome.unreached_pixels {
+        0 => String::new(),
+        n => format!("; {n} valid pixels out of reach"),
+    };
+    say(format!(
+        "{method}: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {words}; {} at the floor, {} \
+         out of reach{unreached} -> {}",
+        dwell.dwell_s().len(),
+        outcome.total_time_s,
+        outcome.model_rms_nm,
+        outcome.at_floor,
+        outcome.dead,
+        given.output.out.display()
+    ));
+    Ok(status)
+}
+
+pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
+    let settings = lucy_richardson::Settings {
+        unknowns: match cli.unknowns {
+            UnknownKind::Path => lucy_richardson::Unknowns::Path,
+            UnknownKind::Map => lucy_richardson::Unknowns::Map,
+        },
+        total_variation: cli.total_variation,
+        margin: cli.margin,
+        pits: cli.pits,
+        tolerance: cli.tolerance,
+        max_iterations: cli.max_iterations,
+    };
+    let solver = lucy_richardson::solve;
+    solve("lucy-richardson", &cli.given, &cli.least, settings, solver, |r| {
+        let clipped = match r.clipped_tif_samples {
+            0 => String::new(),
+            n => format!(", {n} negative samples of the TIF taken as 0"),
+        };
+        (None, format!("{} after {} steps{clipped}", r.end, r.iterations))
+    })
+}
+
+pub fn rifta(cli: &Rifta) -> Result<Status, Failure> {
+    let settings = rifta::Settings {
+        margin_tolerance_nm: cli.margin_tolerance_nm,
+        pits: cli.pits,
+        ..rifta::Settings::default()
+    };
+    solve("rifta", &cli.given, &cli.least, settings, rifta::solve, |r| {
+        let words = format!(
+            "gain capped at {:.1}, margin {:.2} mm, {:.4} nm RMS before the path",
+            r.relative_gamma, r.margin_mm, r.map_rms_nm
+        );
+        (None, words)
+    })
+}
+
+pub fn udo(cli: &Udo) -> Result<Status, Failure> {
+    let settings = udo::Settings {
+        floor: match cli.floor {
+            FloorKind::Model => udo::Floor::Model,
+            FloorKind::Shift => udo::Floor::Shift,
+        },
+        step: cli.step,
+        threshold_nm: cli.threshold_nm,
+        max_iterations: cli.max_iterations,
+    };
+    solve("udo", &cli.given, &cli.least, settings, udo::solve, |r| {
+        (None, format!("{} after {} rounds", r.end, r.iterations))
+    })
+}
+
+pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
+    let defaults = tikhonov_lsqr::Settings::default();
+    let damping = match (cli.damping, cli.noise_nm, cli.l_curve) {
+        (Some(part), ..) => tikhonov_lsqr::Damping::Relative(part),
+        (_, Some(noise), _) => tikhonov_lsqr::Damping::Discrepancy(noise),
+        (.., true) => tikhonov_lsqr::Damping::LCurve,
+        _ => defaults.damping,
+    };
+    let settings =
+        tikhonov_lsqr::Settings { damping, max_iterations: cli.max_iterations, ..defaults };
+    let solver = tikhonov_lsqr::solve;
+    solve("tikhonov-lsqr", &cli.given, &cli.least, settings, solver, |r| {
+        let negative = if !r.noise_reached {
+            let least = r.searched_rms_nm.iter().copied().fold(f64::INFINITY, f64::min);
+            Some(format!("the least residual of the search is {least:.4} nm RMS, above the noise"))
+        } else if r.end != "converged" {
+            Some(format!("not converged after {} steps of LSQR", r.iterations))
+        } else {
+            None
+        };
+        let words = format!(
+            "damping {:.2e}, {} after {} steps, level {:.4} s, {} clipped",
+            r.relative_damping, r.end, r.iterations, r.level_s, r.clipped
+        );
+        (negative, words)
+    })
+}
+
+pub fn truncated_svd(cli: &TruncatedSvd) -> Result<Status, Failure> {
+    let settings = truncated_svd::Settings {
+        cut: cli.cut,
+        max_steps: cli.max_steps,
+        ..truncated_svd::Settings::default()
+    };
+    let solver = truncated_svd::solve;
+    solve("truncated-svd", &cli.given, &cli.least, settings, solver, |r| {
+        let negative = (r.end != "converged")
+            .then(|| format!("not converged after {} steps; raise --max-steps", r.steps));
+        let words = format!(
+            "rank {}, {} after {} steps, level {:.4} s, {} clipped",
+            r.rank, r.end, r.steps, r.level_s, r.clipped
+        );
+        (negative, words)
+    })
+}
+
+pub fn non_negative_least_squares(cli: &NonNegativeLeastSquares) -> Result<Status, Failure> {
+    let settings = non_negative_least_squares::Settings {
+        tikhonov: cli.tikhonov,
+        ..non_negative_least_squares::Settings::default()
+    };
+    let solver = non_negative_least_squares::solve;
+    solve("non-negative-least-squares", &cli.given, &cli.least, settings, solver, |r| {
+        let moves = format!("a dwell time would still move by {:.1e} s", r.kkt_residual_s);
+        let negative = (r.end != "optimal")
+            .then(|| format!("not converged after {} changes: {moves}", r.iterations));
+        let words = format!("{} after {} changes, {moves}", r.end, r.iterations);
+        (negative, words)
+    })
+}
+
+pub fn bcls(cli: &Bcls) -> Result<Status, Failure> {
+    let settings = bcls::Settings {
+        columns: cli.given.columns.into(),
+        least_feed: cli.least_feed,
+        tikhonov: cli.tikhonov,
+    };
+    let mut stage = cli.given.stage("bcls");
+    stage.settings(settings);
+    let Nouns { desired, tif, path, weight } = cli.given.read(&mut stage)?;
+    let machine: Limits = stage.read_machine(&cli.machine)?;
+    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
+        return Ok(status);
+    }
+    let found = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)?;
+    let (r, bounds) = (&found.solution.report, &found.report);
+    let status = if r.end == "iteration-limit" {
+        Status::Negative(format!(
+            "not converged: after {} iterations a dwell time would still move by {:.1e} s",
+            r.iterations, r.kkt_residual_s
+        ))
+    } else {
+        Status::Done
+    };
+    let dwell = &found.solution.dwell;
+    stage.write("", dwell, json!({ "report": r, "bounds": bounds }), &status)?;
+    say(format!(
+        "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \
+         limit {:.4} mm, {} of the segments are shorter, feeds up to {:.2} mm/s; {} at the least dwell \
+         time, {} at the largest -> {}",
+        dwell.dwell_s().len(),
+        r.total_time_s,
+        r.model_rms_nm,
+        r.algorithm,
+        r.end,
+        r.iterations,
+        bounds.pitch_limit_mm,
+        bounds.below_pitch_limit,
+        bounds.reachable_mm_per_s[1],
+        r.at_lower_bound,
+        r.at_upper_bound,
+        cli.given.output.out.display()
+    ));
+    Ok(status)
+}

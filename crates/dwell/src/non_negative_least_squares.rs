@@ -1,0 +1,78 @@
+//! Least squares with a floor, by the active set method of Lawson and Hanson.
+//!
+//! ```text
+//! min over s >= 0:  1/2 || M W^1/2 (B s - z') ||^2 + 1/2 alpha D |s|^2,   t = lo + s,  z' = z - B lo   (1)
+//! ```
+//!
+//! M frees the piston, D is the largest diagonal element of `B' W M B`. The same minimum as
+//! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that
+//! shares nothing with it ([`planish_numerics::nnls`]): its check, and for comparison with the
+//! literature. One component changes at a time, so it is slow: minutes for thousands of points.
+//!
+//! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `desired` | (ny, nx) | nm |
+//! | t, lo | `dwell_s`, `min_dwell` | (n) | s |
+
+use planish_numerics::nnls::nnls;
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    operator::normal_matrix,
+    problem::{Model, Problem, Solution, check},
+};
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// alpha; >= 0.
+    pub tikhonov: f64,
+    /// Gradient at which it ends, as a part of the largest at the floor.
+    pub tolerance: f64,
+    /// Most components that are freed or put back, per dwell point.
+    pub max_changes_per_point: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        // alpha is at the rounding of the single precision in which maps are measured; below, the
+        // columns of neighbours cannot be told apart.
+        Self { tikhonov: 1e-7, tolerance: 1e-12, max_changes_per_point: 10 }
+    }
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// `optimal` or `iteration-limit`.
+    pub end: &'static str,
+    /// Components that were freed or put back.
+    pub iterations: usize,
+    /// By how much a dwell time would still move, s.
+    pub kkt_residual_s: f64,
+}
+
+/// Solves (1); at most 6000 dwell points.
+pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+    check("tikhonov", settings.tikhonov, |a| a >= 0.0, "give a number >= 0")?;
+    let model = Model::new(problem)?;
+    let n = problem.path.len();
+    let mut h = normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight)?;
+    let diagonal = (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max);
+    for j in 0..n {
+        // A column that does not reach the map takes no part.
+        h[[j, j]] = if model.live(j) { h[[j, j]] + settings.tikhonov * diagonal } else { 0.0 };
+    }
+    let g = model.gradient(&model.target());
+    let found = nnls(&h, &g, settings.tolerance, settings.max_changes_per_point * n);
+    let report = Report {
+        end: if found.converged { "optimal" } else { "iteration-limit" },
+        iterations: found.iterations,
+        kkt_residual_s: found.violation,
+    };
+    let dwell_s = model.lo.iter().zip(&found.value).map(|(lo, s)| lo + s).collect();
+    model.finish(dwell_s, report)
+}

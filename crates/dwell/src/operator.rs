@@ -1,0 +1,153 @@
+//! B as an operator: by its columns where they fit, by FFT where they do not.
+//!
+//! The columns are exact; the FFT spreads every dwell time on the pixels of the map and loses what
+//! leaks over the border of the TIF ([`crate::fft_operator`]), in memory proportional to the map.
+
+use ndarray::{Array2, Axis, s};
+use planish_types::{Grid, Invalid, Tif};
+use rayon::prelude::*;
+
+use crate::{
+    columns::{self, Patch, Place},
+    fft_operator::FftOperator,
+};
+
+/// Most elements of B that are stored (400 MB).
+const MAX_STORED_ELEMENTS: f64 = 5e7;
+
+/// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
+const MAX_TIF_PIXELS: f64 = 2.7e8;
+
+/// Rows of the map that a thread fills at a time.
+const BAND: usize = 16;
+
+/// B.
+pub enum Operator {
+    /// By columns.
+    Stored {
+        /// One per dwell point.
+        patches: Vec<Patch>,
+        /// (ny, nx).
+        shape: (usize, usize),
+    },
+    /// By spreading and FFT.
+    Fft(FftOperator),
+}
+
+impl Operator {
+    /// B for the places of the tool in each column.
+    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
+        let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+        if pixels > MAX_TIF_PIXELS {
+            return Err(Invalid::whole(
+                "rate_nm_per_s",
+                format!("covers {pixels:.0} pixels of the map"),
+                "check that the TIF and the map are both in mm",
+            ));
+        }
+        // A column has at most the pixels of the map.
+        let pixels = pixels.min((grid.x.len() * grid.y.len()) as f64);
+        Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
+            Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
+        } else {
+            Self::Fft(FftOperator::new(places, tif, grid))
+        })
+    }
+
+    /// `columns` or `fft`.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Stored { .. } => "columns",
+            Self::Fft(_) => "fft",
+        }
+    }
+
+    /// `B t`: (ny, nx), nm.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        let (patches, shape) = match self {
+            Self::Stored { patches, shape } => (patches, *shape),
+            Self::Fft(operator) => return operator.apply(t),
+        };
+        let mut map = Array2::zeros(shape);
+        map.axis_chunks_iter_mut(Axis(0), BAND).into_par_iter().enumerate().for_each(
+            |(band, mut rows)| {
+                let first = band * BAND;
+                for (p, t) in patches.iter().zip(t) {
+                    let (r, c) = p.origin;
+                    let (ny, nx) = p.rate_nm_per_s.dim();
+                    for row in r.max(first)..(r + ny).min(first + rows.nrows()) {
+                        rows.slice_mut(s![row - first, c..c + nx])
+                            .scaled_add(*t, &p.rate_nm_per_s.row(row - r));
+                    }
+                }
+            },
+        );
+        map
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        let patches = match self {
+            Self::Stored { patches, .. } => patches,
+            Self::Fft(operator) => return operator.adjoint(map),
+        };
+        let of = |p: &Patch| {
+            let (r, c) = p.origin;
+            let nx = p.rate_nm_per_s.ncols();
+            let rows = p.rate_nm_per_s.outer_iter().enumerate();
+            rows.map(|(i, rate)| rate.dot(&map.slice(s![r + i, c..c + nx]))).sum()
+        };
+        patches.par_iter().map(of).collect()
+    }
+}
+
+/// `B' W B - b b' / sum(w)`, b = B' w: the normal matrix (n, n) with a free piston, for solvers that
+/// need a matrix. Refuses one that does not fit.
+pub fn normal_matrix(
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+) -> Result<Array2<f64>, Invalid> {
+    let n = places.len();
+    let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+    if n > MAX_MATRIX_POINTS || n as f64 * pixels > MAX_MATRIX_ELEMENTS {
+        return Err(Invalid::whole(
+            "dwell_point_mm",
+            format!("has {n} points, each of {pixels:.0} pixels of the map"),
+            "this solver needs a matrix of at most 6000 points and 2.5e8 elements; use bounded-least-squares",
+        ));
+    }
+    // W^1/2 B
+    let mut patches = columns::patches(places, tif, grid);
+    let root = weight.mapv(f64::sqrt);
+    let under = |p: &Patch, map: &Array2<f64>| {
+        let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
+        map.slice(s![r..r + ny, c..c + nx]).to_owned()
+    };
+    patches.par_iter_mut().for_each(|p| {
+        let w = under(p, &root);
+        p.rate_nm_per_s *= &w;
+    });
+    let b: Vec<f64> =
+        patches.par_iter().map(|p| (&p.rate_nm_per_s * &under(p, &root)).sum()).collect();
+    let total = weight.sum();
+    let mut h = Array2::zeros((n, n));
+    h.outer_iter_mut().into_par_iter().enumerate().for_each(|(j, mut row)| {
+        for k in 0..=j {
+            row[k] = patches[j].dot(&patches[k]) - b[j] * b[k] / total;
+        }
+    });
+    for j in 0..n {
+        for k in 0..j {
+            h[[k, j]] = h[[j, k]];
+        }
+    }
+    Ok(h)
+}
+
+/// Most dwell points of a normal matrix (288 MB).
+pub const MAX_MATRIX_POINTS: usize = 6000;
+
+/// Most elements of B while it is made (2 GB).
+const MAX_MATRIX_ELEMENTS: f64 = 2.5e8;

@@ -1,0 +1,327 @@
+//! What every solver is given, and what every solver reports.
+//!
+//! ```text
+//! z' = z - B lo        the floor is in the model: what remains for t' = t - lo >= 0        (1)
+//! A  = M W^1/2 B,   M = I - q q',   q = W^1/2 1 / |W^1/2 1|      the piston is free         (2)
+//! ```
+//!
+//! Least-squares solvers without bounds find `t = t_ref + u` near a level of dwell `t_ref = c l_j / l`
+//! (l_j the length of segment j, l their median). Both the map and the level enter linearly,
+//!
+//! ```text
+//! t = a + c b,   a from z,   b = l_j / l + (solution for z = -B l_j / l)                    (3)
+//! ```
+//!
+//! so the least level c at which no dwell time is below its floor follows from two solutions. A
+//! piston alone would not do: where the tool hardly reaches the map it asks for absurd times.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `desired` | (ny, nx) | nm |
+//! | w | `weight` | (ny, nx) | 1 |
+//! | B | `operator` | (pixels, n) | nm/s |
+//! | lo | `lo` | (n) | s |
+
+use ndarray::{Array2, Zip};
+use planish_numerics::statistics;
+use planish_types::{DwellTime, Invalid, Surface, Tif, ToolPath};
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    bounded_least_squares::{self, Bound, pixel_weights},
+    columns::{Columns, Place},
+    operator::Operator,
+};
+
+/// A desired removal, a tool, a path, and the least dwell times.
+#[derive(Clone, Copy, Debug)]
+pub struct Problem<'a> {
+    /// Desired removal.
+    pub desired: &'a Surface,
+    /// Tool.
+    pub tif: &'a Tif,
+    /// Where it goes.
+    pub path: &'a ToolPath,
+    /// Weights of the pixels (ny, nx) >= 0; without them every valid pixel counts 1.
+    pub weight: Option<&'a Array2<f64>>,
+    /// What a dwell time is spent on.
+    pub columns: Columns,
+    /// Floor of the dwell times.
+    pub min_dwell: Bound,
+}
+
+/// Dwell times, what they do, and what the solver has to say.
+#[derive(Clone, Debug)]
+pub struct Solution<R> {
+    /// Dwell times.
+    pub dwell: DwellTime,
+    /// The same numbers for every solver.
+    pub outcome: Outcome,
+    /// The solver's own.
+    pub report: R,
+}
+
+/// What the dwell times do, in the removal model of the solver.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outcome {
+    /// `columns` (exact) or `fft` (large problems).
+    pub operator: &'static str,
+    /// RMS (mean removed) of the residual, nm.
+    pub model_rms_nm: f64,
+    /// The same, plane removed, nm.
+    pub model_rms_detilted_nm: f64,
+    /// Sum of the dwell times, s.
+    pub total_time_s: f64,
+    /// Dwell points at their floor that reach the map.
+    pub at_floor: usize,
+    /// Dwell points that do not reach the map, at their floor.
+    pub dead: usize,
+    /// Valid pixels that no dwell point reaches: nothing can be corrected there.
+    pub unreached_pixels: usize,
+    /// Mean removal by the floor alone, nm.
+    pub floor_removal_nm: f64,
+}
+
+/// A problem made ready: (1) and the operator.
+pub(crate) struct Model<'a> {
+    pub problem: Problem<'a>,
+    pub places: Vec<Vec<Place>>,
+    pub operator: Operator,
+    /// Zero on invalid pixels.
+    pub weight: Array2<f64>,
+    pub lo: Vec<f64>,
+    /// B lo.
+    pub floor_removal: Array2<f64>,
+    /// B' w.
+    pub sensitivity: Vec<f64>,
+    dead_below: f64,
+    /// l_j / l, at least 0.01.
+    pub shape: Vec<f64>,
+}
+
+/// A dwell point below this part of the largest sensitivity does not reach the map.
+const DEAD: f64 = 1e-9;
+
+impl<'a> Model<'a> {
+    pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
+        let Problem { desired, tif, path, weight, columns, min_dwell } = *problem;
+        let weight = pixel_weights(desired, weight)?;
+        let defaults = bounded_least_squares::Settings::default();
+        let bounds = bounded_least_squares::Settings { min_dwell, max_dwell: None, ..defaults };
+        let (lo, _) = bounded_least_squares::bounds(path, &bounds)?;
+        let places = columns.places(path);
+        let operator = Operator::new(&places, tif, desired.grid())?;
+        let sensitivity = operator.adjoint(&weight);
+        // An FFT leaves rounding where nothing is reached.
+        let largest = sensitivity.iter().copied().fold(0.0, f64::max);
+        if largest <= 1e-12 * tif.peak_nm_per_s() {
+            return Err(DwellError::OutOfReach { points: path.len() });
+        }
+        let floor_removal = if lo.iter().any(|t| *t > 0.0) {
+            operator.apply(&lo)
+        } else {
+            Array2::zeros(weight.dim())
+        };
+        let model = Self {
+            problem: *problem,
+            places,
+            operator,
+            weight,
+            lo,
+            floor_removal,
+            dead_below: DEAD * largest,
+            sensitivity,
+            shape: shape(path),
+        };
+        model.refuse_a_floor_above_the_map()?;
+        Ok(model)
+    }
+
+    /// A floor that removes more on average than the map has from its lowest to its highest point.
+    fn refuse_a_floor_above_the_map(&self) -> Result<(), Invalid> {
+        let (floor, pv) =
+            (self.mean(&self.floor_removal), self.pv(self.problem.desired.height_nm()));
+        if floor <= pv {
+            return Ok(());
+        }
+        let worst = (0..self.lo.len()).rev().max_by(|a, b| self.lo[*a].total_cmp(&self.lo[*b]));
+        let j = worst.expect("a path has a dwell point");
+        let problem = format!(
+            "is {} s; the floor alone removes {floor:.4} nm on average, more than the {pv:.4} nm from \
+             the lowest to the highest pixel of the map",
+            self.lo[j]
+        );
+        let remedy = "lower the least dwell time, or widen the pitch";
+        Err(Invalid::at("min_dwell", j, problem, remedy))
+    }
+
+    /// Largest minus smallest of `map` where the weight is not zero.
+    fn pv(&self, map: &Array2<f64>) -> f64 {
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        Zip::from(map).and(&self.weight).for_each(|z, w| {
+            if *w > 0.0 {
+                (low, high) = (low.min(*z), high.max(*z));
+            }
+        });
+        high - low
+    }
+
+    /// Weighted mean.
+    pub fn mean(&self, map: &Array2<f64>) -> f64 {
+        let sum = Zip::from(map)
+            .and(&self.weight)
+            .fold(0.0, |sum, z, w| if *w > 0.0 { sum + w * z } else { sum });
+        sum / self.weight.sum()
+    }
+
+    /// Lowest value where the weight is not zero, but for this part of the pixels.
+    pub fn lowest(&self, map: &Array2<f64>, part: f64) -> f64 {
+        let counted = map.iter().zip(&self.weight).filter(|(_, w)| **w > 0.0);
+        let mut values: Vec<f64> = counted.map(|(z, _)| *z).collect();
+        let rank = ((part * values.len() as f64) as usize).min(values.len() - 1);
+        *values.select_nth_unstable_by(rank, f64::total_cmp).1
+    }
+
+    /// `z - mean z`, 0 where the weight is 0.
+    pub fn centred(&self, map: &Array2<f64>) -> Array2<f64> {
+        let mean = self.mean(map);
+        Zip::from(map).and(&self.weight).map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
+    }
+
+    /// Weighted RMS without the mean.
+    pub fn rms(&self, map: &Array2<f64>) -> f64 {
+        let z = self.centred(map);
+        ((&z * &z * &self.weight).sum() / self.weight.sum()).sqrt()
+    }
+
+    /// (1): `z - B lo`, 0 where the weight is 0.
+    pub fn target(&self) -> Array2<f64> {
+        let z = self.problem.desired.height_nm() - &self.floor_removal;
+        Zip::from(&z).and(&self.weight).map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 })
+    }
+
+    /// Whether dwell point j reaches the map.
+    pub fn live(&self, j: usize) -> bool {
+        self.sensitivity[j] > self.dead_below
+    }
+
+    /// (2) of dwell times: `M W^1/2 B t`, by rows.
+    pub fn weighted(&self, t: &[f64]) -> Vec<f64> {
+        self.project(&self.operator.apply(t))
+    }
+
+    /// `M W^1/2 z`, by rows.
+    pub fn project(&self, map: &Array2<f64>) -> Vec<f64> {
+        // M W^1/2 z = W^1/2 (z - mean z)
+        let centred = self.centred(map);
+        centred.iter().zip(&self.weight).map(|(z, w)| w.sqrt() * z).collect()
+    }
+
+    /// (2), adjoint: `B' W^1/2 M y`.
+    pub fn weighted_adjoint(&self, y: &[f64]) -> Vec<f64> {
+        let y = ndarray::ArrayView2::from_shape(self.weight.dim(), y).expect("one per pixel");
+        // W^1/2 M y = W^1/2 (y - W^1/2 sum(W^1/2 y) / sum(w))
+        let root = self.weight.mapv(f64::sqrt);
+        let mean = (&root * &y).sum() / self.weight.sum();
+        self.operator.adjoint(&((&y - &(&root * mean)) * &root))
+    }
+
+    /// `B' W M z`: the right-hand side of the normal equations.
+    pub fn gradient(&self, map: &Array2<f64>) -> Vec<f64> {
+        self.operator.adjoint(&(self.centred(map) * &self.weight))
+    }
+
+    /// (3) with the least level c that brings every dwell time to its floor where a level can: where
+    /// b > 0.1. What is still below is put on its floor and counted; so are dead dwell points.
+    pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
+        let n = self.lo.len();
+        let level = (0..n)
+            .filter(|j| self.live(*j) && b[*j] > 0.1)
+            .map(|j| (self.lo[j] - a[j]) / b[j])
+            .fold(f64::NEG_INFINITY, f64::max)
+            .max(0.0);
+        let mut clipped = 0;
+        let dwell_s = (0..n)
+            .map(|j| {
+                let t = a[j] + level * b[j];
+                if !self.live(j) {
+                    return self.lo[j];
+                }
+                // The one that decides the level is at its floor but for rounding.
+                if t < self.lo[j] - 1e-9 * level.max(1.0) {
+                    clipped += 1;
+                }
+                t.max(self.lo[j])
+            })
+            .collect();
+        Levelled { dwell_s, level_s: level, clipped }
+    }
+
+    /// What the dwell times do.
+    pub fn finish<R>(&self, dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
+        let removal = self.operator.apply(&dwell_s);
+        let mut residual = self.problem.desired.height_nm() - &removal;
+        Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
+            if *w == 0.0 {
+                *r = f64::NAN;
+            }
+        });
+        let grid = self.problem.desired.grid();
+        let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
+        let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
+        let ones = self.operator.apply(&vec![1.0; dwell_s.len()]);
+        // An FFT leaves rounding where nothing is reached.
+        let floor = 1e-12 * ones.iter().copied().fold(0.0, f64::max);
+        let n = dwell_s.len();
+        let outcome = Outcome {
+            operator: self.operator.name(),
+            model_rms_nm: rms,
+            model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
+            total_time_s: dwell_s.iter().sum(),
+            at_floor: (0..n).filter(|j| self.live(*j) && dwell_s[*j] <= self.lo[*j]).count(),
+            dead: (0..n).filter(|j| !self.live(*j)).count(),
+            unreached_pixels: ones
+                .iter()
+                .zip(&self.weight)
+                .filter(|(r, w)| **w > 0.0 && **r <= floor)
+                .count(),
+            floor_removal_nm: self.mean(&self.floor_removal),
+        };
+        Ok(Solution { dwell: DwellTime::new(dwell_s)?, outcome, report })
+    }
+}
+
+/// (3).
+pub(crate) struct Levelled {
+    pub dwell_s: Vec<f64>,
+    /// c, s.
+    pub level_s: f64,
+    /// Dwell times that no level brings to their floor.
+    pub clipped: usize,
+}
+
+/// l_j / l; a segment shorter than 1 % of the median is a rest, whose length says nothing.
+fn shape(path: &ToolPath) -> Vec<f64> {
+    let lengths: Vec<f64> = (0..path.len()).map(|j| path.segment_length_mm(j)).collect();
+    let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.get(sorted.len() / 2) {
+        Some(median) => lengths.iter().map(|l| (l / median).max(0.01)).collect(),
+        None => vec![1.0; path.len()],
+    }
+}
+
+/// Refuses a setting that is not a finite number in its range.
+pub(crate) fn check(
+    name: &'static str,
+    value: f64,
+    range: impl Fn(f64) -> bool,
+    remedy: &str,
+) -> Result<(), Invalid> {
+    if value.is_finite() && range(value) {
+        Ok(())
+    } else {
+        Err(Invalid::whole(name, format!("is {value}"), remedy))
+    }
+}

@@ -1,0 +1,269 @@
+//! Robust iterative Fourier transform algorithm: an inverse filter with an optimised threshold.
+//!
+//! ```text
+//! T = max(0, IFFT(G Z)),   G = 1 / R where |R| > 1 / gamma,  gamma conj(R) / |R| elsewhere   (1)
+//! ```
+//!
+//! with the spectra Z of the extended desired removal and R of the TIF. gamma (s/nm) caps the gain: it
+//! is searched for the least RMS of the residual in the aperture. Two loops around (1):
+//!
+//! * *piston*: T is cut at zero, so more is removed than desired somewhere; the map is lifted by the
+//!   largest excess, until the RMS changes no more;
+//! * *margin*: dwell times reach beyond the aperture by the half size of the TIF at most; the
+//!   smallest margin is taken that costs less time and hardly any residual.
+//!
+//! The dwell map then goes to the path (`dwell_map.rs`). Solves on the pixels of the map, so
+//! the pitch of the path must be fine against the TIF. The map beyond the aperture is
+//! `extension.rs`, brought down to zero beyond the reach of the margin.
+//!
+//! Source: T. Wang et al., Sci. Rep. 10 (2020) 8135, with the search in one dimension (theirs is a
+//! simplex) and the floor in the model.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | Z | `lifted` | extended map | nm |
+//! | T | `seconds` | lattice | s |
+//! | gamma | `gamma` | - | s/nm |
+
+use std::f64::consts::PI;
+
+use ndarray::{Array2, Zip};
+use planish_numerics::fft::Complex64;
+use planish_types::Invalid;
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    dwell_map::{Cells, DwellMap},
+    extension::Extension,
+    lucy_richardson::counts,
+    problem::{Model, Problem, Solution, check},
+};
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// RMS that a smaller margin may cost, nm; >= 0.
+    pub margin_tolerance_nm: f64,
+    /// Change of the RMS at which the lift of the map ends, nm; > 0.
+    pub piston_tolerance_nm: f64,
+    /// Most lifts.
+    pub max_lifts: usize,
+    /// Part of the pixels, the lowest ones, that do not decide how much is removed; in [0, 1).
+    pub pits: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        // Those of the source, where the lowest pixel decides.
+        Self { margin_tolerance_nm: 0.02, piston_tolerance_nm: 1e-3, max_lifts: 10, pits: 1e-3 }
+    }
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Cap of the gain, times the sum of R over the pixels (1: the gain for a constant).
+    pub relative_gamma: f64,
+    /// Lift of the map, nm.
+    pub piston_nm: f64,
+    /// Margin of the dwell times beyond the aperture, mm.
+    pub margin_mm: f64,
+    /// Margins that were tried, mm.
+    pub tried_margin_mm: Vec<f64>,
+    /// RMS of the dwell map, before the path, by margin, nm.
+    pub tried_rms_nm: Vec<f64>,
+    /// Time of the dwell map by margin, s.
+    pub tried_time_s: Vec<f64>,
+    /// RMS of the dwell map, before it went to the path, nm.
+    pub map_rms_nm: f64,
+}
+
+/// Solves by (1).
+pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+    let Settings { margin_tolerance_nm, piston_tolerance_nm, .. } = *settings;
+    check("margin_tolerance", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
+    check("piston_tolerance", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
+    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
+    refuse_a_tif_larger_than_the_map(problem)?;
+    let model = Model::new(problem)?;
+    let fourier = Fourier::new(&model, settings.pits)?;
+    // Reference: the margin of the TIF; then smaller ones, from a third of it.
+    let reference = fourier.solve(fourier.radius_mm, settings);
+    let mut tried = vec![reference];
+    for k in 0..MARGINS {
+        let part = 1.0 / 3.0 + 2.0 / 3.0 * k as f64 / MARGINS as f64;
+        tried.push(fourier.solve(part * fourier.radius_mm, settings));
+        let (first, last) = (&tried[0], &tried[tried.len() - 1]);
+        if last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm {
+            break;
+        }
+    }
+    let (first, last) = (&tried[0], &tried[tried.len() - 1]);
+    let smaller = last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm;
+    let best = if smaller { last } else { first };
+    let t = fourier.cells.to_path(&best.seconds, problem.path.len());
+    let report = Report {
+        relative_gamma: best.gamma * fourier.map.rate_sum,
+        piston_nm: best.piston_nm,
+        margin_mm: best.margin_mm,
+        tried_margin_mm: tried.iter().map(|d| d.margin_mm).collect(),
+        tried_rms_nm: tried.iter().map(|d| d.rms_nm).collect(),
+        tried_time_s: tried.iter().map(|d| d.time_s).collect(),
+        map_rms_nm: best.rms_nm,
+    };
+    model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
+}
+
+/// Margins below that of the TIF.
+const MARGINS: usize = 8;
+
+/// An extended map whose border is wider than the map says nothing about the mirror.
+pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<(), Invalid> {
+    let (map, tif) = (problem.desired.grid(), problem.tif.grid());
+    for (name, map, tif) in [("x_mm", &map.x, &tif.x), ("y_mm", &map.y, &tif.y)] {
+        let (size, limit) = (tif.end_mm() - tif.start_mm(), map.end_mm() - map.start_mm());
+        if size > limit {
+            return Err(Invalid::whole(
+                name,
+                format!("the TIF spans {size:.4} mm, the map {limit:.4} mm"),
+                "this solver extends the map by the TIF, which must not be the larger one; use \
+                 bounded-least-squares",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The extended map and what does not change from one margin to the next.
+struct Fourier<'a> {
+    model: &'a Model<'a>,
+    map: DwellMap,
+    cells: Cells,
+    extension: Extension,
+    /// z - B lo - min on the aperture, continued, and its weight by the distance (1 within reach).
+    target: Array2<f64>,
+    taper: Array2<f64>,
+    /// Distance of the nodes of the lattice to the aperture, mm.
+    distance_mm: Array2<f64>,
+    /// Half size of the TIF.
+    radius_mm: f64,
+}
+
+/// A dwell map and what it does.
+struct Found {
+    seconds: Array2<f64>,
+    gamma: f64,
+    piston_nm: f64,
+    margin_mm: f64,
+    rms_nm: f64,
+    time_s: f64,
+}
+
+impl<'a> Fourier<'a> {
+    fn new(model: &'a Model<'a>, pits: f64) -> Result<Self, DwellError> {
+        let Problem { desired, tif, path, .. } = model.problem;
+        let [half_x, half_y] = tif.half_size_mm();
+        let radius_mm = half_x.max(half_y);
+        let step = desired.grid().x.step_mm().min(desired.grid().y.step_mm());
+        // Tools in the margin reach another half size; then room for the way down to zero.
+        let border = (2.5 * radius_mm / step).ceil() as usize;
+        let valid = model.weight.mapv(|w| w > 0.0);
+        let extension = Extension::new(desired.grid(), &valid, border, radius_mm)?;
+        let target = model.target();
+        let low = model.lowest(&target, pits);
+        let target = extension.rise(&target.mapv(|z| z - low));
+        let taper = Array2::from_shape_fn(target.dim(), |p| {
+            let beyond = (extension.distance_mm(p) / radius_mm - 1.5).clamp(0.0, 1.0);
+            0.5 * (1.0 + (PI * beyond).cos())
+        });
+        let map = DwellMap::new(tif, &extension.grid)?;
+        let cells = Cells::new(path, &map.grid, |p| counts(desired, &model.weight, p));
+        let near = |axis: &planish_types::Axis, p: f64| {
+            let i = ((p - axis.start_mm()) / axis.step_mm()).round();
+            i.clamp(0.0, (axis.len() - 1) as f64) as usize
+        };
+        let owned = cells.owned();
+        let distance_mm = Array2::from_shape_fn(map.grid.shape(), |(r, c)| {
+            let p = (
+                near(&extension.grid.y, map.grid.y.at(r)),
+                near(&extension.grid.x, map.grid.x.at(c)),
+            );
+            // No path, no dwell.
+            if owned[[r, c]] { extension.distance_mm(p) } else { f64::INFINITY }
+        });
+        Ok(Self { model, map, cells, extension, target, taper, distance_mm, radius_mm })
+    }
+
+    /// (1) within the margin, and the RMS in the aperture.
+    fn apply(&self, piston_nm: f64, gamma: f64, margin_mm: f64) -> (Array2<f64>, Array2<f64>, f64) {
+        let lifted = (&self.target + piston_nm) * &self.taper;
+        let mut seconds = self.map.filtered(&lifted, |r| {
+            let size = r.norm();
+            if size * gamma > 1.0 {
+                r.inv()
+            } else if size > 0.0 {
+                r.conj() * (gamma / size)
+            } else {
+                Complex64::default()
+            }
+        });
+        Zip::from(&mut seconds).and(&self.distance_mm).for_each(|t, d| {
+            *t = if *d <= margin_mm { t.max(0.0) } else { 0.0 };
+        });
+        let residual = self.extension.inner(&(&self.target - &self.map.removal(&seconds)));
+        let rms = self.model.rms(&residual);
+        (seconds, residual, rms)
+    }
+
+    fn solve(&self, margin_mm: f64, settings: &Settings) -> Found {
+        let gamma = self.gamma(margin_mm);
+        let mut piston_nm = 0.0;
+        let (mut seconds, mut residual, mut rms) = self.apply(piston_nm, gamma, margin_mm);
+        for _ in 0..settings.max_lifts {
+            // Lift by the largest excess of the removal.
+            let excess = (-self.model.lowest(&residual, settings.pits)).max(0.0);
+            let before = rms;
+            let next = self.apply(excess, gamma, margin_mm);
+            if next.2 > before {
+                break;
+            }
+            piston_nm = excess;
+            (seconds, residual, rms) = next;
+            if before - rms < settings.piston_tolerance_nm {
+                break;
+            }
+        }
+        Found { time_s: seconds.sum(), seconds, gamma, piston_nm, margin_mm, rms_nm: rms }
+    }
+
+    /// The cap with the least RMS: a scan over three decades, then the golden section.
+    fn gamma(&self, margin_mm: f64) -> f64 {
+        let unit = 1.0 / self.map.rate_sum;
+        let rms = |ln: f64| self.apply(0.0, unit * ln.exp(), margin_mm).2;
+        let ln_of = |k: usize| 1e3_f64.ln() * k as f64 / SCAN as f64;
+        let scan: Vec<f64> = (0..=SCAN).map(|k| rms(ln_of(k))).collect();
+        let k = (0..=SCAN).min_by(|a, b| scan[*a].total_cmp(&scan[*b])).unwrap_or(0);
+        let (mut low, mut high) = (ln_of(k.saturating_sub(1)), ln_of((k + 1).min(SCAN)));
+        let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
+        let (mut at_a, mut at_b) = (rms(a), rms(b));
+        for _ in 0..10 {
+            if at_a < at_b {
+                (high, b, at_b) = (b, a, at_a);
+                a = high - golden * (high - low);
+                at_a = rms(a);
+            } else {
+                (low, a, at_a) = (a, b, at_b);
+                b = low + golden * (high - low);
+                at_b = rms(b);
+            }
+        }
+        let found = if at_a < at_b { (a, at_a) } else { (b, at_b) };
+        // The scan may have met a lower valley than the one that was narrowed down.
+        unit * if found.1 < scan[k] { found.0 } else { ln_of(k) }.exp()
+    }
+}
+
+/// Steps of the scan: factors of about 2.4 in the cap.
+const SCAN: usize = 8;

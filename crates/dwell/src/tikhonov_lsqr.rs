@@ -1,0 +1,197 @@
+//! Damped least squares without bounds, by LSQR.
+//!
+//! ```text
+//! min || M W^1/2 (B t - z) ||^2 + delta^2 || t - t_ref ||^2                                (1)
+//! ```
+//!
+//! with a free piston M and a level of dwell t_ref just high enough for the floor
+//! ([`crate::problem`]). All dampings of the search share one bidiagonalisation
+//! ([`planish_numerics::lsqr`]). delta is given, or found:
+//!
+//! * *discrepancy*: the largest delta whose residual is not above the noise of the map;
+//! * *L-curve*: the corner of ln |residual| against ln |t - t_ref|, where the circle through three
+//!   neighbouring points is smallest.
+//!
+//! Source: C. C. Paige, M. A. Saunders, ACM Trans. Math. Softw. 8 (1982) 43; P. C. Hansen,
+//! Rank-Deficient and Discrete Ill-Posed Problems (1998), sections 7.3 and 7.5.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `desired` | (ny, nx) | nm |
+//! | t | `dwell_s` | (n) | s |
+//! | delta | `damping_nm_per_s` | - | nm/s |
+
+use planish_numerics::lsqr::{Damped, largest_singular_value, lsqr};
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    problem::{Model, Problem, Solution, check},
+};
+
+/// How delta is chosen. Relative dampings are parts of the largest singular value of `M W^1/2 B`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Damping {
+    /// This relative damping, > 0.
+    Relative(f64),
+    /// Largest damping whose residual (RMS, mean removed) is at most this noise, nm.
+    Discrepancy(f64),
+    /// Corner of the L-curve.
+    LCurve,
+}
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Choice of delta.
+    pub damping: Damping,
+    /// Orthogonality of residual and columns at which LSQR ends.
+    pub tolerance: f64,
+    /// Most steps of LSQR.
+    pub max_iterations: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        // On a measured mirror dwell times are not negative from 1e-2 on, and the residual is within
+        // a tenth of the unconstrained least one.
+        Self { damping: Damping::Relative(1e-2), tolerance: 1e-6, max_iterations: 2000 }
+    }
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// `converged` or `iteration-limit`.
+    pub end: &'static str,
+    /// Steps of LSQR.
+    pub iterations: usize,
+    /// Relative damping that was used.
+    pub relative_damping: f64,
+    /// delta, nm/s (a singular value of B times the root of the weights).
+    pub damping_nm_per_s: f64,
+    /// Whether the residual reached the noise; without `discrepancy`, true.
+    pub noise_reached: bool,
+    /// Relative dampings of the search.
+    pub searched: Vec<f64>,
+    /// RMS (mean removed) of the residual before the floor, by damping, nm.
+    pub searched_rms_nm: Vec<f64>,
+    /// |t - t_ref| by damping, s.
+    pub searched_norm_s: Vec<f64>,
+    /// Level of dwell c that the floor asks for, s.
+    pub level_s: f64,
+    /// Dwell times that no level brings to their floor.
+    pub clipped: usize,
+}
+
+/// Relative dampings of the search: ten per decade would move the residual by less than a percent
+/// from one to the next; eight do.
+const SEARCH: (f64, f64, usize) = (1e-3, 1e-1, 17);
+
+/// Solves (1).
+pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+    let positive = |v: f64| v > 0.0;
+    match settings.damping {
+        Damping::Relative(d) => check("damping", d, positive, "give a number > 0")?,
+        Damping::Discrepancy(noise) => {
+            check("noise", noise, positive, "give the noise of the map in nm, > 0")?;
+        }
+        Damping::LCurve => {}
+    }
+    let model = Model::new(problem)?;
+    let largest =
+        largest_singular_value(|t| model.weighted_adjoint(&model.weighted(t)), problem.path.len());
+    if largest <= 0.0 {
+        return Err(DwellError::OutOfReach { points: problem.path.len() });
+    }
+    let (from, to, count) = SEARCH;
+    let relative: Vec<f64> = match settings.damping {
+        Damping::Relative(d) => vec![d],
+        _ => (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect(),
+    };
+    let run = |b: &[f64], relative: &[f64]| -> Vec<Damped> {
+        let dampings: Vec<f64> = relative.iter().map(|d| d * largest).collect();
+        lsqr(
+            |t| model.weighted(t),
+            |y| model.weighted_adjoint(y),
+            b,
+            &dampings,
+            settings.tolerance,
+            settings.max_iterations,
+        )
+    };
+    let z = problem.desired.height_nm();
+    let found = run(&model.project(z), &relative);
+    let rms: Vec<f64> =
+        found.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect();
+    let norm: Vec<f64> =
+        found.iter().map(|f| f.value.iter().map(|t| t * t).sum::<f64>().sqrt()).collect();
+    let (chosen, noise_reached) = match settings.damping {
+        Damping::Relative(_) => (0, true),
+        Damping::Discrepancy(noise) => match rms.iter().position(|r| *r <= noise) {
+            Some(k) => (k, true),
+            None => (relative.len() - 1, false),
+        },
+        Damping::LCurve => (corner(&rms, &norm), true),
+    };
+    // The answer to a level of dwell: b = s + argmin |A u + A s|^2 + delta^2 |u|^2.
+    let level: Vec<f64> = model.weighted(&model.shape).iter().map(|v| -v).collect();
+    let answer = run(&level, &relative[chosen..=chosen]).remove(0);
+    let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
+    let chosen_one = &found[chosen];
+    let levelled = model.levelled(&chosen_one.value, &b);
+    let converged = chosen_one.converged && answer.converged;
+    let report = Report {
+        end: if converged { "converged" } else { "iteration-limit" },
+        iterations: chosen_one.iterations.max(answer.iterations),
+        relative_damping: relative[chosen],
+        damping_nm_per_s: relative[chosen] * largest,
+        noise_reached,
+        level_s: levelled.level_s,
+        clipped: levelled.clipped,
+        searched: relative,
+        searched_rms_nm: rms,
+        searched_norm_s: norm,
+    };
+    model.finish(levelled.dwell_s, report)
+}
+
+/// Index of the corner of the curve (ln residual, ln norm): the largest Menger curvature
+/// `4 area / (product of the sides)` of three neighbours that turn towards the origin.
+fn corner(residual: &[f64], norm: &[f64]) -> usize {
+    let p: Vec<[f64; 2]> = residual.iter().zip(norm).map(|(r, n)| [r.ln(), n.ln()]).collect();
+    let side = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
+    let curvature = |k: usize| {
+        let (a, b, c) = (p[k - 1], p[k], p[k + 1]);
+        let cross = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        // Damping falls along the curve: the residual first falls, then the norm rises; a turn to
+        // the right is the corner.
+        let sides = side(a, b) * side(b, c) * side(a, c);
+        if sides > 0.0 { -2.0 * cross / sides } else { f64::NEG_INFINITY }
+    };
+    (1..p.len().saturating_sub(1))
+        .max_by(|a, b| curvature(*a).total_cmp(&curvature(*b)))
+        .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_corner_of_an_l_is_found() {
+        // Residual falls from e^4 to 1 at the norm 1, then the norm rises at the residual 1.
+        let points: Vec<(f64, f64)> = (0..9)
+            .map(|k| f64::from(k - 4))
+            .map(|s| if s < 0.0 { (-s, 0.01 * s) } else { (-0.01 * s, s) })
+            .collect();
+        let (r, n): (Vec<f64>, Vec<f64>) = points.iter().map(|(r, n)| (r.exp(), n.exp())).unzip();
+        assert_eq!(corner(&r, &n), 4);
+        // A curve that turns the other way has no corner there.
+        let points: Vec<(f64, f64)> =
+            (0..9).map(f64::from).map(|s: f64| (-s, 0.02 * s * s)).collect();
+        let (r, n): (Vec<f64>, Vec<f64>) = points.iter().map(|(r, n)| (r.exp(), n.exp())).unzip();
+        assert!(corner(&r, &n) < 9);
+    }
+}

@@ -1,0 +1,100 @@
+//! Least squares in the space of the large singular values, without bounds.
+//!
+//! ```text
+//! t = t_ref + sum over sigma_i > cut sigma_1 of  v_i (u_i' M W^1/2 (z - B t_ref)) / sigma_i   (1)
+//! ```
+//!
+//! where `u_i, sigma_i, v_i` are the singular vectors and values of `M W^1/2 B` (free piston M, level
+//! of dwell t_ref: [`crate::problem`]). A TIF is smooth: beyond a few hundred singular values, what
+//! they could correct is below the noise, and what they ask of the dwell times is absurd.
+//!
+//! The sum is computed by the process of Lanczos on the normal equations
+//! ([`planish_numerics::lanczos`]), which needs products only; up to 6000 dwell points with the
+//! normal matrix.
+//!
+//! Source: P. C. Hansen, Rank-Deficient and Discrete Ill-Posed Problems (1998), section 3.2.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `desired` | (ny, nx) | nm |
+//! | t | `dwell_s` | (n) | s |
+
+use ndarray::ArrayView1;
+use planish_numerics::lanczos::{Truncated, truncated};
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    operator::{MAX_MATRIX_POINTS, normal_matrix},
+    problem::{Model, Problem, Solution, check},
+};
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Singular values up to this part of the largest are left out; between 0 and 1.
+    pub cut: f64,
+    /// Change of the dwell times, as a part of them, at which the process ends.
+    pub tolerance: f64,
+    /// Most steps of the process; each keeps a vector of n.
+    pub max_steps: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { cut: 1e-2, tolerance: 1e-3, max_steps: 2000 }
+    }
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// `converged` or `step-limit`.
+    pub end: &'static str,
+    /// Steps of the process.
+    pub steps: usize,
+    /// Singular values that were kept (as far as the map contains their vectors).
+    pub rank: usize,
+    /// Largest singular value, nm/s.
+    pub largest_singular_value_nm_per_s: f64,
+    /// Smallest that was kept, nm/s.
+    pub smallest_singular_value_nm_per_s: f64,
+    /// Level of dwell c that the floor asks for, s.
+    pub level_s: f64,
+    /// Dwell times that no level brings to their floor.
+    pub clipped: usize,
+}
+
+/// Computes (1).
+pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+    check("cut", settings.cut, |c| c > 0.0 && c < 1.0, "give a number between 0 and 1")?;
+    let model = Model::new(problem)?;
+    let matrix = if problem.path.len() <= MAX_MATRIX_POINTS {
+        normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight).ok()
+    } else {
+        None
+    };
+    let apply = |t: &[f64]| match &matrix {
+        Some(h) => h.dot(&ArrayView1::from(t)).to_vec(),
+        None => model.gradient(&model.operator.apply(t)),
+    };
+    let run = |g: &[f64]| -> Truncated {
+        // The eigenvalues of the normal equations are squares.
+        truncated(apply, g, settings.cut.powi(2), settings.tolerance, settings.max_steps)
+    };
+    let found = run(&model.gradient(problem.desired.height_nm()));
+    let level: Vec<f64> = apply(&model.shape).iter().map(|v| -v).collect();
+    let answer = run(&level);
+    let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
+    let levelled = model.levelled(&found.value, &b);
+    let report = Report {
+        end: if found.converged && answer.converged { "converged" } else { "step-limit" },
+        steps: found.steps.max(answer.steps),
+        rank: found.rank,
+        largest_singular_value_nm_per_s: found.largest.sqrt(),
+        smallest_singular_value_nm_per_s: found.smallest.sqrt(),
+        level_s: levelled.level_s,
+        clipped: levelled.clipped,
+    };
+    model.finish(levelled.dwell_s, report)
+}

@@ -1,0 +1,185 @@
+//! Universal dwell time optimisation: the adjoint image of the extended map, refined by its residual.
+//!
+//! ```text
+//! b = B_e' (z_e - mean z_e),   gamma = cov(B b, z) / var(B b)                             (1)
+//! t <- t + beta gamma (b - min b)      for the map, then for what remains of it            (2)
+//! ```
+//!
+//! z_e is the map beyond the aperture by half the TIF, by polynomials (`extension.rs`), B_e the
+//! removal there. gamma is the step with the least RMS, in closed form: the objective is quadratic in
+//! it. It ends when the RMS falls below a threshold, rises (that step is discarded), or after a
+//! number of rounds.
+//!
+//! The published method then lifts all dwell times alike to the floor. Where the dwell points are not
+//! uniformly spaced this removes another shape. Here the floor is in the model: the map is what the
+//! floor leaves, t are the times on top of it; from the second round on the step is `b` itself, cut
+//! where t would fall below zero, so the time does not grow with every round.
+//!
+//! Source: T. Wang et al., Opt. Express 29 (2021) 38737, with the step in closed form and the odd
+//! reflection as the ring of the extension.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `target` | (ny, nx) | nm |
+//! | t | `t` | (n) | s |
+//! | beta | `step` | - | 1 |
+
+use ndarray::{Array2, Zip};
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    extension::Extension,
+    operator::Operator,
+    problem::{Model, Problem, Solution, check},
+    rifta::refuse_a_tif_larger_than_the_map,
+};
+
+/// How the floor is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Floor {
+    /// The removal by the floor is part of the model.
+    Model,
+    /// All dwell times are lifted alike at the end, as published.
+    Shift,
+}
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// How the floor is kept.
+    pub floor: Floor,
+    /// beta: part of the best step that is taken from the second round on; in (0, 1].
+    pub step: f64,
+    /// RMS at which it ends, nm; >= 0.
+    pub threshold_nm: f64,
+    /// Most rounds.
+    pub max_iterations: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        // The source has a threshold of 1 nm, which on a good mirror is one round.
+        Self { floor: Floor::Model, step: 0.5, threshold_nm: 0.0, max_iterations: 30 }
+    }
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// `threshold`, `stopped` (another round would raise the RMS) or `iteration-limit`.
+    pub end: &'static str,
+    /// Rounds after the first image.
+    pub iterations: usize,
+    /// RMS of the residual, mean removed, after the first image and each round, nm.
+    pub rms_nm: Vec<f64>,
+}
+
+/// Solves by (1) and (2).
+pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+    check("step", settings.step, |s| s > 0.0 && s <= 1.0, "give a number above 0 and at most 1")?;
+    check("threshold", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
+    refuse_a_tif_larger_than_the_map(problem)?;
+    let model = Model::new(problem)?;
+    let image = Image::new(&model)?;
+    let z = match settings.floor {
+        Floor::Model => model.target(),
+        Floor::Shift => problem.desired.height_nm().clone(),
+    };
+    let z = model.centred(&z);
+    let rms = |r: &Array2<f64>| model.rms(r);
+
+    // First image: (1), (2) with the whole step.
+    let b = image.of(&z);
+    let least = b.iter().copied().fold(f64::INFINITY, f64::min);
+    let lifted: Vec<f64> = b.iter().map(|b| b - least).collect();
+    let removal = image.removal(&lifted);
+    let gamma = best_step(&model, &removal, &z);
+    let mut t: Vec<f64> = lifted.iter().map(|b| gamma * b).collect();
+    let mut residual = &z - &(removal * gamma);
+    let mut rms_nm = vec![rms(&residual)];
+    let mut end = "iteration-limit";
+    for _ in 0..settings.max_iterations {
+        let now = rms_nm[rms_nm.len() - 1];
+        if now < settings.threshold_nm {
+            end = "threshold";
+            break;
+        }
+        let b = image.of(&model.centred(&residual));
+        let least = match settings.floor {
+            Floor::Model => 0.0,
+            Floor::Shift => b.iter().copied().fold(f64::INFINITY, f64::min),
+        };
+        let lifted: Vec<f64> = b.iter().map(|b| b - least).collect();
+        let step = settings.step * best_step(&model, &image.removal(&lifted), &residual);
+        let next: Vec<f64> = t.iter().zip(&lifted).map(|(t, b)| (t + step * b).max(0.0)).collect();
+        let after = &z - &image.removal(&next);
+        if rms(&after) > now {
+            end = "stopped";
+            break;
+        }
+        rms_nm.push(rms(&after));
+        (t, residual) = (next, after);
+    }
+    let dwell_s = match settings.floor {
+        Floor::Model => {
+            (0..t.len()).map(|j| model.lo[j] + if model.live(j) { t[j] } else { 0.0 }).collect()
+        }
+        Floor::Shift => {
+            // t - min t + the floor; a floor that differs from point to point is met everywhere.
+            let lift = (0..t.len()).map(|j| model.lo[j] - t[j]).fold(f64::NEG_INFINITY, f64::max);
+            t.iter().zip(&model.lo).map(|(t, lo)| (t + lift).max(*lo)).collect()
+        }
+    };
+    let report = Report { end, iterations: rms_nm.len() - 1, rms_nm };
+    model.finish(dwell_s, report)
+}
+
+/// gamma of (1): least RMS of `z - gamma m`, means removed.
+fn best_step(model: &Model<'_>, m: &Array2<f64>, z: &Array2<f64>) -> f64 {
+    let m = model.centred(m);
+    let (mut cov, mut var) = (0.0, 0.0);
+    Zip::from(&m).and(z).and(&model.weight).for_each(|m, z, w| {
+        if *w > 0.0 {
+            cov += w * m * z;
+            var += w * m * m;
+        }
+    });
+    if var > 0.0 { (cov / var).max(0.0) } else { 0.0 }
+}
+
+/// B_e and the extension.
+struct Image {
+    extension: Extension,
+    operator: Operator,
+}
+
+impl Image {
+    fn new(model: &Model<'_>) -> Result<Self, DwellError> {
+        let Problem { desired, tif, .. } = model.problem;
+        let grid = desired.grid();
+        let [half_x, half_y] = tif.half_size_mm();
+        let half = half_x.max(half_y);
+        let border = (half / grid.x.step_mm().min(grid.y.step_mm())).floor().max(1.0) as usize;
+        let valid = model.weight.mapv(|w| w > 0.0);
+        // The outermost pixels are the ring.
+        let ring_mm = (border as f64 - 0.5) * grid.x.step_mm().max(grid.y.step_mm());
+        let extension = Extension::new(grid, &valid, border, ring_mm)?;
+        let operator = Operator::new(&model.places, tif, &extension.grid)?;
+        Ok(Self { extension, operator })
+    }
+
+    /// b of (1).
+    fn of(&self, z: &Array2<f64>) -> Vec<f64> {
+        let mut z = self.extension.rise(z);
+        let mean = z.sum() / z.len() as f64;
+        z -= mean;
+        self.operator.adjoint(&z)
+    }
+
+    /// B t in the map.
+    fn removal(&self, t: &[f64]) -> Array2<f64> {
+        self.extension.inner(&self.operator.apply(t))
+    }
+}

@@ -1,0 +1,164 @@
+//! The part of a linear system that its large eigenvalues decide:
+//!
+//! ```text
+//! x = sum over theta_i > cut theta_1 of  u_i (u_i' g) / theta_i,     H u_i = theta_i u_i   (1)
+//! ```
+//!
+//! for a symmetric positive semidefinite H that is known by its products only. With `H = A' A` and
+//! `g = A' b` this is the truncated singular value decomposition of `min ||A x - b||`, cut at
+//! `sigma_i > sqrt(cut) sigma_1`.
+//!
+//! The process of Lanczos from g spans the eigenvectors that g contains; the small eigenvalues that
+//! it finds last are those that (1) leaves out. Every new vector is made orthogonal to all before it,
+//! twice, so no eigenvalue appears twice.
+//!
+//! Source: Golub and Van Loan, Matrix Computations, 4th ed., sections 10.1 and 10.3.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use ndarray::{Array1, Array2, ArrayView1, s};
+
+/// What (1) gave.
+#[derive(Clone, Debug)]
+pub struct Truncated {
+    /// x.
+    pub value: Vec<f64>,
+    /// Eigenvalues above the cut.
+    pub rank: usize,
+    /// Largest eigenvalue.
+    pub largest: f64,
+    /// Smallest eigenvalue above the cut.
+    pub smallest: f64,
+    /// Steps of the process.
+    pub steps: usize,
+    /// Whether x changes by less than the tolerance between the last two looks.
+    pub converged: bool,
+}
+
+/// Computes (1) from the products `apply`. The process ends when it has spanned all of g, or when x
+/// changed by less than `tolerance` of its length in the last third of the steps.
+pub fn truncated(
+    apply: impl Fn(&[f64]) -> Vec<f64>,
+    g: &[f64],
+    cut: f64,
+    tolerance: f64,
+    max_steps: usize,
+) -> Truncated {
+    let n = g.len();
+    let max_steps = max_steps.min(n);
+    let start = Array1::from(g.to_vec());
+    let length = start.dot(&start).sqrt();
+    let mut result = Truncated {
+        value: vec![0.0; n],
+        rank: 0,
+        largest: 0.0,
+        smallest: 0.0,
+        steps: 0,
+        converged: length == 0.0,
+    };
+    if result.converged {
+        return result;
+    }
+    // Rows are the vectors v_k; H v_k = beta_{k-1} v_{k-1} + alpha_k v_k + beta_k v_{k+1}.
+    let mut v = Array2::<f64>::zeros((max_steps, n));
+    v.row_mut(0).assign(&(&start / length));
+    let (mut alpha, mut beta): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    let mut next_look = 20;
+    for k in 0..max_steps {
+        let row = v.row(k).to_vec();
+        let mut w = Array1::from(apply(&row));
+        alpha.push(w.dot(&ArrayView1::from(&row)));
+        for _ in 0..2 {
+            let basis = v.slice(s![..=k, ..]);
+            let components = basis.dot(&w);
+            w -= &basis.t().dot(&components);
+        }
+        let b = w.dot(&w).sqrt();
+        // All of g is spanned when what is new is rounding.
+        let scale = alpha.iter().copied().fold(0.0, f64::max);
+        let spanned = b <= 1e-13 * scale;
+        let last = spanned || k + 1 == max_steps;
+        if last || k + 1 == next_look {
+            let before = Array1::from(result.value);
+            result = solve(&alpha, &beta, &v, length, cut);
+            let change = &Array1::from(result.value.clone()) - &before;
+            let size = ArrayView1::from(&result.value);
+            let settled = change.dot(&change) <= (tolerance * tolerance) * size.dot(&size);
+            result.converged = spanned || max_steps == n && last || settled;
+            if last || settled {
+                break;
+            }
+            next_look += next_look / 2;
+        }
+        beta.push(b);
+        v.row_mut(k + 1).assign(&(&w / b));
+    }
+    result
+}
+
+/// (1) in the space of the first vectors: the tridiagonal matrix T of alpha and beta in place of H.
+fn solve(alpha: &[f64], beta: &[f64], v: &Array2<f64>, length: f64, cut: f64) -> Truncated {
+    let k = alpha.len();
+    let mut t = DMatrix::zeros(k, k);
+    for i in 0..k {
+        t[(i, i)] = alpha[i];
+        if i + 1 < k {
+            t[(i, i + 1)] = beta[i];
+            t[(i + 1, i)] = beta[i];
+        }
+    }
+    let eigen = SymmetricEigen::new(t);
+    let largest = eigen.eigenvalues.iter().copied().fold(0.0, f64::max);
+    let kept: Vec<usize> = (0..k).filter(|i| eigen.eigenvalues[*i] > cut * largest).collect();
+    let mut y = Array1::<f64>::zeros(k);
+    for &i in &kept {
+        // s_i (s_i' e_1 |g|) / theta_i
+        let factor = eigen.eigenvectors[(0, i)] * length / eigen.eigenvalues[i];
+        for r in 0..k {
+            y[r] += factor * eigen.eigenvectors[(r, i)];
+        }
+    }
+    let value = v.slice(s![..k, ..]).t().dot(&y).to_vec();
+    let smallest = kept.iter().map(|i| eigen.eigenvalues[*i]).fold(f64::INFINITY, f64::min);
+    Truncated { value, rank: kept.len(), largest, smallest, steps: k, converged: false }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::DVector;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn agrees_with_the_singular_value_decomposition() {
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let random = |r: usize, c: usize, rng: &mut ChaCha8Rng| {
+            DMatrix::from_fn(r, c, |_, _| rng.random_range(-1.0..1.0))
+        };
+        // Singular values 1, 0.7, 0.49, ... down to 1e-6.
+        let u = random(60, 40, &mut rng).qr().q();
+        let w = random(40, 40, &mut rng).qr().q();
+        let sigma = DMatrix::from_diagonal(&DVector::from_fn(40, |i, _| 0.7_f64.powi(i as i32)));
+        let a = &u * sigma * w.transpose();
+        let b = DVector::from_fn(60, |_, _| rng.random_range(-1.0..1.0));
+        let apply = |x: &[f64]| a.tr_mul(&(&a * DVector::from_row_slice(x))).as_slice().to_vec();
+        let g = a.tr_mul(&b);
+        // Between 0.7^9 = 0.040 and 0.7^10 = 0.028: ten are kept.
+        let found = truncated(apply, g.as_slice(), 0.03_f64.powi(2), 1e-12, 40);
+        assert!(found.converged, "{found:?}");
+        let svd = a.svd(true, true);
+        let expected = svd.solve(&b, 0.03).unwrap();
+        let error = (DVector::from_row_slice(&found.value) - &expected).norm();
+        assert_eq!(found.rank, 10);
+        // Rounding times the condition number 1.2e3 of what is kept.
+        assert!(error < 1e-10 * expected.norm(), "{error}");
+        assert!((found.largest - 1.0).abs() < 1e-12);
+        assert!((found.smallest / 0.7_f64.powi(18) - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn no_right_hand_side_no_solution() {
+        let found = truncated(|x| x.to_vec(), &[0.0; 4], 1e-3, 1e-9, 4);
+        assert!(found.converged && found.value == [0.0; 4] && found.rank == 0);
+    }
+}

@@ -1,0 +1,183 @@
+//! Damped least squares with a matrix that is known by its products only, for several dampings at
+//! once:
+//!
+//! ```text
+//! min ||A x - b||^2 + delta^2 ||x||^2                                                     (1)
+//! ```
+//!
+//! The bidiagonalisation `A V = U L` of Golub and Kahan does not depend on delta, only the rotations
+//! that solve the small problem do. So one pair of products per step serves every damping.
+//!
+//! Source: C. C. Paige, M. A. Saunders, ACM Trans. Math. Softw. 8 (1982) 43, section 4 (the
+//! rotations), 5.3 (damping), 5.4 (stopping).
+
+/// The solution of (1) for one damping.
+#[derive(Clone, Debug)]
+pub struct Damped {
+    /// delta.
+    pub damping: f64,
+    /// x.
+    pub value: Vec<f64>,
+    /// Steps that it took.
+    pub iterations: usize,
+    /// Whether the residual is orthogonal to the columns within the tolerance.
+    pub converged: bool,
+}
+
+/// What one damping needs beside the common bidiagonalisation.
+struct Lane {
+    result: Damped,
+    direction: Vec<f64>,
+    phi_bar: f64,
+    rho_bar: f64,
+    /// Squares of the part of the residual that the damping leaves behind.
+    left: f64,
+    /// Squared Frobenius norm of the bidiagonal matrix so far.
+    norm2: f64,
+}
+
+/// Solves (1) for every delta of `dampings`, in their order.
+///
+/// `apply` is x (n) -> A x (m), `adjoint` its adjoint. A lane ends when
+/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`.
+pub fn lsqr(
+    apply: impl Fn(&[f64]) -> Vec<f64>,
+    adjoint: impl Fn(&[f64]) -> Vec<f64>,
+    b: &[f64],
+    dampings: &[f64],
+    tolerance: f64,
+    max_iterations: usize,
+) -> Vec<Damped> {
+    // beta u = b, alpha v = A' u
+    let mut u = b.to_vec();
+    let beta = normalise(&mut u);
+    let mut v = adjoint(&u);
+    let mut alpha = normalise(&mut v);
+    let mut lanes: Vec<Lane> = dampings
+        .iter()
+        .map(|&damping| Lane {
+            result: Damped {
+                damping,
+                value: vec![0.0; v.len()],
+                iterations: 0,
+                converged: beta == 0.0 || alpha == 0.0,
+            },
+            direction: v.clone(),
+            phi_bar: beta,
+            rho_bar: alpha,
+            left: 0.0,
+            norm2: alpha * alpha,
+        })
+        .collect();
+    for iteration in 1..=max_iterations {
+        if lanes.iter().all(|lane| lane.result.converged) {
+            break;
+        }
+        // beta u = A v - alpha u,   alpha v = A' u - beta v
+        step(&mut u, apply(&v), alpha);
+        let beta = normalise(&mut u);
+        step(&mut v, adjoint(&u), beta);
+        alpha = normalise(&mut v);
+        for lane in lanes.iter_mut().filter(|lane| !lane.result.converged) {
+            lane.advance(&v, alpha, beta, tolerance);
+            lane.result.iterations = iteration;
+        }
+    }
+    lanes.into_iter().map(|lane| lane.result).collect()
+}
+
+impl Lane {
+    fn advance(&mut self, v: &[f64], alpha: f64, beta: f64, tolerance: f64) {
+        let delta = self.result.damping;
+        // A rotation takes delta out of the bidiagonal matrix ...
+        let damped = self.rho_bar.hypot(delta);
+        self.left += (delta / damped * self.phi_bar).powi(2);
+        let phi_bar = self.rho_bar / damped * self.phi_bar;
+        // ... and one takes beta out.
+        let rho = damped.hypot(beta);
+        let (c, s) = (damped / rho, beta / rho);
+        let (theta, phi) = (s * alpha, c * phi_bar);
+        self.rho_bar = -c * alpha;
+        self.phi_bar = s * phi_bar;
+        for (x, (w, v)) in self.result.value.iter_mut().zip(self.direction.iter_mut().zip(v)) {
+            *x += phi / rho * *w;
+            *w = v - theta / rho * *w;
+        }
+        self.norm2 += beta * beta + alpha * alpha + delta * delta;
+        let residual = (self.phi_bar * self.phi_bar + self.left).sqrt();
+        let gradient = self.phi_bar * alpha * c;
+        self.result.converged = gradient.abs() <= tolerance * self.norm2.sqrt() * residual;
+    }
+}
+
+/// `x <- y - factor x`.
+fn step(x: &mut [f64], y: Vec<f64>, factor: f64) {
+    for (x, y) in x.iter_mut().zip(y) {
+        *x = y - factor * *x;
+    }
+}
+
+/// Scales to length 1 and returns the length; zeros stay.
+fn normalise(x: &mut [f64]) -> f64 {
+    let length = x.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if length > 0.0 {
+        x.iter_mut().for_each(|v| *v /= length);
+    }
+    length
+}
+
+/// Largest singular value of a matrix known by `x -> A' A x`, to about 1e-3: the power method from a
+/// vector without structure, until it changes by less than 1e-4.
+pub fn largest_singular_value(normal: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
+    let mut x: Vec<f64> = (0..n).map(|j| 0.5 + (0.618_034 * j as f64).fract()).collect();
+    normalise(&mut x);
+    let mut value = 0.0_f64;
+    for _ in 0..100 {
+        x = normal(&x);
+        let before = value;
+        value = normalise(&mut x).sqrt();
+        if (value - before).abs() <= 1e-4 * value {
+            break;
+        }
+    }
+    value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, DVector};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn agrees_with_the_normal_equations_for_every_damping() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let a = DMatrix::from_fn(40, 25, |i, j| {
+            // Columns of very different length.
+            rng.random_range(-1.0..1.0) * 0.8_f64.powi(j as i32) + if i == j { 0.1 } else { 0.0 }
+        });
+        let b = DVector::from_fn(40, |_, _| rng.random_range(-1.0..1.0));
+        let apply = |x: &[f64]| (&a * DVector::from_row_slice(x)).as_slice().to_vec();
+        let adjoint = |y: &[f64]| a.tr_mul(&DVector::from_row_slice(y)).as_slice().to_vec();
+        let dampings = [1.0, 0.1, 0.01];
+        let found = lsqr(apply, adjoint, b.as_slice(), &dampings, 1e-14, 500);
+        for (damped, delta) in found.iter().zip(dampings) {
+            assert!(damped.converged && damped.damping == delta);
+            let h = a.tr_mul(&a) + DMatrix::identity(25, 25) * delta * delta;
+            let expected = h.cholesky().unwrap().solve(&a.tr_mul(&b));
+            let error = (DVector::from_row_slice(&damped.value) - &expected).norm();
+            // Rounding times the condition number 1e4 of the worst normal equations.
+            assert!(error < 1e-10 * expected.norm(), "{delta}: {error}");
+        }
+        let normal = |x: &[f64]| (a.tr_mul(&(&a * DVector::from_row_slice(x)))).as_slice().to_vec();
+        let largest = a.clone().svd(false, false).singular_values[0];
+        assert!((largest_singular_value(normal, 25) / largest - 1.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn a_right_hand_side_of_zeros_needs_no_step() {
+        let found = lsqr(|x| x.to_vec(), |x| x.to_vec(), &[0.0; 3], &[0.1], 1e-12, 10);
+        assert!(found[0].converged && found[0].value == [0.0; 3] && found[0].iterations == 0);
+    }
+}
