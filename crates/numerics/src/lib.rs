@@ -3,10 +3,13 @@
 //! Nothing here knows a unit, a file or a clock. A routine lives here when two crates need it,
 //! or when it is a textbook method that would hide the algorithm it serves.
 
+pub mod arc_feed;
 pub mod bounded;
+pub mod bspline;
 pub mod cholesky;
 pub mod fft;
 pub mod keys;
+pub mod link;
 pub mod polynomial;
 pub mod quadrature;
 pub mod statistics;
