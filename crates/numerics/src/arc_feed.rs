@@ -39,8 +39,8 @@ pub struct Fit {
 /// Places inside a piece where it is compared with the motion.
 const PLACES: u32 = 15;
 
-/// Most halvings of an interval: the error falls by 16 with each, so rounding comes first.
-const MAX_HALVINGS: u32 = 20;
+/// Most halvings of an interval: the error falls by 16 with each, 3e14 in all, so rounding comes first.
+const MAX_HALVINGS: u32 = 12;
 
 /// Fits the motion with the time `time(s)` and its derivative `density(s)` on the intervals
 /// between consecutive `breaks` (ascending, strictly), to `tolerance` in arc length and within
