@@ -168,15 +168,21 @@ impl Problem {
         let mut state = self.start(surface, other_nm, start, piston_nm);
         state.objective.push(self.objective(&state, settings));
         while state.objective.len() <= settings.max_sweeps {
+            // Knot removal may raise the objective; a worse state is given up.
+            let last = (settings.refinement == Refinement::KnotRemoval).then(|| state.clone());
             self.sweep(&mut state, settings)?;
             if settings.free_piston {
                 free_piston(surface, &mut state);
             }
             let now = self.objective(&state, settings);
             let before = state.objective[state.objective.len() - 1];
-            state.objective.push(now);
             // The start may break the limits and so be lower than what is possible.
-            if state.objective.len() > 2 && before - now <= settings.tolerance * before {
+            let first = state.objective.len() == 1;
+            match last {
+                Some(last) if !first && now > before => state = last,
+                _ => state.objective.push(now),
+            }
+            if !first && before - now <= settings.tolerance * before {
                 state.converged = true;
                 break;
             }

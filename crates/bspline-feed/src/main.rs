@@ -45,7 +45,7 @@ struct Cli {
     #[arg(long, value_name = "P")]
     pitch_mm: Option<f64>,
     /// What the uniform part of the desired removal means
-    #[arg(long, value_enum, default_value = "free")]
+    #[arg(long, value_enum, default_value = "keep")]
     piston: PistonArg,
     /// Weight of the distance to the least dwell density, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
@@ -84,7 +84,7 @@ enum RefinementArg {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum PistonArg {
-    /// It does not count
+    /// It does not count; found along with the feed, slowly
     Free,
     /// It is to be removed as given
     Keep,

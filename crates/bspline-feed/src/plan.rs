@@ -39,7 +39,7 @@ pub enum Method {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Piston {
-    /// It does not count.
+    /// It does not count; found along with the feed, slowly.
     Free,
     /// It is to be removed as given.
     Keep,
@@ -77,7 +77,8 @@ impl Default for Settings {
             refinement: Refinement::ConvexConcave,
             knot_spacing_mm: None,
             pitch_mm: None,
-            piston: Piston::Free,
+            // A free piston converges slowly: it trades time for depth of the valleys.
+            piston: Piston::Keep,
             tikhonov: 1e-5,
             smoothness: 1e-4,
             tolerance: 1e-3,
