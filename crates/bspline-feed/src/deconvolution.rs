@@ -249,8 +249,7 @@ impl Problem {
             fallback: false,
         };
         if settings.refinement == Refinement::KnotRemoval {
-            let removed =
-                limited::knot_removal(&objective, &line.knots, &solved.kept, line.limits)?;
+            let removed = limited::knot_removal(&objective, &line.knots, line.limits)?;
             if let Some((d, kept)) = removed {
                 (solved.d, solved.kept) = (d, kept);
                 return Ok(solved);

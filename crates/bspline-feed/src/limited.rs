@@ -187,15 +187,12 @@ fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
 
 /// The solution of (1) by knot removal, on `knots`, and the knots that are left; `None` when the limit is
 /// exceeded without an interior knot.
-///
-/// `kept` are the knots to begin with: `knots`, or what an earlier call left.
 pub fn knot_removal(
     objective: &Quadratic,
     knots: &Knots,
-    kept: &Knots,
     limits: FeedLimits,
 ) -> Result<Option<(Vec<f64>, Knots)>, String> {
-    let mut kept = kept.clone();
+    let mut kept = knots.clone();
     loop {
         let k = kept.refinement(knots);
         let c = quadratic_program(&objective.of(&k), limits.min_density_s_per_mm, &[])?;
@@ -348,7 +345,7 @@ mod tests {
         let knots = Knots::uniform(10.0, 12);
         let objective = towards(&wave(knots.len()));
         let (removed, kept) =
-            knot_removal(&objective, &knots, &knots, LIMITS).unwrap().expect("it can be kept");
+            knot_removal(&objective, &knots, LIMITS).unwrap().expect("it can be kept");
         assert!(kept.len() < knots.len());
         assert!(highest_peak(&knots, &removed).acceleration_mm_per_s2 <= 3.0);
         let (mut d, mut rows) = (vec![1.0; knots.len()], Vec::new());

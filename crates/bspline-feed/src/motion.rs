@@ -186,6 +186,8 @@ impl Draft {
             |s| knots.value(d, s),
             &breaks(pass, knots),
             tolerance_mm,
+            // D >= 1/F holds exactly; the margin of the pass is for the pieces.
+            pass.max_feed_mm_per_s * (1.0 + MARGIN),
             pass.max_acceleration_mm_per_s2,
         );
         for piece in &fit.pieces {

@@ -7,12 +7,12 @@
 //!
 //! A piece from `s0` to `s1` is the cubic Hermite polynomial (1) with the exact positions, times and
 //! velocities at its ends (`ds = s1 - s0`, `h = t(s1) - t(s0)`). It is halved until it is within
-//! the tolerance of the inverse of t(s), and its acceleration within the limit. The inverse itself is
+//! the tolerance of the inverse of t(s), and its velocity and acceleration within the limits. The inverse itself is
 //! not needed: at the time t(s) the true position is s. The error falls with the fourth power of h.
 //!
 //! Source: C. de Boor, *A Practical Guide to Splines*, chapter IV.
 
-use crate::polynomial::evaluate;
+use crate::polynomial::{derivative, evaluate, range};
 
 /// One piece of the motion along the arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,12 +44,14 @@ const MAX_HALVINGS: u32 = 12;
 
 /// Fits the motion with the time `time(s)` and its derivative `density(s)` on the intervals
 /// between consecutive `breaks` (ascending, strictly), to `tolerance` in arc length and within
-/// `max_acceleration` along the arc (infinite when it does not matter).
+/// `max_velocity` and `max_acceleration` along the arc (infinite when they do not matter), which the
+/// motion itself should leave some room.
 pub fn fit(
     time: impl Fn(f64) -> f64,
     density: impl Fn(f64) -> f64,
     breaks: &[f64],
     tolerance: f64,
+    max_velocity: f64,
     max_acceleration: f64,
 ) -> Fit {
     let mut fit = Fit { pieces: Vec::new(), largest_error: 0.0 };
@@ -58,7 +60,9 @@ pub fn fit(
         while let Some((start, end, halvings)) = open.pop() {
             let piece = hermite(&time, &density, start, end);
             let error = largest_error(&time, &piece);
-            let good = error <= tolerance && end_acceleration(&piece) <= max_acceleration;
+            let good = error <= tolerance
+                && range(&derivative(&piece.coefficient), piece.duration).max <= max_velocity
+                && end_acceleration(&piece) <= max_acceleration;
             if good || halvings == MAX_HALVINGS {
                 fit.largest_error = fit.largest_error.max(error);
                 fit.pieces.push(piece);
@@ -100,9 +104,11 @@ fn end_acceleration(piece: &Piece) -> f64 {
 mod tests {
     use super::*;
 
+    const NONE: f64 = f64::INFINITY;
+
     /// D = 1 + s: t = s + s^2/2, s = sqrt(1 + 2t) - 1.
     fn fitted(tolerance: f64) -> Fit {
-        fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 0.7, 3.0], tolerance, f64::INFINITY)
+        fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 0.7, 3.0], tolerance, NONE, NONE)
     }
 
     #[test]
@@ -128,7 +134,7 @@ mod tests {
     fn the_error_falls_with_the_fourth_power_of_the_step() {
         let error = |n: u32| {
             let breaks: Vec<f64> = (0..=n).map(|k| 3.0 * f64::from(k) / f64::from(n)).collect();
-            fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &breaks, 1.0, f64::INFINITY).largest_error
+            fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &breaks, 1.0, NONE, NONE).largest_error
         };
         let order = (error(16) / error(32)).log2();
         assert!(order > 3.8 && order < 4.2, "order {order}");
@@ -137,17 +143,31 @@ mod tests {
     #[test]
     fn the_acceleration_limit_is_kept_by_shorter_pieces() {
         // |a| = 1/(1+s)^3 <= 1; a long piece overestimates it at its ends.
-        let coarse = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, f64::INFINITY);
+        let coarse = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, NONE, NONE);
         assert!(end_acceleration(&coarse.pieces[0]) > 0.0);
-        let fine = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, 1.0 + 1e-4);
+        let fine = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, NONE, 1.0 + 1e-4);
         for piece in &fine.pieces {
             assert!(end_acceleration(piece) <= 1.0 + 1e-4);
         }
     }
 
     #[test]
+    fn the_velocity_limit_is_kept_by_shorter_pieces() {
+        // D = 1 + (s - 1)^2: v reaches 1 at s = 1; long pieces around it exceed that.
+        let time = |s: f64| s + (s - 1.0).powi(3) / 3.0;
+        let density = |s: f64| 1.0 + (s - 1.0) * (s - 1.0);
+        let peak = |p: &Piece| range(&derivative(&p.coefficient), p.duration).max;
+        let fastest = |limit: f64| {
+            let fit = fit(time, density, &[0.0, 0.4, 1.9, 3.0], 1.0, limit, NONE);
+            fit.pieces.iter().map(peak).fold(0.0, f64::max)
+        };
+        assert!(fastest(NONE) > 1.01, "{}", fastest(NONE));
+        assert!(fastest(1.0 + 1e-6) <= 1.0 + 1e-6);
+    }
+
+    #[test]
     fn constant_feed_is_exact_in_one_piece() {
-        let fit = fit(|s| 0.5 * s, |_| 0.5, &[1.0, 4.0], 1e-12, f64::INFINITY);
+        let fit = fit(|s| 0.5 * s, |_| 0.5, &[1.0, 4.0], 1e-12, NONE, NONE);
         assert_eq!(fit.pieces.len(), 1);
         assert_eq!(fit.pieces[0].coefficient, [1.0, 2.0, 0.0, 0.0]);
     }
