@@ -77,7 +77,7 @@ fn main() {
         "{} valleys; depth desired | predicted, nm; amplitude predicted / desired",
         found.len()
     );
-    let bands: Vec<f64> = (1..=8).map(|k| 0.25 * f64::from(k)).collect();
+    let bands: Vec<f64> = (1..=5).map(|k| 0.25 * f64::from(k)).collect();
     for name in names {
         let dir = run.join("methods").join(&name).join("removal");
         let removal: Removal = artifact::read(&dir).expect("a removal").value;
