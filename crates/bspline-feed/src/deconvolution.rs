@@ -1,0 +1,376 @@
+//! The control values of all passes for a map, line by line.
+//!
+//! ```text
+//! min over d, and a free piston c:
+//!   1/2 sum_x (z(x) + c - sum_m (G_m d_m)(x))^2
+//!   + 1/2 alpha K sum (d - 1/F)^2 + 1/2 beta K sum_m |second differences of d_m|^2            (1)
+//! subject to the limits of every pass (crate::limited)
+//! ```
+//!
+//! over the valid pixels; K is the largest diagonal element of the `G_m'G_m`. A TIF wider than the pitch
+//! couples the lines: what one removes its neighbours need not. So (1) is solved by block
+//! Gauss-Seidel sweeps: with the residual r of all lines,
+//!
+//! ```text
+//! P_m = G_m'G_m + alpha K I + beta K (second differences)'(second differences)
+//! q_m = G_m'(r + G_m d_m) + alpha K / F
+//! d_m <- the solution for line m (crate::limited),   r <- r - G_m (change of d_m)           (2)
+//! ```
+//!
+//! Each step lowers (1). What a sweep leaves is what several lines together could do and none alone:
+//! it fades by a factor of about 1 - lambda, lambda being an eigenvalue of the scaled normal
+//! matrix, so the parts of the map that the tool can correct come first. Lines that do not see each other's
+//! pixels are solved at the same time; the result does not depend on the number of threads.
+//!
+//! Source: the B-spline deconvolution of feed profiles, Eqs 8-10 for one line; the coupling, the
+//! regularisation and the free piston are ours.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | d_m | `d` | (passes, n_m) | s/mm |
+//! | r | `residual_nm` | (ny, nx) | nm |
+//! | c | `piston_nm` | - | nm |
+
+use ndarray::Array2;
+use planish_numerics::bspline::Knots;
+use planish_types::{Surface, Tif};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::{
+    FeedError,
+    columns::{self, Column},
+    limited::{self, FeedLimits, Quadratic},
+    passes::Pass,
+};
+
+/// Elements of the removal basis that are kept in memory: 3.2 GB.
+const MAX_ELEMENTS: usize = 400_000_000;
+
+/// How the acceleration limit is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Refinement {
+    /// By the convex-concave procedure.
+    ConvexConcave,
+    /// By removing knots next to the highest acceleration.
+    KnotRemoval,
+}
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// How the acceleration limit is kept.
+    pub refinement: Refinement,
+    /// Whether a piston is free: the uniform part of the desired removal does not count.
+    pub free_piston: bool,
+    /// alpha: weight of the distance to the least density; >= 0.
+    pub tikhonov: f64,
+    /// beta: weight of the second differences of the control values; >= 0.
+    pub smoothness: f64,
+    /// The sweeps end when the objective falls by less than this part.
+    pub tolerance: f64,
+    /// Most sweeps.
+    pub max_sweeps: usize,
+}
+
+/// One pass with its basis.
+#[derive(Debug)]
+pub struct Line {
+    /// Knots of the spline on [0, length].
+    pub knots: Knots,
+    /// What it may do.
+    pub limits: FeedLimits,
+    columns: Vec<Column>,
+    /// G'G (n, n).
+    gram: Array2<f64>,
+}
+
+/// All lines, and which of them may be solved at the same time.
+#[derive(Debug)]
+pub struct Problem {
+    /// In the order of the path.
+    pub lines: Vec<Line>,
+    /// K.
+    strongest: f64,
+    groups: Vec<Vec<usize>>,
+}
+
+/// Control values, and what they leave.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Control values of every line, s/mm.
+    pub d: Vec<Vec<f64>>,
+    /// c, nm.
+    pub piston_nm: f64,
+    /// r, zero where the map is invalid (ny, nx), nm.
+    pub residual_nm: Array2<f64>,
+    /// Objective (1) after every sweep, nm^2; the first is that of the start.
+    pub objective: Vec<f64>,
+    /// Whether the objective fell by less than the tolerance in the last sweep.
+    pub converged: bool,
+    /// Knots that are left by knot removal.
+    pub kept: Vec<Knots>,
+    /// Lines on which knot removal ended without an interior knot, and the procedure took over.
+    pub fallbacks: usize,
+    rows_mm: Vec<Vec<f64>>,
+}
+
+impl Problem {
+    /// The basis of every pass on its knots.
+    pub fn new(
+        passes: &[Pass],
+        knots: Vec<Knots>,
+        tif: &Tif,
+        surface: &Surface,
+    ) -> Result<Self, FeedError> {
+        let pairs = || passes.iter().zip(&knots);
+        let elements = pairs().map(|(p, k)| columns::elements(p, k, tif, surface)).sum();
+        if elements > MAX_ELEMENTS {
+            let control_values = knots.iter().map(Knots::len).sum();
+            return Err(FeedError::TooLarge { control_values, elements, limit: MAX_ELEMENTS });
+        }
+        let bases: Vec<_> = pairs()
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .map(|(pass, knots)| {
+                let columns = columns::columns(pass, knots, tif, surface);
+                let gram = gram(&columns);
+                (columns, gram)
+            })
+            .collect();
+        let lines: Vec<Line> = (passes.iter().zip(knots).zip(bases))
+            .map(|((pass, knots), (columns, gram))| Line {
+                knots,
+                limits: limits(pass),
+                columns,
+                gram,
+            })
+            .collect();
+        let strongest = lines.iter().flat_map(|l| l.gram.diag().to_vec()).fold(0.0, f64::max);
+        if strongest <= 0.0 {
+            return Err(FeedError::OutOfReach);
+        }
+        let groups = groups(&lines);
+        Ok(Self { lines, strongest, groups })
+    }
+
+    /// Sweeps from the control values `start` (positive) and the piston; `other_nm` (ny, nx) is what is
+    /// removed beside the passes.
+    pub fn solve(
+        &self,
+        surface: &Surface,
+        other_nm: &Array2<f64>,
+        start: Vec<Vec<f64>>,
+        piston_nm: f64,
+        settings: &Settings,
+    ) -> Result<State, FeedError> {
+        let mut state = self.start(surface, other_nm, start, piston_nm);
+        state.objective.push(self.objective(&state, settings));
+        while state.objective.len() <= settings.max_sweeps {
+            // Knot removal may raise the objective; a worse state is given up.
+            let last = (settings.refinement == Refinement::KnotRemoval).then(|| state.clone());
+            self.sweep(&mut state, settings)?;
+            if settings.free_piston {
+                free_piston(surface, &mut state);
+            }
+            let now = self.objective(&state, settings);
+            let before = state.objective[state.objective.len() - 1];
+            // The start may break the limits and so be lower than what is possible.
+            let first = state.objective.len() == 1;
+            match last {
+                Some(last) if !first && now > before => state = last,
+                _ => state.objective.push(now),
+            }
+            if !first && before - now <= settings.tolerance * before {
+                state.converged = true;
+                break;
+            }
+        }
+        Ok(state)
+    }
+
+    fn start(
+        &self,
+        surface: &Surface,
+        other_nm: &Array2<f64>,
+        d: Vec<Vec<f64>>,
+        piston_nm: f64,
+    ) -> State {
+        // r = z + c - other - G d on the valid pixels
+        let mut residual_nm = surface.height_nm() - other_nm + piston_nm;
+        residual_nm.mapv_inplace(|r| if r.is_nan() { 0.0 } else { r });
+        for (line, d) in self.lines.iter().zip(&d) {
+            for (column, d) in line.columns.iter().zip(d) {
+                column.add_to(&mut residual_nm, -d);
+            }
+        }
+        State {
+            d,
+            piston_nm,
+            residual_nm,
+            objective: Vec::new(),
+            converged: false,
+            kept: self.lines.iter().map(|l| l.knots.clone()).collect(),
+            fallbacks: 0,
+            rows_mm: vec![Vec::new(); self.lines.len()],
+        }
+    }
+
+    /// (2) for every line.
+    fn sweep(&self, state: &mut State, settings: &Settings) -> Result<(), FeedError> {
+        state.fallbacks = 0;
+        for group in &self.groups {
+            let solved: Vec<_> = group.par_iter().map(|m| self.line(*m, state, settings)).collect();
+            for (&m, solved) in group.iter().zip(solved) {
+                let solved = solved.map_err(|status| FeedError::Solver { pass: m, status })?;
+                for (i, column) in self.lines[m].columns.iter().enumerate() {
+                    let change = solved.d[i] - state.d[m][i];
+                    if change != 0.0 {
+                        column.add_to(&mut state.residual_nm, -change);
+                    }
+                }
+                state.d[m] = solved.d;
+                state.rows_mm[m] = solved.rows_mm;
+                state.kept[m] = solved.kept;
+                state.fallbacks += usize::from(solved.fallback);
+            }
+        }
+        Ok(())
+    }
+
+    fn line(&self, m: usize, state: &State, settings: &Settings) -> Result<Solved, String> {
+        let (line, current) = (&self.lines[m], &state.d[m]);
+        let objective = self.line_objective(m, state, settings);
+        let mut solved = Solved {
+            d: Vec::new(),
+            rows_mm: state.rows_mm[m].clone(),
+            kept: state.kept[m].clone(),
+            fallback: false,
+        };
+        if settings.refinement == Refinement::KnotRemoval {
+            let removed = limited::knot_removal(&objective, &line.knots, line.limits)?;
+            if let Some((d, kept)) = removed {
+                (solved.d, solved.kept) = (d, kept);
+                return Ok(solved);
+            }
+            solved.fallback = true;
+        }
+        solved.d = limited::convex_concave_step(
+            &objective,
+            &line.knots,
+            line.limits,
+            current,
+            &mut solved.rows_mm,
+        )?;
+        Ok(solved)
+    }
+
+    /// P_m and q_m of (2).
+    fn line_objective(&self, m: usize, state: &State, settings: &Settings) -> Quadratic {
+        let (line, current) = (&self.lines[m], &state.d[m]);
+        let n = current.len();
+        // A trace of the identity makes the program definite where the tool reaches nothing.
+        let alpha = settings.tikhonov.max(1e-12) * self.strongest;
+        let beta = settings.smoothness * self.strongest;
+        let mut p = line.gram.clone();
+        let mut q: Vec<f64> = line.columns.iter().map(|c| c.dot(&state.residual_nm)).collect();
+        for i in 0..n {
+            q[i] += (0..n).map(|j| line.gram[[i, j]] * current[j]).sum::<f64>();
+            q[i] += alpha * line.limits.min_density_s_per_mm;
+            p[[i, i]] += alpha;
+        }
+        for i in 1..n - 1 {
+            let row = [(i - 1, 1.0), (i, -2.0), (i + 1, 1.0)];
+            for (a, va) in row {
+                for (b, vb) in row {
+                    p[[a, b]] += beta * va * vb;
+                }
+            }
+        }
+        Quadratic { p, q }
+    }
+
+    /// (1).
+    fn objective(&self, state: &State, settings: &Settings) -> f64 {
+        let alpha = settings.tikhonov.max(1e-12) * self.strongest;
+        let beta = settings.smoothness * self.strongest;
+        let mut sum = state.residual_nm.iter().map(|r| r * r).sum::<f64>();
+        for (line, d) in self.lines.iter().zip(&state.d) {
+            let least = line.limits.min_density_s_per_mm;
+            sum += alpha * d.iter().map(|d| (d - least).powi(2)).sum::<f64>();
+            let second = d.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).powi(2));
+            sum += beta * second.sum::<f64>();
+        }
+        0.5 * sum
+    }
+}
+
+/// What a step (2) brings.
+struct Solved {
+    d: Vec<f64>,
+    rows_mm: Vec<f64>,
+    kept: Knots,
+    fallback: bool,
+}
+
+/// The limits of a pass for its spline.
+pub(crate) fn limits(pass: &Pass) -> FeedLimits {
+    FeedLimits {
+        min_density_s_per_mm: 1.0 / pass.max_feed_mm_per_s,
+        max_acceleration_mm_per_s2: pass.max_acceleration_mm_per_s2,
+    }
+}
+
+/// The piston that leaves no mean residual.
+fn free_piston(surface: &Surface, state: &mut State) {
+    let valid = |z: &f64| !z.is_nan();
+    let count = surface.height_nm().iter().filter(|z| valid(z)).count();
+    let mean = state.residual_nm.sum() / count as f64;
+    state.piston_nm -= mean;
+    ndarray::Zip::from(&mut state.residual_nm).and(surface.height_nm()).for_each(|r, z| {
+        if valid(z) {
+            *r -= mean;
+        }
+    });
+}
+
+/// G'G; columns far apart share no pixel.
+fn gram(columns: &[Column]) -> Array2<f64> {
+    let n = columns.len();
+    let mut gram = Array2::zeros((n, n));
+    for i in 0..n {
+        for j in 0..=i {
+            let v = columns[i].dot_column(&columns[j]);
+            gram[[i, j]] = v;
+            gram[[j, i]] = v;
+        }
+    }
+    gram
+}
+
+/// Groups of lines that share no pixel, each line in the first group that it fits.
+fn groups(lines: &[Line]) -> Vec<Vec<usize>> {
+    let boxes: Vec<Option<[usize; 4]>> = lines.iter().map(bounding_box).collect();
+    let apart = |a: usize, b: usize| match (boxes[a], boxes[b]) {
+        (Some([t, b, l, r]), Some([u, c, m, s])) => b < u || c < t || r < m || s < l,
+        _ => true,
+    };
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for m in 0..lines.len() {
+        match groups.iter_mut().find(|g| g.iter().all(|k| apart(m, *k))) {
+            Some(group) => group.push(m),
+            None => groups.push(vec![m]),
+        }
+    }
+    groups
+}
+
+/// First and last row, first and last column that a line reaches.
+fn bounding_box(line: &Line) -> Option<[usize; 4]> {
+    let boxes = line.columns.iter().filter(|c| !c.removal.is_empty()).map(|c| {
+        let ((r, k), (ny, nx)) = (c.origin, c.removal.dim());
+        [r, r + ny - 1, k, k + nx - 1]
+    });
+    boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])
+}

@@ -1,0 +1,81 @@
+//! Desired removal, TIF and tool path become a feed profile and its motion: dwell and feed at once.
+//!
+//! On every straight pass of the path the dwell-time density (the inverse of the feed) is a cubic
+//! B-spline of the arc length, and the removal is linear in its control values:
+//!
+//! ```text
+//! D_m(s) = sum_i d_mi B_i(s) >= 1/F_max                    s/mm
+//! z(x) = sum_m sum_i d_mi G_mi(x),   G_mi(x) = integral R(x - P_m(s)) B_i(s) ds               (1)
+//! a = -D'/D^3,   |a| <= A                                  mm/s^2
+//! ```
+//!
+//! | module | what |
+//! |---|---|
+//! | [`passes`] | the straight passes of a path, what joins them, and what a machine can do on them |
+//! | [`columns`] | the material-removal basis G |
+//! | [`limited`] | a quadratic objective within the feed and acceleration limits of one pass |
+//! | [`deconvolution`] | the control values of all passes for a map, line by line |
+//! | [`vrr`] | the baseline: feed = VRR / (desired removal x pitch) |
+//! | [`motion`] | the splines as one trajectory, passes joined by links |
+//! | [`plan`] | all of it |
+
+pub mod columns;
+pub mod deconvolution;
+pub mod limited;
+pub mod motion;
+pub mod passes;
+pub mod plan;
+pub mod vrr;
+
+pub use plan::{Feed, Plan, Report, Settings, plan};
+
+use planish_types::Invalid;
+
+/// Why no feed could be found.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FeedError {
+    /// The inputs or settings contradict themselves or each other.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// The path turns where material counts.
+    #[error(
+        "tool_path: segment {segment} at {point_mm:?} mm turns inside the clear aperture; a B-spline feed \
+         needs straight passes that turn outside it: give a raster with overscan, or schedule this \
+         path with `planish-schedule pvt`"
+    )]
+    CornerInside {
+        /// Segment that does not continue the pass.
+        segment: usize,
+        /// Where it is, mm.
+        point_mm: [f64; 2],
+    },
+    /// The tool does not reach the part.
+    #[error(
+        "no pass of the path reaches a valid pixel; check that surface, tool path and TIF are in \
+         mm and in the same frame"
+    )]
+    OutOfReach,
+    /// The removal basis would not fit into memory.
+    #[error(
+        "the removal basis of {control_values} control values has {elements} elements, more than \
+         {limit}; bin the map and the TIF, or raise --knot-spacing-mm"
+    )]
+    TooLarge {
+        /// Control values of all passes.
+        control_values: usize,
+        /// Pixels of all basis functions.
+        elements: usize,
+        /// Most elements.
+        limit: usize,
+    },
+    /// The quadratic program of a pass was not solved.
+    #[error(
+        "pass {pass}: the quadratic program ended with {status}; raise --tikhonov or --knot-spacing-mm"
+    )]
+    Solver {
+        /// Pass, in the order of the path.
+        pass: usize,
+        /// What the solver says.
+        status: String,
+    },
+}

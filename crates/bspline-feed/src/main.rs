@@ -1,0 +1,184 @@
+//! `planish-bspline-feed`: desired removal, TIF and tool path become a feed profile and its motion.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Parser, ValueEnum};
+use ndarray::{Array1, Array2};
+use planish_bspline_feed::{
+    Feed, Settings,
+    deconvolution::Refinement,
+    plan,
+    plan::{Method, Piston},
+};
+use planish_handoff::{
+    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+};
+use planish_types::{Surface, Tif, ToolPath, Trajectory};
+use serde_json::json;
+
+/// Find the feed along every pass of a path, as a B-spline, and the motion that runs it
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    /// Desired removal [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Tool path: straight passes that turn outside the clear aperture [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    tool_path: PathBuf,
+    /// Limits of the machine [JSON file]
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// Where the feed comes from
+    #[arg(long, value_enum, default_value = "deconvolution")]
+    method: MethodArg,
+    /// How the acceleration limit is kept
+    #[arg(long, value_enum, default_value = "convex-concave")]
+    refinement: RefinementArg,
+    /// Distance of the knots, mm [default: a quarter of the TIF's width]
+    #[arg(long, value_name = "L")]
+    knot_spacing_mm: Option<f64>,
+    /// Distance of neighbouring passes for the VRR feed, mm [default: measured]
+    #[arg(long, value_name = "P")]
+    pitch_mm: Option<f64>,
+    /// What the uniform part of the desired removal means
+    #[arg(long, value_enum, default_value = "keep")]
+    piston: PistonArg,
+    /// Weight of the distance to the least dwell density, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    tikhonov: f64,
+    /// Weight of the second differences of the control values along a pass, likewise
+    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
+    smoothness: f64,
+    /// End when a sweep over the lines lowers the objective by less than this part
+    #[arg(long, value_name = "R", default_value_t = Settings::default().tolerance)]
+    tolerance: f64,
+    /// Most sweeps over the lines
+    #[arg(long, value_name = "N", default_value_t = Settings::default().max_sweeps)]
+    max_sweeps: usize,
+    /// Largest distance of the motion from the feed profile at equal times, mm
+    #[arg(long, value_name = "E", default_value_t = Settings::default().fit_tolerance_mm)]
+    fit_tolerance_mm: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum MethodArg {
+    /// The feed that leaves the smallest residual
+    Deconvolution,
+    /// The baseline: volumetric removal rate / (desired removal x pitch)
+    Vrr,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum RefinementArg {
+    /// By the convex-concave procedure
+    ConvexConcave,
+    /// By removing knots next to the highest acceleration
+    KnotRemoval,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PistonArg {
+    /// It does not count; found along with the feed, slowly
+    Free,
+    /// It is to be removed as given
+    Keep,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    run(|| feed(&cli))
+}
+
+fn feed(cli: &Cli) -> Result<Status, Failure> {
+    let settings = Settings {
+        method: match cli.method {
+            MethodArg::Deconvolution => Method::Deconvolution,
+            MethodArg::Vrr => Method::Vrr,
+        },
+        refinement: match cli.refinement {
+            RefinementArg::ConvexConcave => Refinement::ConvexConcave,
+            RefinementArg::KnotRemoval => Refinement::KnotRemoval,
+        },
+        knot_spacing_mm: cli.knot_spacing_mm,
+        pitch_mm: cli.pitch_mm,
+        piston: match cli.piston {
+            PistonArg::Free => Piston::Free,
+            PistonArg::Keep => Piston::Keep,
+        },
+        tikhonov: cli.tikhonov,
+        smoothness: cli.smoothness,
+        tolerance: cli.tolerance,
+        max_sweeps: cli.max_sweeps,
+        fit_tolerance_mm: cli.fit_tolerance_mm,
+    };
+    let method = match cli.method {
+        MethodArg::Deconvolution => "bspline",
+        MethodArg::Vrr => "vrr",
+    };
+    let mut stage =
+        Stage::new("planish-bspline-feed", env!("CARGO_PKG_VERSION"), method, &cli.output);
+    stage.settings(settings);
+    let surface: Surface = stage.read("surface", &cli.surface)?;
+    let tif: Tif = stage.read("tif", &cli.tif)?;
+    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
+    let machine = stage.read_machine(&cli.machine)?;
+    let parts = [("feed", &kind::FEED), ("trajectory", Trajectory::KIND)];
+    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
+        return Ok(status);
+    }
+
+    let plan = plan(&surface, &tif, &path, &machine, &settings)?;
+
+    let r = &plan.report;
+    let status = if r.converged {
+        Status::Done
+    } else {
+        Status::Negative(format!(
+            "not converged: after {} sweeps the objective still falls by more than {} of itself; \
+             raise --max-sweeps or --tolerance",
+            r.sweeps, cli.tolerance
+        ))
+    };
+    let outcome = json!({
+        "total_time_s": plan.trajectory.total_time_s(),
+        "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
+        "report": r,
+    });
+    stage.write_files("feed", &kind::FEED, &arrays(&plan.feed), &[], outcome.clone(), &status)?;
+    stage.write("trajectory", &plan.trajectory, outcome, &status)?;
+    let rms =
+        r.model_rms_nm.map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
+    say(format!(
+        "{method}: {} passes, {} control values, {:.3} s{rms}; {:.1} % of the feed and {:.1} % of the \
+         acceleration limit used; {} turn-arounds and {} lifts as links of {:.3} s; {} sweeps -> {}",
+        r.passes,
+        r.control_values,
+        plan.trajectory.total_time_s(),
+        100.0 * r.feed_use,
+        100.0 * r.acceleration_use,
+        r.links.turn_arounds,
+        r.links.lifts,
+        r.links.total_time_s,
+        r.sweeps,
+        cli.output.out.display()
+    ));
+    Ok(status)
+}
+
+/// The arrays of the kind `feed`, in its order.
+fn arrays(feed: &Feed) -> Vec<ArrayData> {
+    let floats = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn());
+    vec![
+        floats(&feed.arc_length_mm),
+        floats(&feed.dwell_density_s_per_mm),
+        ArrayData::F64(Array2::from(feed.point_mm.clone()).into_dyn()),
+        ArrayData::I64(Array1::from(feed.pass_idx.clone()).into_dyn()),
+        ArrayData::U8(Array1::from(vec![0; feed.pass_idx.len()]).into_dyn()),
+    ]
+}

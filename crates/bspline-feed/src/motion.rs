@@ -1,0 +1,237 @@
+//! The splines as one trajectory.
+//!
+//! Every pass is run along its line with `t(s) = integral D ds`, fitted by cubic pieces that begin
+//! and end at its control points and knots ([`planish_numerics::arc_feed`]). From the end of a pass
+//! to the start of the next, with their velocities, leads a link of constant accelerations
+//! ([`planish_numerics::link`]): it takes the place of the turn-around or lift of the path, and needs
+//! the room that braking and running up take. The motion begins and ends at rest with the tool off
+//! by links at the ends of the first and last pass.
+
+use std::ops::Range;
+
+use ndarray::Array2;
+use planish_numerics::{
+    arc_feed,
+    bspline::Knots,
+    link::{AxisLink, link},
+    quadrature::gauss_legendre,
+};
+use planish_types::{Invalid, Limits, Surface, Tif, Trajectory};
+use serde::Serialize;
+
+use crate::{
+    columns::{add_rate, window},
+    passes::{Pass, is_inside},
+};
+
+/// Part of the machine's limits that a link leaves free; the passes leave twice as much, so that
+/// the velocities at their ends are within those of a link.
+const MARGIN: f64 = 0.5e-6;
+
+/// What joins the passes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Links {
+    /// Links with the tool on, in the place of turn-arounds.
+    pub turn_arounds: usize,
+    /// Links with the tool off, in the place of lifts.
+    pub lifts: usize,
+    /// Time of all links, start and stop included, s.
+    pub total_time_s: f64,
+    /// Time of those with the tool on, s.
+    pub tool_on_s: f64,
+    /// Links with the tool on that enter the clear aperture; their removal is taken into account.
+    pub entering_aperture: usize,
+}
+
+/// How closely the motion follows t(s).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FitReport {
+    /// Cubic pieces of all passes.
+    pub pieces: usize,
+    /// Largest distance from the motion of the splines at equal times, mm.
+    pub largest_error_mm: f64,
+}
+
+/// The motion and how it was made.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What joins the passes.
+    pub links: Links,
+    /// How closely it follows t(s).
+    pub fit: FitReport,
+    /// Segments of the trajectory that are links with the tool on.
+    links_on: Vec<Range<usize>>,
+}
+
+/// One trajectory of all passes with the control values `d` on `knots`.
+pub fn motion(
+    passes: &[Pass],
+    knots: &[Knots],
+    d: &[Vec<f64>],
+    surface: &Surface,
+    limits: &Limits,
+    tolerance_mm: f64,
+) -> Result<Motion, Invalid> {
+    let mut draft = Draft::default();
+    let mut links = Links::default();
+    let mut links_on = Vec::new();
+    let mut fit = FitReport { pieces: 0, largest_error_mm: 0.0 };
+    let mut before: Option<[[f64; 2]; 2]> = None;
+    for (m, pass) in passes.iter().enumerate() {
+        let (knots, d) = (&knots[m], &d[m]);
+        let velocity = |s: f64| pass.direction.map(|t| t / knots.value(d, s));
+        let start = [pass.start_mm, velocity(0.0)];
+        let tool_on = m > 0 && passes[m - 1].tool_on_after;
+        let begin = draft.len();
+        links.total_time_s +=
+            draft.link(before.unwrap_or([pass.start_mm, [0.0; 2]]), start, tool_on, limits);
+        if m > 0 && tool_on {
+            links.turn_arounds += 1;
+            links.tool_on_s += draft.duration_s[begin..].iter().sum::<f64>();
+            links.entering_aperture += usize::from(draft.enters(begin, surface));
+            links_on.push(begin..draft.len());
+        } else if m > 0 {
+            links.lifts += 1;
+        }
+        let fitted = draft.pass(pass, knots, d, tolerance_mm);
+        fit.pieces += fitted.pieces;
+        fit.largest_error_mm = fit.largest_error_mm.max(fitted.largest_error_mm);
+        let end_mm = pass.length_mm();
+        before = Some([pass.at(end_mm), velocity(end_mm)]);
+    }
+    if let Some(end) = before {
+        links.total_time_s += draft.link(end, [end[0], [0.0; 2]], false, limits);
+    }
+    Ok(Motion { trajectory: draft.finish()?, links, fit, links_on })
+}
+
+impl Motion {
+    /// What the links remove with the tool on (ny, nx), nm: 3-point Gauss rule in time on parts that are
+    /// at most a pixel of the TIF long.
+    pub fn link_removal_nm(&self, tif: &Tif, surface: &Surface) -> Array2<f64> {
+        let mut map = Array2::zeros(surface.grid().shape());
+        let pixel = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
+        for i in self.links_on.iter().cloned().flatten() {
+            let segment = self.trajectory.segment(i);
+            let h = segment.duration_s;
+            // Of constant acceleration: no faster than at its faster end, and that over its duration.
+            let speed = |u: f64| {
+                let v = segment.coefficient_mm.map(|c| c[1] + 2.0 * c[2] * u);
+                v[0].hypot(v[1])
+            };
+            let parts = (speed(0.0).max(speed(h)) * h / pixel).ceil().max(1.0) as usize;
+            let step = h / parts as f64;
+            for part in 0..parts {
+                for (u, w) in gauss_legendre::<3>() {
+                    let p = segment.position_mm((part as f64 + u) * step);
+                    let mut here = window(p.map(|v| (v, v)), tif, surface);
+                    add_rate(&mut here, p, w * step, tif, surface);
+                    here.add_to(&mut map, 1.0);
+                }
+            }
+        }
+        map
+    }
+}
+
+/// Segments on their way to a trajectory.
+#[derive(Debug, Default)]
+struct Draft {
+    duration_s: Vec<f64>,
+    coefficient_mm: Vec<[[f64; 4]; 2]>,
+    tool_on: Vec<bool>,
+    dwell_index: Vec<i64>,
+}
+
+impl Draft {
+    fn len(&self) -> usize {
+        self.duration_s.len()
+    }
+
+    fn push(&mut self, duration_s: f64, coefficient_mm: [[f64; 4]; 2], tool_on: bool, index: i64) {
+        self.duration_s.push(duration_s);
+        self.coefficient_mm.push(coefficient_mm);
+        self.tool_on.push(tool_on);
+        self.dwell_index.push(index);
+    }
+
+    /// From one [position, velocity] to another; returns how long it takes, s.
+    fn link(
+        &mut self,
+        from: [[f64; 2]; 2],
+        to: [[f64; 2]; 2],
+        tool_on: bool,
+        limits: &Limits,
+    ) -> f64 {
+        let (v, a) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+        let axes = [0, 1].map(|k| AxisLink {
+            from: [from[0][k], from[1][k]],
+            to: [to[0][k], to[1][k]],
+            max_velocity: (1.0 - MARGIN) * v[k],
+            max_acceleration: (1.0 - MARGIN) * a[k],
+        });
+        let pieces = link(&axes);
+        for piece in &pieces {
+            self.push(piece.duration, piece.coefficient, tool_on, -1);
+        }
+        pieces.iter().map(|p| p.duration).sum()
+    }
+
+    fn pass(&mut self, pass: &Pass, knots: &Knots, d: &[f64], tolerance_mm: f64) -> FitReport {
+        let integral = knots.integral(d);
+        let fit = arc_feed::fit(
+            |s| integral.value(s),
+            |s| knots.value(d, s),
+            &breaks(pass, knots),
+            tolerance_mm,
+            // D >= 1/F holds exactly; the margin of the pass is for the pieces.
+            pass.max_feed_mm_per_s * (1.0 + MARGIN),
+            pass.max_acceleration_mm_per_s2,
+        );
+        for piece in &fit.pieces {
+            // x = x0 + t_x s(u), y likewise
+            let [s0, s1, s2, s3] = piece.coefficient;
+            let coefficient = [0, 1].map(|k| {
+                let t = pass.direction[k];
+                [pass.start_mm[k] + t * s0, t * s1, t * s2, t * s3]
+            });
+            let middle = 0.5 * (piece.start + piece.end);
+            let inner = &pass.node_mm[1..pass.node_mm.len() - 1];
+            let segment = pass.first_segment + inner.partition_point(|s| *s <= middle);
+            self.push(piece.duration, coefficient, true, segment as i64);
+        }
+        FitReport { pieces: fit.pieces.len(), largest_error_mm: fit.largest_error }
+    }
+
+    /// Whether the motion from segment `begin` on enters the aperture, seen at 8 places of each.
+    fn enters(&self, begin: usize, surface: &Surface) -> bool {
+        (begin..self.len()).any(|i| {
+            (0..=8).any(|k| {
+                let u = self.duration_s[i] * f64::from(k) / 8.0;
+                let p =
+                    self.coefficient_mm[i].map(|c| planish_numerics::polynomial::evaluate(&c, u));
+                is_inside(surface, p)
+            })
+        })
+    }
+
+    fn finish(self) -> Result<Trajectory, Invalid> {
+        let mut break_time_s = vec![0.0];
+        for h in &self.duration_s {
+            break_time_s.push(break_time_s[break_time_s.len() - 1] + h);
+        }
+        Trajectory::new(break_time_s, self.coefficient_mm, self.tool_on, self.dwell_index)
+    }
+}
+
+/// Control points of the path and knots, ascending.
+fn breaks(pass: &Pass, knots: &Knots) -> Vec<f64> {
+    let mut breaks: Vec<f64> = pass.node_mm.iter().chain(knots.breaks()).copied().collect();
+    breaks.sort_by(f64::total_cmp);
+    // Nearer than a picometre they are the same place; the ends stay.
+    breaks.dedup_by(|b, a| *b - *a < 1e-9);
+    *breaks.last_mut().expect("a pass has two ends") = pass.length_mm();
+    breaks
+}

@@ -1,0 +1,436 @@
+//! From the map to the motion.
+//!
+//! ```text
+//! passes -> knots of every pass -> first guess: the VRR feed
+//!   deconvolution:  sweeps over the lines; links; what the links remove is taken from the desired
+//!                   removal, and the sweeps go on until it changes no more
+//!   vrr:            the spline closest to the VRR feed
+//! -> motion
+//! ```
+//!
+//! The knots of a pass are uniform, by default a quarter of the width of the TIF apart: a
+//! finer spline cannot remove more (a TIF does not see what is narrower than itself).
+
+use ndarray::Array2;
+use planish_numerics::bspline::Knots;
+use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{
+    FeedError,
+    deconvolution::{self, Problem, Refinement},
+    limited,
+    motion::{FitReport, Links, Motion, motion},
+    passes::{Pass, passes},
+    vrr,
+};
+
+/// Where the feed comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The feed that leaves the smallest residual.
+    Deconvolution,
+    /// VRR / (desired removal x pitch).
+    Vrr,
+}
+
+/// What the uniform part of the desired removal means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Piston {
+    /// It does not count; found along with the feed, slowly.
+    Free,
+    /// It is to be removed as given.
+    Keep,
+}
+
+/// How to plan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Where the feed comes from.
+    pub method: Method,
+    /// How the acceleration limit is kept.
+    pub refinement: Refinement,
+    /// Distance of the knots, mm; a quarter of the TIF's width when absent.
+    pub knot_spacing_mm: Option<f64>,
+    /// Distance of neighbouring passes for the VRR feed, mm; measured when absent.
+    pub pitch_mm: Option<f64>,
+    /// What the uniform part of the desired removal means.
+    pub piston: Piston,
+    /// Weight of the distance to the least density, relative to the strongest column; >= 0.
+    pub tikhonov: f64,
+    /// Weight of the second differences of the control values along a pass, likewise; >= 0.
+    pub smoothness: f64,
+    /// The sweeps end when the objective falls by less than this part.
+    pub tolerance: f64,
+    /// Most sweeps.
+    pub max_sweeps: usize,
+    /// Largest distance of the motion from t(s), mm.
+    pub fit_tolerance_mm: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            method: Method::Deconvolution,
+            refinement: Refinement::ConvexConcave,
+            knot_spacing_mm: None,
+            pitch_mm: None,
+            // A free piston converges slowly: it trades time for depth of the valleys.
+            piston: Piston::Keep,
+            tikhonov: 1e-5,
+            smoothness: 1e-4,
+            tolerance: 1e-3,
+            max_sweeps: 200,
+            fit_tolerance_mm: 1e-6,
+        }
+    }
+}
+
+/// The spline of one pass at Greville's abscissae, which determine it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Feed {
+    /// Arc length along the tool path (m), mm; ascending.
+    pub arc_length_mm: Vec<f64>,
+    /// D there (m), s/mm.
+    pub dwell_density_s_per_mm: Vec<f64>,
+    /// Position there [x, y] (m), mm.
+    pub point_mm: Vec<[f64; 2]>,
+    /// Pass (m), counted from 0 in the order of the path.
+    pub pass_idx: Vec<i64>,
+}
+
+/// What was done.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Straight passes.
+    pub passes: usize,
+    /// Control values of all passes.
+    pub control_values: usize,
+    /// Largest distance of neighbouring knots, mm.
+    pub knot_spacing_mm: f64,
+    /// Knots that knot removal left, over all passes; those of the splines otherwise.
+    pub knots_left: usize,
+    /// Passes on which knot removal found nothing, and the convex-concave procedure took over.
+    pub fallbacks: usize,
+    /// Uniform removal beside the desired one, nm.
+    pub piston_nm: f64,
+    /// Gauss-Seidel sweeps of all rounds.
+    pub sweeps: usize,
+    /// Whether the last one lowered the objective by less than the tolerance.
+    pub converged: bool,
+    /// Objective at the start and after every sweep of the last round, nm^2.
+    pub objective_nm2: Vec<f64>,
+    /// RMS (mean removed) of the residual in the removal model of the solver, nm; absent for VRR.
+    pub model_rms_nm: Option<f64>,
+    /// Largest acceleration along a pass over its limit, from the splines.
+    pub acceleration_use: f64,
+    /// Largest feed over its limit, from the splines.
+    pub feed_use: f64,
+    /// What joins the passes.
+    pub links: Links,
+    /// Largest removal by links with the tool on, nm; it is taken into account by the deconvolution.
+    pub link_removal_nm: f64,
+    /// How closely the motion follows the splines.
+    pub fit: FitReport,
+}
+
+/// Feed, motion, and what was done.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The splines.
+    pub feed: Feed,
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What was done.
+    pub report: Report,
+}
+
+/// Rounds of sweeps after which what the links remove has to stand still.
+const MAX_ROUNDS: usize = 5;
+
+/// What the links remove has stood still when it changes by less than this part of the residual.
+const LINK_TOLERANCE: f64 = 1e-3;
+
+/// Plans feed and motion along `path` for the desired removal `surface`.
+pub fn plan(
+    surface: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Plan, FeedError> {
+    check(settings)?;
+    let passes = passes(path, surface, limits)?;
+    let spacing = settings.knot_spacing_mm.unwrap_or_else(|| 0.25 * width_mm(tif));
+    let knots: Vec<Knots> = passes
+        .iter()
+        .map(|p| Knots::uniform(p.length_mm(), (p.length_mm() / spacing).ceil().max(1.0) as usize))
+        .collect();
+    let pitches = match settings.pitch_mm {
+        Some(p) => vec![p; passes.len()],
+        None => vrr::pitches_mm(&passes, tif),
+    };
+    let guess = Guess { surface, tif, pitches: &pitches, piston: settings.piston };
+    let run =
+        |d: &[Vec<f64>]| motion(&passes, &knots, d, surface, limits, settings.fit_tolerance_mm);
+
+    let solved = match settings.method {
+        Method::Vrr => {
+            let (d, piston_nm) = guess.baseline(&passes, &knots)?;
+            let motion = run(&d)?;
+            let link_removal_nm = largest(&motion.link_removal_nm(tif, surface), surface);
+            let state = None;
+            Solved { d, motion, link_removal_nm, piston_nm, sweeps: 0, state }
+        }
+        Method::Deconvolution => {
+            let problem = Problem::new(&passes, knots.clone(), tif, surface)?;
+            let (mut d, mut piston_nm) = guess.start(&passes, &knots);
+            let mut other_nm = Array2::zeros(surface.grid().shape());
+            let mut sweeps = 0;
+            let mut rounds = 0;
+            loop {
+                rounds += 1;
+                let how = deconvolution_settings(settings);
+                let state = problem.solve(surface, &other_nm, d, piston_nm, &how)?;
+                let motion = run(&state.d)?;
+                let now_nm = motion.link_removal_nm(tif, surface);
+                let change = largest(&(&now_nm - &other_nm), surface);
+                sweeps += state.objective.len() - 1;
+                let settled = change <= LINK_TOLERANCE * rms_nm(&state.residual_nm, surface);
+                if settled || rounds == MAX_ROUNDS {
+                    let link_removal_nm = largest(&now_nm, surface);
+                    let (d, piston_nm) = (state.d.clone(), state.piston_nm);
+                    let state = Some(state);
+                    break Solved { d, motion, link_removal_nm, piston_nm, sweeps, state };
+                }
+                (d, piston_nm, other_nm) = (state.d, state.piston_nm, now_nm);
+            }
+        }
+    };
+    let report = report(&passes, &knots, spacing, &solved, surface);
+    let feed = feed(&passes, &knots, &solved.d);
+    Ok(Plan { feed, trajectory: solved.motion.trajectory, report })
+}
+
+/// Control values, the motion that they make, and how they were found.
+struct Solved {
+    d: Vec<Vec<f64>>,
+    motion: Motion,
+    link_removal_nm: f64,
+    piston_nm: f64,
+    sweeps: usize,
+    state: Option<deconvolution::State>,
+}
+
+fn check(settings: &Settings) -> Result<(), Invalid> {
+    let positive = [
+        ("knot_spacing_mm", settings.knot_spacing_mm),
+        ("pitch_mm", settings.pitch_mm),
+        ("fit_tolerance_mm", Some(settings.fit_tolerance_mm)),
+    ];
+    for (name, value) in positive {
+        if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+            return Err(Invalid::whole(name, format!("is {v}"), "give a length in mm above 0"));
+        }
+    }
+    let weights = [
+        ("tikhonov", settings.tikhonov),
+        ("smoothness", settings.smoothness),
+        ("tolerance", settings.tolerance),
+    ];
+    for (name, v) in weights {
+        if !(v.is_finite() && v >= 0.0) {
+            return Err(Invalid::whole(name, format!("is {v}"), "give a finite number >= 0"));
+        }
+    }
+    if settings.max_sweeps == 0 {
+        return Err(Invalid::whole("max_sweeps", "is 0", "give at least 1"));
+    }
+    Ok(())
+}
+
+fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
+    deconvolution::Settings {
+        refinement: settings.refinement,
+        free_piston: settings.piston == Piston::Free,
+        tikhonov: settings.tikhonov,
+        smoothness: settings.smoothness,
+        tolerance: settings.tolerance,
+        max_sweeps: settings.max_sweeps,
+    }
+}
+
+/// FWHM of the Gaussian with the second moment of the TIF: `sqrt(8 ln 2) sigma`,
+/// `sigma^2 = integral R r^2 / (2 integral R)`, about its centre of mass.
+fn width_mm(tif: &Tif) -> f64 {
+    let grid = tif.grid();
+    let moment = |f: &dyn Fn(f64, f64) -> f64| {
+        let sum = tif.rate_nm_per_s().indexed_iter();
+        sum.map(|((r, c), v)| v.max(0.0) * f(grid.x.at(c), grid.y.at(r))).sum::<f64>()
+    };
+    let mass = moment(&|_, _| 1.0);
+    let (cx, cy) = (moment(&|x, _| x) / mass, moment(&|_, y| y) / mass);
+    let r2 = moment(&|x, y| (x - cx).powi(2) + (y - cy).powi(2)) / mass;
+    (8.0 * std::f64::consts::LN_2).sqrt() * (0.5 * r2).sqrt()
+}
+
+/// What the VRR feed needs.
+struct Guess<'a> {
+    surface: &'a Surface,
+    tif: &'a Tif,
+    pitches: &'a [f64],
+    piston: Piston,
+}
+
+impl Guess<'_> {
+    /// The VRR feed of the map as the TIF sees it, as control values, and the piston with which the
+    /// lowest place gets the largest feed.
+    fn start(&self, passes: &[Pass], knots: &[Knots]) -> (Vec<Vec<f64>>, f64) {
+        let vrr = self.tif.vrr_nm_mm2_per_s();
+        let seen: Vec<Vec<Option<f64>>> = (passes.iter().zip(knots))
+            .map(|(p, k)| k.greville().iter().map(|s| self.average_nm(p.at(*s))).collect())
+            .collect();
+        let lowest = seen.iter().flatten().flatten().copied().fold(f64::INFINITY, f64::min);
+        let piston_nm = match self.piston {
+            Piston::Free if lowest.is_finite() => self.floor_nm(passes) - lowest,
+            _ => 0.0,
+        };
+        let d = (0..passes.len()).map(|m| {
+            let least = 1.0 / passes[m].max_feed_mm_per_s;
+            let density = |z: &Option<f64>| {
+                let z = z.map_or(0.0, |z| z + piston_nm);
+                vrr::density_s_per_mm(z, self.pitches[m], vrr, least)
+            };
+            seen[m].iter().map(density).collect()
+        });
+        (d.collect(), piston_nm)
+    }
+
+    /// The splines closest to the VRR feed within the limits, and the piston with which the lowest pixel
+    /// gets the largest feed.
+    fn baseline(
+        &self,
+        passes: &[Pass],
+        knots: &[Knots],
+    ) -> Result<(Vec<Vec<f64>>, f64), FeedError> {
+        let vrr = self.tif.vrr_nm_mm2_per_s();
+        let piston_nm = match self.piston {
+            Piston::Free => self.floor_nm(passes) - self.surface.statistics().min,
+            Piston::Keep => 0.0,
+        };
+        let mut all = Vec::with_capacity(passes.len());
+        for (m, (pass, knots)) in passes.iter().zip(knots).enumerate() {
+            let limits = deconvolution::limits(pass);
+            let least = limits.min_density_s_per_mm;
+            let wanted = |s: f64| {
+                let z = vrr::nearest_nm(self.surface, pass.at(s)) + piston_nm;
+                vrr::density_s_per_mm(z, self.pitches[m], vrr, least)
+            };
+            let objective = vrr::closest(knots, wanted);
+            let mut d: Vec<f64> = knots.greville().iter().map(|s| wanted(*s)).collect();
+            let mut rows = Vec::new();
+            // The procedure settles within a few steps.
+            for _ in 0..VRR_STEPS {
+                d = limited::convex_concave_step(&objective, knots, limits, &d, &mut rows)
+                    .map_err(|status| FeedError::Solver { pass: m, status })?;
+            }
+            all.push(d);
+        }
+        Ok((all, piston_nm))
+    }
+
+    /// What the largest feed of the first pass removes, nm.
+    fn floor_nm(&self, passes: &[Pass]) -> f64 {
+        self.tif.vrr_nm_mm2_per_s() / (passes[0].max_feed_mm_per_s * self.pitches[0])
+    }
+
+    /// The desired removal as the tool at `p` sees it: `sum R z / sum R` over the valid pixels;
+    /// `None` where it sees less than a tenth of its volume.
+    fn average_nm(&self, p: [f64; 2]) -> Option<f64> {
+        let mut rate = crate::columns::window(p.map(|v| (v, v)), self.tif, self.surface);
+        crate::columns::add_rate(&mut rate, p, 1.0, self.tif, self.surface);
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for ((r, c), w) in rate.removal.indexed_iter() {
+            let z = self.surface.height_nm()[[rate.origin.0 + r, rate.origin.1 + c]];
+            if !z.is_nan() {
+                sum += w * z;
+                weight += w;
+            }
+        }
+        let volume = weight * self.surface.grid().pixel_mm2();
+        (volume > 0.1 * self.tif.vrr_nm_mm2_per_s()).then(|| sum / weight)
+    }
+}
+
+/// Steps of the convex-concave procedure for the baseline; it changes by less than 1e-3 after five.
+const VRR_STEPS: usize = 6;
+
+/// Largest magnitude on the valid pixels.
+fn largest(map: &Array2<f64>, surface: &Surface) -> f64 {
+    let valid = map.iter().zip(surface.height_nm()).filter(|(_, z)| !z.is_nan());
+    valid.map(|(v, _)| v.abs()).fold(0.0, f64::max)
+}
+
+/// RMS (mean removed) over the valid pixels.
+fn rms_nm(residual_nm: &Array2<f64>, surface: &Surface) -> f64 {
+    let masked = ndarray::Zip::from(residual_nm)
+        .and(surface.height_nm())
+        .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r });
+    planish_numerics::statistics::statistics(masked.view()).map_or(0.0, |s| s.rms)
+}
+
+fn report(
+    passes: &[Pass],
+    knots: &[Knots],
+    spacing: f64,
+    solved: &Solved,
+    surface: &Surface,
+) -> Report {
+    let (mut acceleration_use, mut feed_use) = (0.0_f64, 0.0_f64);
+    for ((pass, knots), d) in passes.iter().zip(knots).zip(&solved.d) {
+        let peak = limited::highest_peak(knots, d).acceleration_mm_per_s2;
+        acceleration_use = acceleration_use.max(peak / pass.max_acceleration_mm_per_s2);
+        // D is no smaller than its smallest control value.
+        let least = d.iter().copied().fold(f64::INFINITY, f64::min);
+        feed_use = feed_use.max(1.0 / (least * pass.max_feed_mm_per_s));
+    }
+    let inner = |k: &Knots| k.breaks().len() - 2;
+    let left = solved.state.as_ref().map_or(knots, |s| &s.kept);
+    Report {
+        passes: passes.len(),
+        control_values: knots.iter().map(Knots::len).sum(),
+        knot_spacing_mm: spacing,
+        knots_left: left.iter().map(inner).sum(),
+        fallbacks: solved.state.as_ref().map_or(0, |s| s.fallbacks),
+        piston_nm: solved.piston_nm,
+        sweeps: solved.sweeps,
+        converged: solved.state.as_ref().is_none_or(|s| s.converged),
+        objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
+        model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),
+        acceleration_use,
+        feed_use,
+        links: solved.motion.links,
+        link_removal_nm: solved.link_removal_nm,
+        fit: solved.motion.fit,
+    }
+}
+
+fn feed(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Feed {
+    let mut feed = Feed {
+        arc_length_mm: Vec::new(),
+        dwell_density_s_per_mm: Vec::new(),
+        point_mm: Vec::new(),
+        pass_idx: Vec::new(),
+    };
+    for (m, pass) in passes.iter().enumerate() {
+        for s in knots[m].greville() {
+            feed.arc_length_mm.push(pass.arc_start_mm + s);
+            feed.dwell_density_s_per_mm.push(knots[m].value(&d[m], s));
+            feed.point_mm.push(pass.at(s));
+            feed.pass_idx.push(m as i64);
+        }
+    }
+    feed
+}

@@ -1,0 +1,212 @@
+//! The baseline: the feed from the volumetric removal rate alone.
+//!
+//! ```text
+//! F(s) = VRR / (z(P(s)) p),   D(s) = z p / VRR >= 1/F_max                                   (1)
+//! ```
+//!
+//! with the desired removal z at the place of the tool and the distance p of neighbouring passes. It is
+//! right where z varies slowly against the TIF; elsewhere the TIF blurs it. (1) is a feed that no
+//! machine follows; what is scheduled is the spline closest to it within the limits,
+//!
+//! ```text
+//! min integral (sum_i d_i B_i - D)^2 ds                                                      (2)
+//! ```
+//!
+//! Beyond the map z is that of the nearest valid pixel.
+//!
+//! Source: the B-spline deconvolution of feed profiles, Eq. 1, which it is compared with.
+
+use ndarray::Array2;
+use planish_numerics::{bspline::Knots, quadrature::gauss_legendre};
+use planish_types::{Axis, Surface, Tif};
+
+use crate::{limited::Quadratic, passes::Pass};
+
+/// Directions that differ by less than this are parallel, rad.
+const PARALLEL: f64 = 1e-3;
+
+/// Distance p of every pass to its nearest parallel neighbour beside it, mm; for a pass without one
+/// the width of a groove of the TIF with its depth and volume.
+pub fn pitches_mm(passes: &[Pass], tif: &Tif) -> Vec<f64> {
+    passes.iter().map(|p| pitch_mm(p, passes).unwrap_or_else(|| groove_width_mm(p, tif))).collect()
+}
+
+fn pitch_mm(pass: &Pass, passes: &[Pass]) -> Option<f64> {
+    let [tx, ty] = pass.direction;
+    let beside = passes.iter().filter_map(|other| {
+        let cross = tx * other.direction[1] - ty * other.direction[0];
+        if cross.abs() > PARALLEL {
+            return None;
+        }
+        let local = |p: [f64; 2]| {
+            let (dx, dy) = (p[0] - pass.start_mm[0], p[1] - pass.start_mm[1]);
+            (dx * tx + dy * ty, dy * tx - dx * ty)
+        };
+        let (a, across) = local(other.start_mm);
+        let (b, _) = local(other.at(other.length_mm()));
+        let overlap = a.min(b) < pass.length_mm() && a.max(b) > 0.0;
+        // Nearer than this it is the same line.
+        (overlap && across.abs() > 1e-6).then_some(across.abs())
+    });
+    beside.reduce(f64::min)
+}
+
+/// VRR over the largest line integral of the TIF along the pass.
+fn groove_width_mm(pass: &Pass, tif: &Tif) -> f64 {
+    let [tx, ty] = pass.direction;
+    let [hx, hy] = tif.half_size_mm();
+    let reach = hx.hypot(hy);
+    let step = 0.5 * tif.grid().x.step_mm().min(tif.grid().y.step_mm());
+    let n = (reach / step).ceil() as i64;
+    let at = |k: i64| k as f64 * step;
+    let line = |w: f64| {
+        (-n..=n).map(|k| tif.rate_at(at(k) * tx - w * ty, at(k) * ty + w * tx)).sum::<f64>() * step
+    };
+    let depth = (-n..=n).map(|k| line(at(k))).fold(0.0, f64::max);
+    tif.vrr_nm_mm2_per_s() / depth
+}
+
+/// (1) at `z_nm`.
+pub fn density_s_per_mm(z_nm: f64, pitch_mm: f64, vrr_nm_mm2_per_s: f64, least: f64) -> f64 {
+    (z_nm * pitch_mm / vrr_nm_mm2_per_s).max(least)
+}
+
+/// (2): half of the mean square distance to `wanted(s)`, as a quadratic of the control values.
+pub fn closest(knots: &Knots, wanted: impl Fn(f64) -> f64) -> Quadratic {
+    let n = knots.len();
+    let (mut p, mut q) = (Array2::zeros((n, n)), vec![0.0; n]);
+    for span in knots.breaks().windows(2) {
+        let h = span[1] - span[0];
+        for (u, w) in gauss_legendre::<5>() {
+            let s = span[0] + u * h;
+            let (first, b) = knots.basis(s);
+            let d = wanted(s);
+            for i in 0..4 {
+                q[first + i] += w * h * b[i] * d;
+                for j in 0..4 {
+                    p[[first + i, first + j]] += w * h * b[i] * b[j];
+                }
+            }
+        }
+    }
+    Quadratic { p, q }
+}
+
+/// Height of the valid pixel nearest to `p`, nm.
+pub fn nearest_nm(surface: &Surface, p: [f64; 2]) -> f64 {
+    let (map, grid) = (surface.height_nm(), surface.grid());
+    let index = |v: f64, axis: &Axis| {
+        let i = ((v - axis.start_mm()) / axis.step_mm()).round();
+        i.clamp(0.0, (axis.len() - 1) as f64) as usize
+    };
+    let (c, r) = (index(p[0], &grid.x), index(p[1], &grid.y));
+    if !map[[r, c]].is_nan() {
+        return map[[r, c]];
+    }
+    let distance2 =
+        |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
+    // Squares of growing size, until no farther one can hold a nearer pixel.
+    let (ny, nx) = map.dim();
+    let least_step = grid.x.step_mm().min(grid.y.step_mm());
+    let mut best: Option<(f64, f64)> = None;
+    for ring in 1..ny.max(nx) {
+        let nearest_possible = (ring as f64 - 1.0) * least_step;
+        if best.is_some_and(|(d2, _)| nearest_possible * nearest_possible > d2) {
+            break;
+        }
+        let rows = r.saturating_sub(ring)..=(r + ring).min(ny - 1);
+        for i in rows {
+            let edge = i + ring == r || i == r + ring;
+            let columns = c.saturating_sub(ring)..=(c + ring).min(nx - 1);
+            for j in columns.filter(|j| edge || j + ring == c || *j == c + ring) {
+                let d2 = distance2(i, j);
+                if !map[[i, j]].is_nan() && best.is_none_or(|(b, _)| d2 < b) {
+                    best = Some((d2, map[[i, j]]));
+                }
+            }
+        }
+    }
+    best.expect("a surface has a valid pixel").1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Grid;
+
+    fn pass(y: f64, forward: bool) -> Pass {
+        Pass {
+            first_segment: 0,
+            arc_start_mm: 0.0,
+            start_mm: [if forward { 0.0 } else { 10.0 }, y],
+            direction: [if forward { 1.0 } else { -1.0 }, 0.0],
+            node_mm: vec![0.0, 10.0],
+            tool_on_after: false,
+            max_feed_mm_per_s: 1.0,
+            max_acceleration_mm_per_s2: 1.0,
+        }
+    }
+
+    fn tif() -> Tif {
+        let axis = Axis::new(-3.0, 0.1, 61).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            (-(axis.at(c).powi(2) + axis.at(r).powi(2)) / (2.0 * 0.5 * 0.5)).exp()
+        });
+        Tif::new(grid, rate).unwrap()
+    }
+
+    #[test]
+    fn the_pitch_is_the_distance_to_the_nearest_neighbour() {
+        let passes = [pass(0.0, true), pass(0.7, false), pass(2.0, true)];
+        let p = pitches_mm(&passes, &tif());
+        for (p, expected) in p.iter().zip([0.7, 0.7, 1.3]) {
+            assert!((p - expected).abs() < 1e-12);
+        }
+        // A Gaussian groove: 2 pi s^2 / (s sqrt(2 pi)) = s sqrt(2 pi).
+        let alone = pitches_mm(&passes[..1], &tif())[0];
+        assert!(
+            (alone / (0.5 * (2.0 * std::f64::consts::PI).sqrt()) - 1.0).abs() < 1e-6,
+            "{alone}"
+        );
+    }
+
+    #[test]
+    fn the_closest_spline_to_a_cubic_is_the_cubic() {
+        let knots = Knots::uniform(10.0, 7);
+        let cubic = |s: f64| 1.0 + 0.1 * s - 0.02 * s * s + 0.003 * s * s * s;
+        let quadratic = closest(&knots, cubic);
+        let greville = knots.greville();
+        // The gradient vanishes at its control values, found by interpolation at Greville's abscissae.
+        let n = knots.len();
+        let mut d = vec![0.0; n];
+        for _ in 0..200 {
+            for i in 0..n {
+                d[i] += cubic(greville[i]) - knots.value(&d, greville[i]);
+            }
+        }
+        for i in 0..n {
+            let slope: f64 =
+                (0..n).map(|j| quadratic.p[[i, j]] * d[j]).sum::<f64>() - quadratic.q[i];
+            assert!(slope.abs() < 1e-10, "{slope}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_valid_pixel_is_that_of_a_full_search() {
+        let grid =
+            Grid { x: Axis::new(0.0, 0.5, 13).unwrap(), y: Axis::new(0.0, 0.3, 11).unwrap() };
+        let map = Array2::from_shape_fn((11, 13), |(r, c)| {
+            if (r * 7 + c * 5) % 11 < 2 && r > 3 { (100 * r + c) as f64 } else { f64::NAN }
+        });
+        let surface = Surface::new(grid, map.clone()).unwrap();
+        for p in [[0.0, 0.0], [3.1, 1.4], [9.0, 9.0], [-2.0, 1.7], [2.2, 0.4]] {
+            let d2 =
+                |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
+            let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
+            let least = valid.map(|((r, c), _)| d2(r, c)).fold(f64::INFINITY, f64::min);
+            let found = nearest_nm(&surface, p) as usize;
+            assert!((d2(found / 100, found % 100) - least).abs() < 1e-12, "{p:?}");
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! What is known beforehand: constant removal, planted splines, gradients, convergence.
+
+use ndarray::Array2;
+use planish_bspline_feed::{
+    FeedError, Plan, Settings,
+    columns::columns,
+    deconvolution::Refinement,
+    passes::passes,
+    plan,
+    plan::{Method, Piston},
+};
+use planish_numerics::bspline::Knots;
+use planish_types::{Axis, AxisLimits, Grid, Limits, Surface, Tif, ToolPath};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn machine(velocity: f64, acceleration: f64) -> Limits {
+    let axis = |name: &str| AxisLimits {
+        name: name.into(),
+        max_velocity_mm_per_s: velocity,
+        max_acceleration_mm_per_s2: acceleration,
+        max_jerk_mm_per_s3: None,
+    };
+    Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+}
+
+fn axis(start: f64, step: f64, n: usize) -> Axis {
+    Axis::new(start, step, n).unwrap()
+}
+
+const SIGMA_MM: f64 = 0.5;
+
+/// Gaussian of 10 nm/s out to 5 sigma, so that the step at its border (4e-6) does not matter.
+fn tif() -> Tif {
+    let a = axis(-2.5, 0.125, 41);
+    let rate = Array2::from_shape_fn((41, 41), |(r, c)| {
+        10.0 * (-(a.at(c).powi(2) + a.at(r).powi(2)) / (2.0 * SIGMA_MM * SIGMA_MM)).exp()
+    });
+    Tif::new(Grid { x: a, y: a }, rate).unwrap()
+}
+
+/// 8 x 2 mm in pixels of 0.125 mm.
+fn map(z: impl Fn(f64, f64) -> f64) -> Surface {
+    let grid = Grid { x: axis(0.0, 0.125, 65), y: axis(0.0, 0.125, 17) };
+    let height = Array2::from_shape_fn(grid.shape(), |(r, c)| z(grid.x.at(c), grid.y.at(r)));
+    Surface::new(grid, height).unwrap()
+}
+
+/// Lines back and forth at this pitch, with an overscan on every side, joined by square turns.
+fn raster(pitch: f64, overscan: f64) -> ToolPath {
+    let lines = ((2.0 + 2.0 * overscan) / pitch).round() as usize + 1;
+    let (mut points, mut idx) = (Vec::new(), Vec::new());
+    for k in 0..lines {
+        let y = -overscan + k as f64 * pitch;
+        let mut ends = [-overscan, 8.0 + overscan];
+        if k % 2 == 1 {
+            ends.reverse();
+        }
+        if k > 0 {
+            idx.push(k as i64 - 1);
+        }
+        points.extend([[ends[0], y], [4.0, y], [ends[1], y]]);
+        idx.extend([k as i64; 2]);
+    }
+    let n = idx.len();
+    ToolPath::through(points, vec![true; n], idx).unwrap()
+}
+
+/// No regularisation, nothing free: the problem as it is.
+fn exact() -> Settings {
+    Settings {
+        piston: Piston::Keep,
+        tikhonov: 0.0,
+        smoothness: 0.0,
+        knot_spacing_mm: Some(1.0),
+        tolerance: 1e-6,
+        max_sweeps: 30,
+        ..Settings::default()
+    }
+}
+
+#[test]
+fn constant_removal_is_a_constant_feed() {
+    // F = VRR / (z p): 15.7 nm mm^2/s over 40 nm x 0.5 mm. Overscan of 5 sigma; pitch = sigma, at
+    // which the ripple is below 1e-8.
+    let vrr = 2.0 * std::f64::consts::PI * 10.0 * SIGMA_MM * SIGMA_MM;
+    let density = 40.0 * 0.5 / vrr;
+    let run = |settings: Settings| {
+        plan(&map(|_, _| 40.0), &tif(), &raster(0.5, 2.5), &machine(50.0, 500.0), &settings)
+            .unwrap()
+    };
+    let baseline = run(Settings { method: Method::Vrr, ..exact() });
+    for d in &baseline.feed.dwell_density_s_per_mm {
+        // The TIF is cut at 5 sigma (4e-6 of its volume), and the interior point method's 1e-8.
+        assert!((d / density - 1.0).abs() < 1e-5, "{d} {density}");
+    }
+    let solved = run(exact());
+    let r = &solved.report;
+    // What 30 sweeps leave near the edge.
+    assert!(r.model_rms_nm.unwrap() < 2e-3 * 40.0, "{:?}", r.model_rms_nm);
+    let inside = |p: &[f64; 2]| p[0] > 1.0 && p[0] < 7.0 && p[1] > 0.5 && p[1] < 1.5;
+    for (p, d) in solved.feed.point_mm.iter().zip(&solved.feed.dwell_density_s_per_mm) {
+        // Where a residual of 1e-3 leaves the single values free, the lines differ a little.
+        assert!(!inside(p) || (d / density - 1.0).abs() < 0.02, "{p:?} {d} {density}");
+    }
+}
+
+#[test]
+fn a_planted_spline_comes_back() {
+    // One line: nothing is shared with neighbours, and knots of two sigma are well determined.
+    let path = ToolPath::through(vec![[-0.5, 1.0], [8.5, 1.0]], vec![true], vec![0]).unwrap();
+    let limits = machine(50.0, 500.0);
+    let pass = &passes(&path, &map(|_, _| 0.0), &limits).unwrap()[0];
+    let knots = Knots::uniform(9.0, 9);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let planted: Vec<f64> = (0..knots.len()).map(|_| rng.random_range(0.5..2.0)).collect();
+    let mut z = Array2::zeros((17, 65));
+    for (column, d) in columns(pass, &knots, &tif(), &map(|_, _| 0.0)).iter().zip(&planted) {
+        column.add_to(&mut z, *d);
+    }
+    let surface = Surface::new(*map(|_, _| 0.0).grid(), z).unwrap();
+    let solved = plan(&surface, &tif(), &path, &limits, &exact()).unwrap();
+    assert!(solved.report.acceleration_use < 0.9, "the limits are not in the way");
+    // Removal of 25 nm: the tolerance of the interior point method.
+    assert!(solved.report.model_rms_nm.unwrap() < 1e-4, "{:?}", solved.report);
+    for (s, d) in knots.greville().iter().zip(&solved.feed.dwell_density_s_per_mm) {
+        // The same, times the condition of the basis (1e2).
+        assert!((d - knots.value(&planted, *s)).abs() < 1e-4, "{s}: {d}");
+    }
+}
+
+/// Ridges along y, so that every line needs a changing feed.
+fn ridges() -> Surface {
+    map(|x, y| 40.0 + 30.0 * (1.9 * x).sin() + 3.0 * (1.1 * y).cos())
+}
+
+fn ridges_with(refinement: Refinement, acceleration: f64) -> Plan {
+    let settings = Settings { refinement, tolerance: 1e-2, max_sweeps: 40, ..Settings::default() };
+    let (tif, path) = (tif(), raster(0.5, 2.5));
+    plan(&ridges(), &tif, &path, &machine(5.0, acceleration), &settings).unwrap()
+}
+
+#[test]
+fn the_objective_never_rises_and_its_gradient_vanishes_where_no_limit_is_met() {
+    let free = ridges_with(Refinement::ConvexConcave, 1e6);
+    let o = &free.report.objective_nm2;
+    assert!(o.len() > 3);
+    for w in o[1..].windows(2) {
+        assert!(w[1] <= w[0] * (1.0 + 1e-9), "{o:?}");
+    }
+    // By differences: changing a control value either way does not lower what a planted
+    // optimum has. The optimum is that of one line, solved to the end.
+    let path = ToolPath::through(vec![[-0.5, 1.0], [8.5, 1.0]], vec![true], vec![0]).unwrap();
+    let limits = machine(20.0, 1e9);
+    let surface = ridges();
+    let settings = Settings { tikhonov: 0.0, smoothness: 0.0, ..exact() };
+    let solved = plan(&surface, &tif(), &path, &limits, &settings).unwrap();
+    let pass = &passes(&path, &surface, &limits).unwrap()[0];
+    let knots = Knots::uniform(9.0, 9);
+    let columns = columns(pass, &knots, &tif(), &surface);
+    let residual = |d: &[f64]| {
+        let mut r = surface.height_nm().clone();
+        columns.iter().zip(d).for_each(|(c, d)| c.add_to(&mut r, -d));
+        0.5 * r.iter().map(|r| r * r).sum::<f64>()
+    };
+    let d = control_values(&knots, &solved.feed.dwell_density_s_per_mm);
+    let best = residual(&d);
+    for i in 0..d.len() {
+        let step = |h: f64| {
+            let mut moved = d.clone();
+            moved[i] += h;
+            residual(&moved)
+        };
+        // Quadratic: the central difference is exact but for rounding; the curvature is G'G.
+        let gradient = (step(1e-2) - step(-1e-2)) / 2e-2;
+        let curvature = columns[i].dot_column(&columns[i]);
+        assert!(gradient / curvature > -1e-4, "{i}: {gradient} {curvature}");
+        assert!(step(0.05) > best);
+        // At the bound, 1/F = 0.05 s/mm, the gradient may push against it.
+        if d[i] > 0.051 {
+            assert!(gradient / curvature < 1e-4, "{i}: {gradient} {curvature}");
+            assert!(step(-0.05) > best);
+        }
+    }
+}
+
+/// The control values of the spline with these values at Greville's abscissae.
+fn control_values(knots: &Knots, values: &[f64]) -> Vec<f64> {
+    let mut d = values.to_vec();
+    for _ in 0..500 {
+        for (i, s) in knots.greville().iter().enumerate() {
+            d[i] += values[i] - knots.value(&d, *s);
+        }
+    }
+    d
+}
+
+#[test]
+fn the_acceleration_is_kept_and_the_procedure_leaves_less_than_knot_removal() {
+    let free = ridges_with(Refinement::ConvexConcave, 1e6);
+    let procedure = ridges_with(Refinement::ConvexConcave, 2.0);
+    let removal = ridges_with(Refinement::KnotRemoval, 2.0);
+    let rms = |p: &Plan| p.report.model_rms_nm.unwrap();
+    assert!(procedure.report.acceleration_use > 0.99, "the limit matters");
+    for p in [&procedure, &removal] {
+        assert!(p.report.acceleration_use <= 1.0 && p.report.feed_use <= 1.0, "{:?}", p.report);
+    }
+    assert!(removal.report.knots_left < procedure.report.knots_left);
+    assert!(rms(&free) <= rms(&procedure), "{} {}", rms(&free), rms(&procedure));
+    assert!(rms(&procedure) <= rms(&removal), "{} {}", rms(&procedure), rms(&removal));
+}
+
+#[test]
+fn deconvolution_leaves_less_than_the_vrr_feed() {
+    let (tif, path, limits) = (tif(), raster(0.5, 2.5), machine(5.0, 50.0));
+    let settings = Settings { tolerance: 1e-2, ..Settings::default() };
+    let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
+    // The blur of a Gaussian of 0.5 mm leaves 1 - exp(-(1.9 x 0.5)^2 / 2) = 0.36 of 30 nm.
+    assert!(solved.report.model_rms_nm.unwrap() < 0.1 * 0.36 * 30.0 / 2.0_f64.sqrt());
+}
+
+#[test]
+fn turns_with_the_tool_on_near_the_edge_are_taken_into_account() {
+    let (tif, path, limits) = (tif(), raster(0.5, 0.5), machine(5.0, 5.0));
+    let settings = Settings { tolerance: 1e-2, max_sweeps: 40, ..Settings::default() };
+    let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
+    let r = &solved.report;
+    assert!(r.link_removal_nm > 0.1 && r.links.turn_arounds == 6, "{r:?}");
+    assert_eq!(r.links.entering_aperture, 0);
+}
+
+#[test]
+fn the_result_does_not_depend_on_the_number_of_threads() {
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| ridges_with(Refinement::ConvexConcave, 2.0))
+    };
+    let (one, two) = (on(1), on(2));
+    assert_eq!(one.feed, two.feed);
+    assert_eq!(one.trajectory, two.trajectory);
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let limits = machine(5.0, 50.0);
+    let far = ToolPath::through(vec![[90.0, 0.0], [99.0, 0.0]], vec![true], vec![0]).unwrap();
+    let error = plan(&ridges(), &tif(), &far, &limits, &Settings::default()).unwrap_err();
+    assert_eq!(error, FeedError::OutOfReach);
+    for (settings, name) in [
+        (Settings { knot_spacing_mm: Some(0.0), ..exact() }, "knot_spacing_mm: is 0"),
+        (Settings { fit_tolerance_mm: f64::NAN, ..exact() }, "fit_tolerance_mm: is NaN"),
+        (Settings { tikhonov: -1.0, ..exact() }, "tikhonov: is -1"),
+        (Settings { max_sweeps: 0, ..exact() }, "max_sweeps: is 0"),
+    ] {
+        let error = plan(&ridges(), &tif(), &raster(0.5, 2.5), &limits, &settings).unwrap_err();
+        assert!(error.to_string().starts_with(name), "{error}");
+    }
+}

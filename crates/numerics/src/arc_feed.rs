@@ -1,0 +1,175 @@
+//! A motion along an arc whose time is a function of the arc length, as cubic pieces in time.
+//!
+//! ```text
+//! t(s) = integral of D ds,  D = dt/ds > 0;   v = 1/D,  a = -D'/D^3
+//! s(u) = s0 + v0 u + (3 ds/h - 2 v0 - v1)/h u^2 + (v0 + v1 - 2 ds/h)/h^2 u^3,  u = t - t(s0)   (1)
+//! ```
+//!
+//! A piece from `s0` to `s1` is the cubic Hermite polynomial (1) with the exact positions, times and
+//! velocities at its ends (`ds = s1 - s0`, `h = t(s1) - t(s0)`). It is halved until it is within
+//! the tolerance of the inverse of t(s), and its velocity and acceleration within the limits. The inverse itself is
+//! not needed: at the time t(s) the true position is s. The error falls with the fourth power of h.
+//!
+//! Source: C. de Boor, *A Practical Guide to Splines*, chapter IV.
+
+use crate::polynomial::{derivative, evaluate, range};
+
+/// One piece of the motion along the arc.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece {
+    /// Arc length at its start.
+    pub start: f64,
+    /// Arc length at its end.
+    pub end: f64,
+    /// Duration; > 0.
+    pub duration: f64,
+    /// Arc length as ascending powers of the time since its start.
+    pub coefficient: [f64; 4],
+}
+
+/// The pieces, and how far they are from the motion that they stand for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// Pieces in order.
+    pub pieces: Vec<Piece>,
+    /// Largest distance from the motion at equal times, at 15 places in every piece.
+    pub largest_error: f64,
+}
+
+/// Places inside a piece where it is compared with the motion.
+const PLACES: u32 = 15;
+
+/// Most halvings of an interval: the error falls by 16 with each, 3e14 in all, so rounding comes first.
+const MAX_HALVINGS: u32 = 12;
+
+/// Fits the motion with the time `time(s)` and its derivative `density(s)` on the intervals
+/// between consecutive `breaks` (ascending, strictly), to `tolerance` in arc length and within
+/// `max_velocity` and `max_acceleration` along the arc (infinite when they do not matter), which the
+/// motion itself should leave some room.
+pub fn fit(
+    time: impl Fn(f64) -> f64,
+    density: impl Fn(f64) -> f64,
+    breaks: &[f64],
+    tolerance: f64,
+    max_velocity: f64,
+    max_acceleration: f64,
+) -> Fit {
+    let mut fit = Fit { pieces: Vec::new(), largest_error: 0.0 };
+    for w in breaks.windows(2) {
+        let mut open = vec![(w[0], w[1], 0)];
+        while let Some((start, end, halvings)) = open.pop() {
+            let piece = hermite(&time, &density, start, end);
+            let error = largest_error(&time, &piece);
+            let good = error <= tolerance
+                && range(&derivative(&piece.coefficient), piece.duration).max <= max_velocity
+                && end_acceleration(&piece) <= max_acceleration;
+            if good || halvings == MAX_HALVINGS {
+                fit.largest_error = fit.largest_error.max(error);
+                fit.pieces.push(piece);
+            } else {
+                let middle = 0.5 * (start + end);
+                open.push((middle, end, halvings + 1));
+                open.push((start, middle, halvings + 1));
+            }
+        }
+    }
+    fit
+}
+
+/// (1).
+fn hermite(time: impl Fn(f64) -> f64, density: impl Fn(f64) -> f64, start: f64, end: f64) -> Piece {
+    let (ds, h) = (end - start, time(end) - time(start));
+    let (v0, v1) = (1.0 / density(start), 1.0 / density(end));
+    let coefficient =
+        [start, v0, (3.0 * ds / h - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * ds / h) / (h * h)];
+    Piece { start, end, duration: h, coefficient }
+}
+
+fn largest_error(time: impl Fn(f64) -> f64, piece: &Piece) -> f64 {
+    let begin = time(piece.start);
+    let error = |k: u32| {
+        let s = piece.start + (piece.end - piece.start) * f64::from(k) / f64::from(PLACES + 1);
+        (evaluate(&piece.coefficient, time(s) - begin) - s).abs()
+    };
+    (1..=PLACES).map(error).fold(0.0, f64::max)
+}
+
+/// The acceleration is linear in time: its largest magnitude is at an end.
+fn end_acceleration(piece: &Piece) -> f64 {
+    let [_, _, c2, c3] = piece.coefficient;
+    (2.0 * c2).abs().max((2.0 * c2 + 6.0 * c3 * piece.duration).abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NONE: f64 = f64::INFINITY;
+
+    /// D = 1 + s: t = s + s^2/2, s = sqrt(1 + 2t) - 1.
+    fn fitted(tolerance: f64) -> Fit {
+        fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 0.7, 3.0], tolerance, NONE, NONE)
+    }
+
+    #[test]
+    fn within_the_tolerance_of_the_inverse_everywhere() {
+        let fit = fitted(1e-7);
+        assert!(fit.largest_error <= 1e-7 && fit.largest_error > 1e-10);
+        let mut begin = 0.0;
+        for piece in &fit.pieces {
+            for k in 0..=50 {
+                let u = piece.duration * f64::from(k) / 50.0;
+                let exact = (1.0 + 2.0 * (begin + u)).sqrt() - 1.0;
+                let error = (evaluate(&piece.coefficient, u) - exact).abs();
+                // The places of the check miss the maximum by at most some percent.
+                assert!(error <= 1.05e-7, "{error}");
+            }
+            begin += piece.duration;
+        }
+        assert!((begin - 7.5).abs() < 1e-13);
+        assert!(fit.pieces.iter().any(|p| p.end == 0.7), "breaks are kept");
+    }
+
+    #[test]
+    fn the_error_falls_with_the_fourth_power_of_the_step() {
+        let error = |n: u32| {
+            let breaks: Vec<f64> = (0..=n).map(|k| 3.0 * f64::from(k) / f64::from(n)).collect();
+            fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &breaks, 1.0, NONE, NONE).largest_error
+        };
+        let order = (error(16) / error(32)).log2();
+        assert!(order > 3.8 && order < 4.2, "order {order}");
+    }
+
+    #[test]
+    fn the_acceleration_limit_is_kept_by_shorter_pieces() {
+        // |a| = 1/(1+s)^3 <= 1; a long piece overestimates it at its ends.
+        let coarse = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, NONE, NONE);
+        assert!(end_acceleration(&coarse.pieces[0]) > 0.0);
+        let fine = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, NONE, 1.0 + 1e-4);
+        for piece in &fine.pieces {
+            assert!(end_acceleration(piece) <= 1.0 + 1e-4);
+        }
+    }
+
+    #[test]
+    fn the_velocity_limit_is_kept_by_shorter_pieces() {
+        // v = 1 until s = 2.5, then slower: one piece bulges above 1 to make up for its slow end.
+        let late = |s: f64| (s - 2.5).max(0.0);
+        let time = |s: f64| s + 10.0 / 3.0 * late(s).powi(3);
+        let density = |s: f64| 1.0 + 10.0 * late(s).powi(2);
+        let peak = |p: &Piece| range(&derivative(&p.coefficient), p.duration).max;
+        let fastest = |limit: f64| {
+            let fit = fit(time, density, &[0.0, 3.0], 1.0, limit, NONE);
+            fit.pieces.iter().map(peak).fold(0.0, f64::max)
+        };
+        assert!(fastest(NONE) > 1.01, "{}", fastest(NONE));
+        assert!(fastest(1.0 + 1e-6) <= 1.0 + 1e-6);
+    }
+
+    #[test]
+    fn constant_feed_is_exact_in_one_piece() {
+        let fit = fit(|s| 0.5 * s, |_| 0.5, &[1.0, 4.0], 1e-12, NONE, NONE);
+        assert_eq!(fit.pieces.len(), 1);
+        assert_eq!(fit.pieces[0].coefficient, [1.0, 2.0, 0.0, 0.0]);
+    }
+}
