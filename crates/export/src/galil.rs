@@ -56,7 +56,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
     }
     let count = job.common.count_mm;
     let units = format!(
-        "counts of {} mm (A = x) and {} mm (B = y), counts/s, samples of {sample_s} s (TM {:.0})",
+        "A = x in counts of {} mm, B = y in counts of {} mm, counts/s, samples of {sample_s} s, TM {:.0}",
         count[0],
         count[1],
         sample_s * 1e6

@@ -260,7 +260,7 @@ impl About {
             ));
         }
         lines.extend(self.warnings.iter().map(|w| format!("warning: {w}")));
-        // A comment is one line of plain text in every controller.
+        // A comment is one line of plain text in every controller; brackets end it in G-code.
         let plain = |c: char| if (' '..='~').contains(&c) && !"()".contains(c) { c } else { '_' };
         lines.into_iter().map(|l| l.chars().map(plain).collect()).collect()
     }

@@ -14,7 +14,7 @@ use crate::{Abilities, Job, Program, decimal, positive, table::Ends};
 /// Longest segment, s.
 const LONGEST_S: f64 = 4.095_999_8;
 
-/// Decimals of a position in mm and a velocity.
+/// Decimals of a position in mm, and of a velocity in mm/s.
 const DIGITS: usize = 9;
 
 /// How a motion program is written.
@@ -49,7 +49,9 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
         from_rest: true,
     })?;
     about.feedrate_time_unit_s = Some(unit_s);
-    let units = format!("mm, mm per {unit_s} s (Isx90 = {}), ms", decimal(unit_s * 1e3, 6));
+    let units = format!("mm, mm per {unit_s} s with Isx90 = {}, ms", decimal(unit_s * 1e3, 6));
+    // A velocity per millisecond needs three more.
+    let more = (-unit_s.log10()).ceil().clamp(0.0, 9.0) as usize;
     let mut text = String::new();
     for line in about.header(&units) {
         text += &format!("; {line}\n");
@@ -61,9 +63,9 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
             "PVT{}\nX{}:{} Y{}:{}\n",
             decimal(q.duration(k) as f64 * tick_s * 1e3, 6),
             decimal(x, DIGITS),
-            decimal(v[0], DIGITS),
+            decimal(v[0], DIGITS + more),
             decimal(y, DIGITS),
-            decimal(v[1], DIGITS)
+            decimal(v[1], DIGITS + more)
         );
     }
     Ok(Program { text, about })

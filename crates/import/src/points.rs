@@ -1,8 +1,15 @@
 //! Text with one pixel per line: Zygo's `.xyz`, and any lines `x y z`.
 //!
-//! Zygo's file has a header of 14 lines, then `#`, then `column row z` or `column row No Data`, then
-//! `#`. The pitch is in the header, in m. The unit of z is not in the file: micrometres by custom.
-//! Row 0 is the top.
+//! A `Zygo XYZ Data File` has a header of 14 lines, then `#`, then `column row z` or
+//! `column row No Data`, then `#`. The pitch is in the header, in m. The unit of z is not in the file:
+//! micrometres by custom. Row 0 is the top.
+//!
+//! A `Zygo ASCII Data File` has the same header, then `#`, the intensity, `#`, the phase, `#`, both as
+//! whole numbers, row by row. The phase is coded as in a MetroPro file ([`crate::metropro`]):
+//!
+//! ```text
+//! height (m) = raw W S O / R
+//! ```
 //!
 //! Other text: three numbers per line, in any order of the pixels, on a uniform grid; a pixel that
 //! no line names is invalid.
@@ -19,20 +26,34 @@ use crate::{
 
 const NAME: &str = "XYZ file";
 
+/// Phases from here on mark an invalid pixel.
+const INVALID: f64 = 2_147_483_640.0;
+
 /// Largest departure of a coordinate from the grid, as a fraction of its step.
 const UNIFORMITY: f64 = 0.01;
 
 /// Reads a Zygo file or lines of `x y z`.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
-    if text.starts_with("Zygo XYZ Data File") || text.starts_with("Zygo ASCII Data File") {
-        zygo(text)
+    if text.starts_with("Zygo XYZ Data File") {
+        zygo(text, Body::Points)
+    } else if text.starts_with("Zygo ASCII Data File") {
+        zygo(text, Body::Phase)
     } else {
         lines(text)
     }
 }
 
-fn zygo(text: &str) -> Result<Reading, Invalid> {
+/// What follows the header of a Zygo file.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Body {
+    /// Lines `column row z`.
+    Points,
+    /// Coded phase, row by row.
+    Phase,
+}
+
+fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
     let bad =
         |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
     let mut all = text.lines().enumerate();
@@ -66,38 +87,30 @@ fn zygo(text: &str) -> Result<Reading, Invalid> {
         return Err(bad(format!("has the pixel size {pitch_m} m in line 8")));
     }
 
-    let mut values = Array2::from_elem((rows, columns), f64::NAN);
-    let (mut count, mut closed) = (0, false);
-    for (i, line) in all {
-        let line = line.trim();
-        if line == "#" {
-            closed = true;
-            break;
-        }
-        if line.is_empty() {
-            continue;
-        }
-        let (column, rest) = next(line);
-        let (row, z) = next(rest);
-        let index = |field: &str, k: usize, origin: f64, len: usize| -> Result<usize, Invalid> {
-            let v = text::number(NAME, field, i + 1, k)?;
-            // Writers count within the rectangle or within the camera.
-            let inside = [v, v - origin].into_iter().find(|v| (0.0..len as f64).contains(v));
-            match inside.filter(|v| v.fract() == 0.0) {
-                Some(v) => Ok(v as usize),
-                None => Err(bad(format!("has pixel {field} of {len} in line {}", i + 1))),
+    let frame = Frame { rows, columns, x0, y0 };
+    let (values, unit, factor) = match body {
+        Body::Points => (frame.points(all)?, Unit::Um, 1.0),
+        Body::Phase => {
+            let (obliquity, resolution) = (field(8, 5)?, field(11, 1)?);
+            let resolution = match resolution {
+                0.0 => 4096.0,
+                1.0 => 32768.0,
+                2.0 => 131_072.0,
+                other => return Err(bad(format!("has the phase resolution {other}, not 0, 1, 2"))),
+            };
+            let factors = [wavelength_m, scale, obliquity];
+            if !factors.iter().all(|f| f.is_finite() && *f > 0.0) {
+                let problem = format!("has wavelength, scale factor, obliquity {factors:?}");
+                return Err(bad(problem));
             }
-        };
-        let at = [index(row, 2, y0, rows)?, index(column, 1, x0, columns)?];
-        values[at] = text::number(NAME, z.trim(), i + 1, 3)?;
-        count += 1;
-    }
-    if !closed || count != rows * columns {
-        let of = rows * columns;
-        return Err(bad(format!("is truncated: {count} of {of} pixels, closing # {closed}")));
-    }
+            // z = raw W S O / R
+            let factor = wavelength_m * scale * obliquity / resolution;
+            (frame.phase(all)?, Unit::M, factor)
+        }
+    };
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::Top);
-    (reading.unit, reading.unit_by_custom) = (Some(Unit::Um), true);
+    (reading.unit, reading.unit_by_custom) = (Some(unit), body == Body::Points);
+    reading.factor = factor;
     if wavelength_m > 0.0 && wavelength_m.is_finite() {
         reading.wavelength_nm = Some(wavelength_m * 1e9);
     }
@@ -110,6 +123,94 @@ fn zygo(text: &str) -> Result<Reading, Invalid> {
         "origin_pixel": [x0, y0],
     });
     Ok(reading)
+}
+
+/// The rectangle of the pixels within the camera.
+struct Frame {
+    rows: usize,
+    columns: usize,
+    x0: f64,
+    y0: f64,
+}
+
+impl Frame {
+    /// Lines `column row z` up to a line `#`.
+    fn points<'a>(
+        &self,
+        lines: impl Iterator<Item = (usize, &'a str)>,
+    ) -> Result<Array2<f64>, Invalid> {
+        let (rows, columns) = (self.rows, self.columns);
+        let mut values = Array2::from_elem((rows, columns), f64::NAN);
+        let (mut count, mut closed) = (0, false);
+        for (i, line) in lines {
+            let line = line.trim();
+            if line == "#" {
+                closed = true;
+                break;
+            }
+            if line.is_empty() {
+                continue;
+            }
+            let (column, rest) = next(line);
+            let (row, z) = next(rest);
+            let at = [
+                self.index(row, i + 1, 2, self.y0, rows)?,
+                self.index(column, i + 1, 1, self.x0, columns)?,
+            ];
+            values[at] = text::number(NAME, z.trim(), i + 1, 3)?;
+            count += 1;
+        }
+        if !closed || count != rows * columns {
+            let of = rows * columns;
+            return Err(broken(format!(
+                "is truncated: {count} of {of} pixels, closing # {closed}"
+            )));
+        }
+        Ok(values)
+    }
+
+    fn index(
+        &self,
+        field: &str,
+        line: usize,
+        k: usize,
+        origin: f64,
+        len: usize,
+    ) -> Result<usize, Invalid> {
+        let v = text::number(NAME, field, line, k)?;
+        // Writers count within the rectangle or within the camera.
+        let inside = [v - origin, v].into_iter().find(|v| (0.0..len as f64).contains(v));
+        match inside.filter(|v| v.fract() == 0.0) {
+            Some(v) => Ok(v as usize),
+            None => Err(broken(format!("has pixel {field} of {len} in line {line}"))),
+        }
+    }
+
+    /// The numbers between the second and the third `#` (the first one closed the header).
+    fn phase<'a>(
+        &self,
+        mut lines: impl Iterator<Item = (usize, &'a str)>,
+    ) -> Result<Array2<f64>, Invalid> {
+        let of = self.rows * self.columns;
+        let mut values = Vec::new();
+        lines.by_ref().find(|(_, line)| line.trim() == "#");
+        for (i, line) in lines.take_while(|(_, line)| line.trim() != "#") {
+            for (k, field) in line.split_whitespace().enumerate() {
+                let v = text::number(NAME, field, i + 1, k + 1)?;
+                values.push(if v >= INVALID { f64::NAN } else { v });
+            }
+            if values.len() > of {
+                return Err(broken(format!("has more than {of} pixels in line {}", i + 1)));
+            }
+        }
+        let found = values.len();
+        Array2::from_shape_vec((self.rows, self.columns), values)
+            .map_err(|_| broken(format!("is truncated: {found} of {of} pixels")))
+    }
+}
+
+fn broken(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "export it again from the instrument")
 }
 
 /// The first word, and the rest.
@@ -242,8 +343,23 @@ mod tests {
         assert!(message("0 0 1\n1 0 2\n").contains("only the value 0"));
         assert!(message("0 0 1\n1 0 x\n").contains("\"x\" in line 2, field 3"));
         assert!(message("0 0\n").contains("not x y z"));
-        assert!(message("0 0 1\n1e-9 1 1\n1e9 2 1\n").contains("steps"));
+        assert!(message("0 0 1\n400 1 1\n1e9 2 1\n").contains("names 3 of"));
         assert!(message("").contains("holds no points"));
+    }
+
+    #[test]
+    fn a_zygo_file_of_coded_phase_by_hand() {
+        let mut text = String::from("Zygo ASCII Data File - Format 2\n0\n0\n0 0 2 2\n\n\n\n");
+        text += "0 0.5 6.4e-007 0 1 0 1.5e-004 0\n0\n0\n1 1\n0\n0\n0\n#\n7 7\n#\n";
+        let whole = format!("{text}32768 -16384 2147483640\n0\n#\n");
+        let reading = read(whole.as_bytes()).unwrap();
+        // 32768 is half a wavelength of 640 nm.
+        assert!((reading.factor * 32768.0 - 320e-9).abs() < 1e-22);
+        assert_eq!(reading.values.row(0), array![32768.0, -16384.0]);
+        assert!(reading.values[[1, 0]].is_nan() && reading.values[[1, 1]] == 0.0);
+        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::M), false));
+        let cut = format!("{text}32768 -16384\n#\n");
+        assert!(read(cut.as_bytes()).unwrap_err().to_string().contains("2 of 4 pixels"));
     }
 
     #[test]

@@ -405,7 +405,7 @@ mod tests {
         let g = grid();
         Array2::from_shape_fn(g.shape(), |(r, c)| {
             let (x, y) = (g.x.at(c) - at[0], g.y.at(r) - at[1]);
-            200.0 * (-(x * x + 1.5 * y * y) / 0.98).exp()
+            200.0 * (-(x * x + 1.5 * y * y) / 0.5).exp()
         })
     }
 
@@ -445,9 +445,9 @@ mod tests {
                 gx.at(c) + made.centre_mm[0] - CENTRE[0],
                 gy.at(r) + made.centre_mm[1] - CENTRE[1],
             ];
-            let expected = 8.0 * (-(x * x + 1.5 * y * y) / 0.98).exp();
-            // Interpolation of the dig itself: (0.1 / 0.57)^3 / 6 x 8 nm/s.
-            assert!((v - expected).abs() < 8e-3, "{x} {y}: {v} for {expected}");
+            let expected = 8.0 * (-(x * x + 1.5 * y * y) / 0.5).exp();
+            // Interpolation of the dig itself: (0.1 / 0.5)^3 / 6 x 8 nm/s.
+            assert!((v - expected).abs() < 1.1e-2, "{x} {y}: {v} for {expected}");
         }
         // Without alignment the waves stay: d times slopes of 10 nm/mm, over the ring.
         let still = SpotSettings { alignment: Alignment::None, ..settings() };
@@ -464,7 +464,7 @@ mod tests {
             SpotSettings { alignment: Alignment::None, clip_negative: true, ..settings() };
         let made = spot(None, &depth, &settings).unwrap();
         // 200 nm in 25 s, noise of 0.5 nm at most, the peak within half a pixel of a sample.
-        assert!((made.tif.peak_nm_per_s() - 8.0).abs() < 0.03 + 8.0 * 0.0075);
+        assert!((made.tif.peak_nm_per_s() - 8.0).abs() < 0.03 + 8.0 * 0.0125);
         assert!(made.clipped_share > 0.0 && made.clipped_share < 0.02, "{}", made.clipped_share);
         assert!(made.tif.rate_nm_per_s().iter().all(|v| *v >= 0.0));
         assert!(made.tif.half_size_mm()[0] <= 2.5);
@@ -493,7 +493,8 @@ mod tests {
         let smaller = Surface::new(smaller, Array2::zeros((101, 120))).unwrap();
         assert!(message(Some(&smaller), &dug, settings()).contains("before: has"));
         // Swapped maps: material was added.
-        let swapped = message(Some(&dug), &flat, settings());
+        let still = SpotSettings { alignment: Alignment::None, ..settings() };
+        let swapped = message(Some(&dug), &flat, still);
         assert!(swapped.contains("spot") || swapped.contains("rate_nm_per_s"), "{swapped}");
     }
 }
