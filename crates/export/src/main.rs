@@ -89,8 +89,8 @@ struct CommonArgs {
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
     /// Size of a count, mm: one number, or two for X,Y
-    #[arg(long, value_name = "C", value_delimiter = ',', num_args = 1..=2, default_value = "0.0001", allow_negative_numbers = true)]
-    count_mm: Vec<f64>,
+    #[arg(long, value_name = "C", value_parser = pair, default_value = "0.0001", allow_hyphen_values = true)]
+    count_mm: [f64; 2],
     /// Longest time between two lines, s; longer segments are split [default: what the controller
     /// allows]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
@@ -177,15 +177,19 @@ fn make(controller: &Controller, args: &CommonArgs) -> Result<Program, Failure> 
         made_from: format!("trajectory {}, BLAKE3 {}", args.trajectory.display(), loaded.digest),
         made_by: format!("planish-export {version}"),
     };
-    let common = Common {
-        count_mm: match args.count_mm[..] {
-            [x, y] => [x, y],
-            _ => [args.count_mm[0]; 2],
-        },
-        max_step_s: args.max_step_s,
-        always_on: args.always_on,
-    };
+    let common =
+        Common { count_mm: args.count_mm, max_step_s: args.max_step_s, always_on: args.always_on };
     Ok(program(&loaded.value, &machine, controller, &common, &origin)?)
+}
+
+/// `X,Y`, or one number for both.
+fn pair(text: &str) -> Result<[f64; 2], String> {
+    let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
+    match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
+        Ok([both]) => Ok([*both; 2]),
+        Ok([x, y]) => Ok([*x, *y]),
+        _ => Err("give a number, or two as X,Y".into()),
+    }
 }
 
 /// A killed run leaves the old file or the new one.

@@ -101,11 +101,11 @@ impl Format {
 /// Reads the bytes of a file of `format`; `pick` says what to take from a file that holds several.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let several = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits);
-    if let Some(name) = [&pick.data, &pick.x, &pick.y].into_iter().flatten().next() {
-        if !several {
-            let remedy = "only datx, mat5, hdf5 and fits files have names; leave it out";
-            return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
-        }
+    if let Some(name) = [&pick.data, &pick.x, &pick.y].into_iter().flatten().next()
+        && !several
+    {
+        let remedy = "only datx, mat5, hdf5 and fits files have names; leave it out";
+        return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
     }
     match format {
         Format::Metropro => metropro::read(bytes),

@@ -67,8 +67,8 @@ struct FileArgs {
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     wavelength_nm: Option<f64>,
     /// Distance of pixel centres along x and y, mm: one number, or two for X,Y
-    #[arg(long, value_name = "P", value_delimiter = ',', num_args = 1..=2, allow_negative_numbers = true)]
-    pitch_mm: Vec<f64>,
+    #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
+    pitch_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file, where it does not state it
     #[arg(long, value_enum)]
     coordinate_unit: Option<UnitArg>,
@@ -129,15 +129,8 @@ struct TifArgs {
     #[arg(long, value_name = "H", requires = "dwell_s", allow_negative_numbers = true)]
     half_size_mm: Option<f64>,
     /// Where the spot is, mm [default: where the removal is deepest]
-    #[arg(
-        long,
-        value_name = "X,Y",
-        value_delimiter = ',',
-        num_args = 2,
-        requires = "dwell_s",
-        allow_negative_numbers = true
-    )]
-    spot_mm: Vec<f64>,
+    #[arg(long, value_name = "X,Y", value_parser = pair, requires = "dwell_s", allow_hyphen_values = true)]
+    spot_mm: Option<[f64; 2]>,
     /// Whether the part moved between the maps
     #[arg(long, value_enum, default_value = "none")]
     align: AlignArg,
@@ -160,17 +153,11 @@ struct ProgramArgs {
     #[arg(long, value_name = "FILE")]
     about: Option<PathBuf>,
     /// Where the axes stand before the program, mm
-    #[arg(
-        long,
-        value_name = "X,Y",
-        value_delimiter = ',',
-        num_args = 2,
-        allow_negative_numbers = true
-    )]
-    start_mm: Vec<f64>,
+    #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
+    start_mm: Option<[f64; 2]>,
     /// Size of a count, mm: one number, or two for X,Y
-    #[arg(long, value_name = "C", value_delimiter = ',', num_args = 1..=2, allow_negative_numbers = true)]
-    count_mm: Vec<f64>,
+    #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
+    count_mm: Option<[f64; 2]>,
     /// Sample time, s
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     sample_s: Option<f64>,
@@ -277,10 +264,10 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     let format = format_of(file)?;
     stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
     let reading = open(&mut stage, "file", &file.file, format, &pick)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)? {
-        if file.picture.as_ref().is_none_or(|p| p.exists()) {
-            return Ok(status);
-        }
+    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
+        && file.picture.as_ref().is_none_or(|p| p.exists())
+    {
+        return Ok(status);
     }
     let (map, statement) = surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
     let picture = || draw(map.grid(), map.height_nm(), Scale::HeightNm, &file.file, &statement);
@@ -315,7 +302,7 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         (Some(dwell_s), Some(half_size_mm)) => Some(SpotSettings {
             dwell_s,
             half_size_mm,
-            spot_mm: pair(&args.spot_mm),
+            spot_mm: args.spot_mm,
             alignment: match args.align {
                 AlignArg::None => Alignment::None,
                 AlignArg::Shift => Alignment::Shift,
@@ -341,10 +328,10 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         Some(path) => Some(open(&mut stage, "before", path, format, &pick)?),
         None => None,
     };
-    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)? {
-        if file.picture.as_ref().is_none_or(|p| p.exists()) {
-            return Ok(status);
-        }
+    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)?
+        && file.picture.as_ref().is_none_or(|p| p.exists())
+    {
+        return Ok(status);
     }
     let (made, statement, own) = match &spot_settings {
         Some(spot_settings) => {
@@ -400,8 +387,8 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
         Some(path) => stage.read_json::<Configuration>("about", path)?,
         None => Configuration::default(),
     };
-    configuration.start_mm = pair(&args.start_mm).or(configuration.start_mm);
-    configuration.count_mm = pair(&args.count_mm).or(configuration.count_mm);
+    configuration.start_mm = args.start_mm.or(configuration.start_mm);
+    configuration.count_mm = args.count_mm.or(configuration.count_mm);
     configuration.sample_s = args.sample_s.or(configuration.sample_s);
     configuration.feedrate_time_unit_s =
         args.feedrate_time_unit_s.or(configuration.feedrate_time_unit_s);
@@ -443,11 +430,13 @@ fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
     Failure::new(format!("{}: {error}", path.display()))
 }
 
-fn pair(given: &[f64]) -> Option<[f64; 2]> {
-    match given {
-        [both] => Some([*both; 2]),
-        [x, y] => Some([*x, *y]),
-        _ => None,
+/// `X,Y`, or one number for both.
+fn pair(text: &str) -> Result<[f64; 2], String> {
+    let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
+    match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
+        Ok([both]) => Ok([*both; 2]),
+        Ok([x, y]) => Ok([*x, *y]),
+        _ => Err("give a number, or two as X,Y".into()),
     }
 }
 
@@ -467,7 +456,7 @@ fn settings(args: &FileArgs, origin: OriginArg) -> Settings {
     Settings {
         unit: args.unit.map(unit),
         wavelength_nm: args.wavelength_nm,
-        pitch_mm: pair(&args.pitch_mm),
+        pitch_mm: args.pitch_mm,
         coordinate_unit: args.coordinate_unit.map(unit),
         surface_per_value: args.surface_per_value,
         negate: args.negate,

@@ -73,7 +73,7 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
         text::number(NAME, text, line, field)
     };
     let size = |n: usize| match field(4, n)? {
-        v if v >= 0.0 && v < 1e9 && v.fract() == 0.0 => Ok(v as usize),
+        v if (0.0..1e9).contains(&v) && v.fract() == 0.0 => Ok(v as usize),
         v => Err(bad(format!("has {v} pixels in line 4, field {n}"))),
     };
     let (columns, rows) = (size(3)?, size(4)?);

@@ -35,6 +35,10 @@ const MOST_STEPS: usize = 50;
 /// less than its noise.
 const TOLERANCE: f64 = 1e-6;
 
+/// Depth of a spot over the RMS outside it below which it may be noise: the deepest of 1e4 pixels of
+/// Gaussian noise is 4 times its RMS.
+const LEAST_CONTRAST: f64 = 5.0;
+
 /// Whether the part moved between the measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -159,6 +163,12 @@ pub fn spot(
     let centre = centroid(grid, &removal, coarse, settings.half_size_mm)?;
     let noise = statistics::statistics(ring.view());
     let (tif, depth_nm, clipped_share) = cut(grid, &removal, centre, settings)?;
+    if let Some(n) = noise.filter(|n| depth_nm < LEAST_CONTRAST * n.rms) {
+        let problem =
+            format!("is {depth_nm} nm deep, with {} nm RMS outside it: nothing stands out", n.rms);
+        let remedy = "check --before and after (or --negate), --align, or give --spot-mm X,Y";
+        return Err(Invalid::whole("spot", problem, remedy));
+    }
     Ok(Spot {
         tif,
         shift_mm: [shift_px[0] * grid.x.step_mm(), shift_px[1] * grid.y.step_mm()],
@@ -495,6 +505,6 @@ mod tests {
         // Swapped maps: material was added.
         let still = SpotSettings { alignment: Alignment::None, ..settings() };
         let swapped = message(Some(&dug), &flat, still);
-        assert!(swapped.contains("spot") || swapped.contains("rate_nm_per_s"), "{swapped}");
+        assert!(swapped.contains("nothing stands out"), "{swapped}");
     }
 }

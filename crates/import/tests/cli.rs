@@ -244,7 +244,11 @@ fn real_files_have_their_published_values() {
     assert!(close(map.grid().x.step_mm(), 1.098_252_027_986_745_8e-3));
 
     let (map, manifest) = read("zygo_test.datx", &[]);
-    assert!(close(manifest.outcome["pv_nm"].as_f64().unwrap(), 453.030_492_260_177_7));
+    let pv_nm = manifest.outcome["pv_nm"].as_f64().unwrap();
+    let nm_per_fringe = manifest.outcome["reading"]["nm_per_value"].as_f64().unwrap();
+    assert!(close(pv_nm / nm_per_fringe, 0.462_942_656_580_933_9 + 0.968_885_700_752_118_3));
+    // The published PV takes 632.8 nm; the wavelength in the file passed through a 32-bit float.
+    assert!((pv_nm / 453.030_492_260_177_7 - 1.0).abs() < 1e-7);
     let valid = map.height_nm().iter().filter(|v| !v.is_nan()).count();
     assert_eq!((map.height_nm().dim(), valid), ((259, 33), 7771));
     // The pitch passed through a 32-bit float.

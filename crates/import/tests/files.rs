@@ -1,7 +1,7 @@
 //! Files of every format, made here byte by byte from the descriptions of the formats; bad ones; and
 //! random damage to all of them. Files made by other writers: `just test-interop`.
 //!
-//! `PLANISH_FUZZ_EXECUTIONS` sets how many damaged files each reader sees (default 1500).
+//! `PLANISH_FUZZ_EXECUTIONS` sets how many damaged files each reader sees (default 1000).
 
 use std::panic;
 
@@ -378,7 +378,7 @@ fn damaged(seed: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
 
 fn executions() -> usize {
     let given = std::env::var("PLANISH_FUZZ_EXECUTIONS").ok();
-    given.map_or(1500, |n| n.parse().expect("PLANISH_FUZZ_EXECUTIONS is a number"))
+    given.map_or(1000, |n| n.parse().expect("PLANISH_FUZZ_EXECUTIONS is a number"))
 }
 
 /// No damage makes a reader panic; what it still reads is a map.
