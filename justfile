@@ -27,8 +27,7 @@ fixtures: build
 test:
     cargo test --locked --workspace
 
-# Read files of other people's writers (h5py, scipy, astropy, prysm) to the last bit, in their own
-# virtual environment
+# Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
 test-interop:
     @test -d target/interop || python3 -m venv target/interop
     @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1
@@ -44,8 +43,7 @@ test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
-# The residual as controllers will run it, for counts of 0.1 and 1 um on the reference mirror, which
-# PLANISH_REFERENCE names
+# The residual with counts of 0.1 and 1 um, on the mirror in PLANISH_REFERENCE
 quantisation: build
     @mkdir -p out/quantisation/mirror/surface out/quantisation/mirror/tif
     @for axis in x_mm y_mm; do \

@@ -4,7 +4,7 @@
 //!
 //! 1. [`table`]: the ends of the segments with their positions and velocities. A PVT program has one
 //!    position and one velocity per end; a motion that has two there is refused.
-//! 2. [`quantise`]: positions to whole counts and times to whole ticks, both rounded from the start
+//! 2. [`mod@quantise`]: positions to whole counts and times to whole ticks, both rounded from the start
 //!    of the motion, so that the remainder of one segment is carried into the next and nothing
 //!    drifts.
 //! 3. one module per controller: its limits, its text.

@@ -170,6 +170,10 @@ def compare(program, folder):
             flags = "--dataset /a/b/height --x /a/x --y /a/y --coordinate-unit mm"
             check.same(path.name, (holed * 1e6) * 1e3, flags, pitch=[0.2, 0.5])
             check.same(path.name, (holed * 1e6) * 1e3, grid)
+    with h5py.File(folder / "huge.h5", "w") as f:
+        f.create_dataset("z", shape=(65536, 65536), dtype="f8", chunks=(64, 64))
+    _, said = check.read("huge.h5", "surface", "--unit nm --pitch-mm 1", code=2)
+    assert "claims the shape [65536, 65536]" in said, said
     with h5py.File(folder / "v73.mat", "w", userblock_size=512) as f:
         for key, value in {"X": xx, "Y": yy, "Z": holed}.items():
             f.create_dataset(key, data=value.T).attrs["MATLAB_class"] = np.bytes_("double")
