@@ -51,7 +51,7 @@ struct FileArgs {
     #[arg(long, value_enum)]
     format: Option<FormatArg>,
     /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
-    /// [default: Z (Ztif for a TIF), or the only one]
+    /// [default: Z (Ztif for rates), or the only one]
     #[arg(long, value_name = "NAME")]
     dataset: Option<String>,
     /// Array of the coordinates of the columns [default: X (Xtif) beside Z]
@@ -294,7 +294,8 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
 fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     let file = &args.file;
     let mut stage = stage("tif", &file.output);
-    let pick = pick(file, true);
+    // Maps of a spot are surfaces.
+    let pick = pick(file, args.rate);
     let format = format_of(file)?;
     let origin = args.origin.unwrap_or(OriginArg::File);
     let mut settings = settings(file, origin);

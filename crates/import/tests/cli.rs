@@ -118,6 +118,15 @@ fn a_tif_from_rates_and_from_a_spot() {
     let spot = &loaded.manifest.unwrap().outcome["spot"];
     assert!((spot["centre_mm"][0].as_f64().unwrap() - 3.5).abs() < 1e-2, "{spot}");
 
+    // Directories of maps are read as maps.
+    let nm = ["--unit", "nm", "--pitch-mm", "0.1"];
+    done(dir, &[&["surface", "after.npy", "--out", "after"], &nm[..]].concat());
+    done(dir, &[&["surface", "before.npy", "--out", "before"], &nm[..]].concat());
+    let base = ["tif", "after", "--before", "before", "--dwell-s", "30", "--half-size-mm", "1.5"];
+    done(dir, &[&base[..], &["--out", "spot-2"]].concat());
+    let again = artifact::read::<Tif>(&dir.join("spot-2")).unwrap().value;
+    assert_eq!(again.rate_nm_per_s(), loaded.value.rate_nm_per_s());
+
     assert!(refused(dir, &["tif", "rate.npy", "--rate", "--unit", "m"]).contains("--pitch-mm"));
     let added = ["tif", "after.npy", "--unit", "nm", "--pitch-mm", "0.1", "--rate"];
     assert!(refused(dir, &added).contains("no positive rate"));

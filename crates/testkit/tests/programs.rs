@@ -107,7 +107,7 @@ fn motion(random: &mut ChaCha8Rng) -> Trajectory {
 fn every_program_reads_back_within_half_a_count_and_half_a_tick() {
     let machine = machine([250.0, 150.0], [1e4, 1e4]);
     let origin = Origin { made_from: "a test".into(), made_by: "planish-export".into() };
-    for (case, count_mm) in (0..40).zip([1e-4, 1e-3, 2.5e-4, 1e-5].into_iter().cycle()) {
+    for (case, count_mm) in (0..200).zip([1e-4, 1e-3, 2.5e-4, 1e-5].into_iter().cycle()) {
         let plan = motion(&mut case_generator(1, 7, case));
         let common =
             Common { count_mm: [count_mm, 2.0 * count_mm], max_step_s: None, always_on: false };
