@@ -31,6 +31,34 @@ fixtures: build
 test:
     cargo test --locked --workspace
 
+# Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
+test-interop:
+    @test -d target/interop || python3 -m venv target/interop
+    @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1
+    cargo build --quiet --locked -p planish-import
+    target/interop/bin/python crates/import/tests/interop.py target/debug/planish-import target/interop/files
+
+# Damage the seed of every reader this many times
+fuzz executions="50000":
+    PLANISH_FUZZ_EXECUTIONS={{ executions }} cargo test --locked -p planish-import --test files damaged -- --nocapture
+
+# Run G-code through the interpreter of LinuxCNC, where `rs274` is installed
+test-gcode: build
+    just run raster fixture=coupon out=out/gcode export=gcode
+    @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
+
+# The residual with counts of 0.1 and 1 um, on the mirror in PLANISH_REFERENCE
+quantisation: build
+    @mkdir -p out/quantisation/mirror/surface out/quantisation/mirror/tif
+    @for axis in x_mm y_mm; do \
+        cp "$PLANISH_REFERENCE/nsls2-mirror/$axis.npy" out/quantisation/mirror/surface; \
+        cp "$PLANISH_REFERENCE/nsls2-mirror/tif_$axis.npy" out/quantisation/mirror/tif/$axis.npy; \
+    done
+    @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" out/quantisation/mirror/surface
+    @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" out/quantisation/mirror/tif/rate_nm_per_s.npy
+    just run raster surface=out/quantisation/mirror/surface tif=out/quantisation/mirror/tif out=out/quantisation/raster
+    pipelines/quantisation.sh out/quantisation/raster out/quantisation/mirror/tif
+
 # Everything that must pass before a change lands
 ci: test
     cargo fmt --all --check
@@ -39,7 +67,7 @@ ci: test
     just docs
     git diff --exit-code docs
     just run raster fixture=coupon out=out/ci
-    just run maze fixture=coupon refine=yes out=out/ci-maze
+    just run maze fixture=coupon refine=yes export=galil out=out/ci-maze
     just python-example
 
 # Write the generated pages and pictures in docs/

@@ -22,7 +22,7 @@
 use std::{
     fmt::Display,
     fs,
-    io::{ErrorKind, Write},
+    io::{ErrorKind, Read, Write},
     panic,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -198,6 +198,25 @@ impl Stage {
         let bytes = fs::read(path).map_err(|e| HandoffError::io(path, "read", &e))?;
         self.record(role, path, "file", blake3::hash(&bytes).to_string());
         serde_json::from_slice(&bytes).map_err(|e| HandoffError::new(path, format!("{e}")))
+    }
+
+    /// Reads a file of another program, given by the flag `--role`; at most `most` bytes of it.
+    pub fn read_bytes(
+        &mut self,
+        role: &str,
+        path: &Path,
+        most: u64,
+    ) -> Result<Vec<u8>, HandoffError> {
+        let io = |e| HandoffError::io(path, "read", &e);
+        let mut bytes = Vec::new();
+        let file = fs::File::open(path).map_err(io)?;
+        file.take(most + 1).read_to_end(&mut bytes).map_err(io)?;
+        if bytes.len() as u64 > most {
+            let problem = format!("has more than {most} bytes; export only the map");
+            return Err(HandoffError::new(path, problem));
+        }
+        self.record(role, path, "file", blake3::hash(&bytes).to_string());
+        Ok(bytes)
     }
 
     /// Reads the machine file given by `--machine`.

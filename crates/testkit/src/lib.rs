@@ -3,6 +3,7 @@
 //! * `architecture`: who may name whom, and what a library must not do.
 //! * `conventions`: every statement of `docs/conventions.md`.
 //! * `schedulers`: random paths through every scheduler, judged by `planish-verify`.
+//! * `programs`: random motions exported to every controller and read back.
 //! * `end_to_end`: a fixture through all binaries.
 //! * `reference`: the reference mirror, where `PLANISH_REFERENCE` names its folder.
 

@@ -1,0 +1,126 @@
+//! Numbers out of bytes, and what is wrong when they end too early.
+
+use planish_types::Invalid;
+
+/// The bytes of a file, read by offset.
+#[derive(Clone, Copy)]
+pub(crate) struct Bytes<'a> {
+    pub all: &'a [u8],
+    /// What an error is about.
+    pub name: &'static str,
+    pub big_endian: bool,
+}
+
+impl<'a> Bytes<'a> {
+    /// `len` bytes at `at`.
+    pub fn slice(&self, at: usize, len: usize) -> Result<&'a [u8], Invalid> {
+        at.checked_add(len).and_then(|end| self.all.get(at..end)).ok_or_else(|| {
+            let problem =
+                format!("is truncated: {len} bytes at byte {at}, {} are there", self.all.len());
+            Invalid::whole(self.name, problem, "export it again")
+        })
+    }
+
+    fn array<const N: usize>(&self, at: usize) -> Result<[u8; N], Invalid> {
+        let mut bytes = [0; N];
+        bytes.copy_from_slice(self.slice(at, N)?);
+        if self.big_endian != cfg!(target_endian = "big") {
+            bytes.reverse();
+        }
+        Ok(bytes)
+    }
+
+    pub fn u16(&self, at: usize) -> Result<u16, Invalid> {
+        self.array(at).map(u16::from_ne_bytes)
+    }
+
+    pub fn i16(&self, at: usize) -> Result<i16, Invalid> {
+        self.array(at).map(i16::from_ne_bytes)
+    }
+
+    pub fn u32(&self, at: usize) -> Result<u32, Invalid> {
+        self.array(at).map(u32::from_ne_bytes)
+    }
+
+    pub fn i32(&self, at: usize) -> Result<i32, Invalid> {
+        self.array(at).map(i32::from_ne_bytes)
+    }
+
+    pub fn f32(&self, at: usize) -> Result<f32, Invalid> {
+        self.array(at).map(f32::from_ne_bytes)
+    }
+
+    pub fn f64(&self, at: usize) -> Result<f64, Invalid> {
+        self.array(at).map(f64::from_ne_bytes)
+    }
+
+    /// Text up to a NUL, spaces at its ends left out.
+    pub fn text(&self, at: usize, len: usize) -> Result<String, Invalid> {
+        let bytes = self.slice(at, len)?;
+        let end = bytes.iter().position(|b| *b == 0).unwrap_or(len);
+        let text = String::from_utf8_lossy(&bytes[..end]);
+        Ok(text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_string())
+    }
+}
+
+/// A number type of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Number {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    I64,
+    U64,
+    F32,
+    F64,
+}
+
+impl Number {
+    /// Bytes of one.
+    pub fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::I64 | Self::U64 | Self::F64 => 8,
+        }
+    }
+
+    /// `count` numbers from `bytes`, which must hold them. A 64-bit integer beyond 2^53 is rounded.
+    pub fn decode(self, bytes: &[u8], count: usize, big_endian: bool) -> Vec<f64> {
+        fn each<const N: usize>(
+            bytes: &[u8],
+            count: usize,
+            big_endian: bool,
+            value: impl Fn([u8; N]) -> f64,
+        ) -> Vec<f64> {
+            let swap = big_endian != cfg!(target_endian = "big");
+            let chunks = bytes.chunks_exact(N).take(count);
+            chunks
+                .map(|c| {
+                    let mut a = [0; N];
+                    a.copy_from_slice(c);
+                    if swap {
+                        a.reverse();
+                    }
+                    value(a)
+                })
+                .collect()
+        }
+        match self {
+            Self::I8 => each(bytes, count, big_endian, |a| f64::from(i8::from_ne_bytes(a))),
+            Self::U8 => each(bytes, count, big_endian, |a| f64::from(u8::from_ne_bytes(a))),
+            Self::I16 => each(bytes, count, big_endian, |a| f64::from(i16::from_ne_bytes(a))),
+            Self::U16 => each(bytes, count, big_endian, |a| f64::from(u16::from_ne_bytes(a))),
+            Self::I32 => each(bytes, count, big_endian, |a| f64::from(i32::from_ne_bytes(a))),
+            Self::U32 => each(bytes, count, big_endian, |a| f64::from(u32::from_ne_bytes(a))),
+            Self::I64 => each(bytes, count, big_endian, |a| i64::from_ne_bytes(a) as f64),
+            Self::U64 => each(bytes, count, big_endian, |a| u64::from_ne_bytes(a) as f64),
+            Self::F32 => each(bytes, count, big_endian, |a| f64::from(f32::from_ne_bytes(a))),
+            Self::F64 => each(bytes, count, big_endian, f64::from_ne_bytes),
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Zygo `.datx`: HDF5 with the map in `/Data/Surface`, found through the table `/MetaData`.
+//!
+//! ```text
+//! height (m) = raw S O W      in fringes
+//! ```
+//!
+//! with the attributes of the dataset: interferometric scale factor S (0.5: reflected once),
+//! obliquity factor O, wavelength W in m. In NanoMeters or MicroMeters the height is stored as it
+//! is. Values at or beyond the attribute `No Data`, of either sign, are invalid pixels. The pitch is
+//! the second parameter of the `X Converter`, in m. The first row of the file is the top.
+
+use hdf5_reader::{Attribute, Dataset, Datatype, Hdf5File};
+use planish_types::Invalid;
+use serde_json::json;
+
+use crate::{
+    Format, Unit,
+    bytes::{Bytes, Number},
+    check_size,
+    hdf5::{broken, matrix, open},
+    reading::{FirstRow, Pick, Reading},
+};
+
+const NAME: &str = "datx file";
+const SURFACES: &str = "/Data/Surface";
+
+pub(crate) fn is_datx(bytes: &[u8]) -> bool {
+    open(bytes).is_ok_and(|file| file.group(SURFACES).is_ok())
+}
+
+/// Reads the map; `pick.data` names one where the file holds several.
+pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    let bad =
+        |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
+    if pick.x.is_some() || pick.y.is_some() {
+        let remedy = "a datx file has its pitch; leave out --x and --y";
+        return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
+    }
+    let file = open(bytes)?;
+    let path = match &pick.data {
+        Some(path) => path.clone(),
+        None => surface_path(&file)?,
+    };
+    let set = file.dataset(&path).map_err(broken)?;
+    let [rows, columns] = set.shape() else {
+        return Err(bad(format!("has a map of shape {:?}", set.shape())));
+    };
+    check_size("datx map", *rows as usize, *columns as usize)?;
+
+    let unit_name = text(&set, "Unit").ok_or_else(|| bad("does not state its unit".into()))?;
+    let scale = number(&set, "Interferometric Scale Factor")?;
+    let obliquity = number(&set, "Obliquity Factor")?;
+    let wavelength_m = number(&set, "Wavelength")?;
+    let (unit, factor) = match unit_name.as_str() {
+        "Fringes" => match (scale, obliquity, wavelength_m) {
+            // z = raw S O W
+            (Some(s), Some(o), Some(w)) if s > 0.0 && o > 0.0 && w > 0.0 => (Unit::M, s * o * w),
+            found => {
+                return Err(bad(format!(
+                    "has fringes with scale factor, obliquity, wavelength {found:?}"
+                )));
+            }
+        },
+        "NanoMeters" => (Unit::Nm, 1.0),
+        "MicroMeters" => (Unit::Um, 1.0),
+        other => {
+            let other: String = other.chars().take(40).collect();
+            let remedy = "only a surface in Fringes, NanoMeters or MicroMeters is read";
+            return Err(Invalid::whole(NAME, format!("is in \"{other}\""), remedy));
+        }
+    };
+    let no_data = number(&set, "No Data")?;
+    let mut values = matrix(&set, false)?;
+    if let Some(limit) = no_data.map(f64::abs).filter(|v| *v > 0.0) {
+        values.mapv_inplace(|v| if v.abs() >= limit { f64::NAN } else { v });
+    }
+
+    let mut reading = Reading::new(Format::Datx, values, FirstRow::Top);
+    (reading.unit, reading.factor) = (Some(unit), factor);
+    reading.wavelength_nm = wavelength_m.map(|w| w * 1e9);
+    let mut converters = Vec::new();
+    for name in ["X Converter", "Y Converter"] {
+        let Some((base, parameters)) = converter(&set, name)? else { continue };
+        let metres = parameters.get(1).copied().unwrap_or(0.0);
+        if base == "Pixels" && metres > 0.0 && metres.is_finite() {
+            converters.push(metres * 1e3);
+        } else {
+            let warning = format!("{name} has {base} {parameters:?}: not used");
+            reading.warnings.push(warning);
+        }
+    }
+    reading.pitch_mm = <[f64; 2]>::try_from(converters).ok();
+    reading.stated = json!({
+        "dataset": path,
+        "unit": unit_name,
+        "interferometric_scale_factor": scale,
+        "obliquity_factor": obliquity,
+        "wavelength_nm": reading.wavelength_nm,
+        "no_data": no_data,
+    });
+    Ok(reading)
+}
+
+/// Root -Measurement-> M -Surface-> S -Path-> the dataset; without the table the only dataset.
+fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
+    if let Some(links) = links(file)? {
+        let follow = |from: &str, link: &str| {
+            let found = links.iter().find(|l| l[0] == from && l[1] == link);
+            found.map(|l| l[2].clone())
+        };
+        let path = follow("Root", "Measurement")
+            .and_then(|m| follow(&m, "Surface"))
+            .and_then(|s| follow(&s, "Path"));
+        if let Some(path) = path {
+            return Ok(path);
+        }
+    }
+    let group = file.group(SURFACES).map_err(broken)?;
+    let (_, names) = group.member_names().map_err(broken)?;
+    match &names[..] {
+        [only] => Ok(format!("{SURFACES}/{}", only.rsplit('/').next().unwrap_or(only))),
+        [] => Err(Invalid::whole(NAME, "holds no surface", "export a surface")),
+        several => {
+            let problem = format!("holds several surfaces: {}", several.join(", "));
+            Err(Invalid::whole(NAME, problem, "choose one with --dataset /Data/Surface/NAME"))
+        }
+    }
+}
+
+/// The rows Source, Link, Destination of `/MetaData`.
+fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
+    let Ok(set) = file.dataset("/MetaData") else { return Ok(None) };
+    let Datatype::Compound { size, fields } = set.dtype() else { return Ok(None) };
+    let offsets = ["Source", "Link", "Destination"]
+        .map(|name| fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize));
+    let [Some(source), Some(link), Some(destination)] = offsets else { return Ok(None) };
+    let raw = set.read_raw_bytes().map_err(broken)?;
+    let reference = set.vlen_reference_size();
+    let string = |row: &[u8], at: usize| -> Result<String, Invalid> {
+        let Some(bytes) = row.get(at..at + reference) else { return Ok(String::new()) };
+        let bytes = set.resolve_vlen_reference_bytes(bytes, 1).map_err(broken)?;
+        Ok(String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_string())
+    };
+    let rows = raw.chunks_exact((*size as usize).max(1));
+    let rows =
+        rows.map(|row| Ok([string(row, source)?, string(row, link)?, string(row, destination)?]));
+    rows.collect::<Result<Vec<_>, Invalid>>().map(Some)
+}
+
+fn attribute(set: &Dataset, name: &str) -> Option<Attribute> {
+    set.attribute(name).ok()
+}
+
+fn text(set: &Dataset, name: &str) -> Option<String> {
+    attribute(set, name)?.read_strings().ok()?.into_iter().next()
+}
+
+fn number(set: &Dataset, name: &str) -> Result<Option<f64>, Invalid> {
+    let Some(attribute) = attribute(set, name) else { return Ok(None) };
+    let values = attribute.read_1d::<f64>().map_err(broken)?;
+    match values.first() {
+        Some(v) if v.is_finite() => Ok(Some(*v)),
+        other => {
+            let problem = format!("has \"{name}\" = {other:?}");
+            Err(Invalid::whole(NAME, problem, "export it again from the instrument"))
+        }
+    }
+}
+
+/// Base unit and parameters of a compound {Category, BaseUnit, Parameters}.
+fn converter(set: &Dataset, name: &str) -> Result<Option<(String, Vec<f64>)>, Invalid> {
+    let Some(attribute) = attribute(set, name) else { return Ok(None) };
+    let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
+    let reference = set.vlen_reference_size();
+    let field = |name: &str, size: usize| -> Result<Vec<u8>, Invalid> {
+        let at = fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize);
+        let bytes = at.and_then(|at| attribute.raw_data.get(at..at + reference));
+        match bytes {
+            Some(bytes) => set.resolve_vlen_reference_bytes(bytes, size).map_err(broken),
+            None => Ok(Vec::new()),
+        }
+    };
+    let base = String::from_utf8_lossy(&field("BaseUnit", 1)?).trim_end_matches('\0').to_string();
+    let parameters = field("Parameters", 8)?;
+    let b = Bytes { all: &parameters, name: NAME, big_endian: false };
+    let parameters = Number::F64.decode(b.all, b.all.len() / 8, false);
+    Ok(Some((base, parameters)))
+}

@@ -1,0 +1,141 @@
+//! Other people's files in: measured maps, measured tool influence functions, and the programs of
+//! motion controllers.
+//!
+//! A reader turns the bytes of a file into a [`Reading`]: the numbers as they are stored, and what
+//! the file says about them. [`surface`] and [`tif`] turn a reading into a noun: one
+//! multiplication to nm, pitch in mm, row 0 at the smallest y. What the file does not say is asked
+//! for ([`Settings`]); it is never guessed.
+//!
+//! | module | format | source of its layout |
+//! |---|---|---|
+//! | [`metropro`] | MetroPro `.dat` | MetroPro reference guide as read by prysm and SurfaceTopography |
+//! | [`datx`] | Zygo `.datx` | a file of Zygo Mx |
+//! | [`points`] | Zygo `.xyz` and any text of lines `x y z` | prysm's writer |
+//! | [`matlab`] | MATLAB `.mat`, version 5 | "MAT-File Format", The MathWorks |
+//! | [`hdf5`] | HDF5 by the path of a dataset, MATLAB `.mat` 7.3 | crate hdf5-reader |
+//! | [`fits`] | FITS images | FITS standard 4.0 |
+//! | [`npy`] | `.npy` of any real number type | NumPy enhancement proposal 1 |
+//! | [`csv`] | a matrix of numbers as text | - |
+//! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
+//! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV | see there |
+//!
+//! Only this crate and `planish-export` convert units.
+
+mod bytes;
+pub mod csv;
+pub mod datx;
+mod draw;
+pub mod fits;
+pub mod hdf5;
+pub mod matlab;
+pub mod metropro;
+pub mod npy;
+pub mod points;
+pub mod program;
+mod reading;
+pub mod sdf;
+mod spot;
+mod text;
+
+pub use draw::{Scale, svg};
+pub use reading::{
+    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Settings, Statement, Unit, surface, tif,
+};
+pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
+
+use planish_types::Invalid;
+
+/// Most pixels of a map. A header may claim any size; memory is bounded by this and by the file.
+pub const MOST_PIXELS: usize = 1 << 25;
+
+/// A format that is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Format {
+    /// MetroPro `.dat`.
+    Metropro,
+    /// Zygo `.datx`.
+    Datx,
+    /// Zygo `.xyz`, and text of lines `x y z`.
+    Xyz,
+    /// MATLAB `.mat`, version 5.
+    Mat5,
+    /// HDF5; MATLAB `.mat` 7.3 among them.
+    Hdf5,
+    /// FITS image.
+    Fits,
+    /// A matrix of numbers as text.
+    Csv,
+    /// NumPy array.
+    Npy,
+    /// Surface data file.
+    Sdf,
+    /// Directory of `.npy` files, with or without a manifest.
+    Directory,
+}
+
+impl Format {
+    /// The format of a file from its first bytes, where they tell; text of numbers does not.
+    pub fn of(bytes: &[u8]) -> Option<Self> {
+        let starts = |magic: &[u8]| bytes.starts_with(magic);
+        if metropro::is_magic(bytes) {
+            Some(Self::Metropro)
+        } else if starts(b"\x93NUMPY") {
+            Some(Self::Npy)
+        } else if starts(b"SIMPLE  =") {
+            Some(Self::Fits)
+        } else if hdf5::is_hdf5(bytes) {
+            Some(if datx::is_datx(bytes) { Self::Datx } else { Self::Hdf5 })
+        } else if starts(b"MATLAB 5.0") {
+            Some(Self::Mat5)
+        } else if starts(b"Zygo XYZ Data File") || starts(b"Zygo ASCII Data File") {
+            Some(Self::Xyz)
+        } else if starts(b"aISO-1.0") || starts(b"bISO-1.0") {
+            Some(Self::Sdf)
+        } else {
+            None
+        }
+    }
+}
+
+/// Reads the bytes of a file of `format`; `pick` says what to take from a file that holds several.
+pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    let several = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits);
+    if let Some(name) = [&pick.data, &pick.x, &pick.y].into_iter().flatten().next()
+        && !several
+    {
+        let remedy = "only datx, mat5, hdf5 and fits files have names; leave it out";
+        return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
+    }
+    match format {
+        Format::Metropro => metropro::read(bytes),
+        Format::Datx => datx::read(bytes, pick),
+        Format::Xyz => points::read(bytes),
+        Format::Mat5 => matlab::read(bytes, pick),
+        Format::Hdf5 => hdf5::read(bytes, pick),
+        Format::Fits => fits::read(bytes, pick),
+        Format::Csv => csv::read(bytes),
+        Format::Npy => npy::read(bytes),
+        Format::Sdf => sdf::read(bytes),
+        Format::Directory => {
+            let remedy = "give the directory that holds it";
+            Err(Invalid::whole("format", "directory was given for a file", remedy))
+        }
+    }
+}
+
+/// Whether a map of this size may be read; `array` names what claims it.
+fn check_size(array: &'static str, rows: usize, columns: usize) -> Result<usize, Invalid> {
+    let size = format!("{rows} rows x {columns} columns");
+    if rows < 2 || columns < 2 {
+        return Err(Invalid::whole(array, format!("has {size}"), "a map has at least 2 x 2"));
+    }
+    match rows.checked_mul(columns).filter(|n| *n <= MOST_PIXELS) {
+        Some(n) => Ok(n),
+        None => Err(Invalid::whole(
+            array,
+            format!("claims {size}"),
+            format!("a map has at most {MOST_PIXELS} pixels; crop it, or check the header"),
+        )),
+    }
+}

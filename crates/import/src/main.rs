@@ -1,0 +1,614 @@
+//! `planish-import`: files of instruments and other programs in.
+
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use ndarray::Array2;
+use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
+use planish_import::{
+    Alignment, Baseline, FirstRow, Format, Origin, Pick, Reading, Rotation, Scale, Settings,
+    SpotSettings, Statement, Unit,
+    program::{self, Configuration, Controller},
+    read, spot, surface, svg, tif,
+};
+use planish_types::{Grid, Surface, Tif, Trajectory};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+/// Largest file that is read, bytes: as text, a map of the most pixels.
+const MOST_BYTES: u64 = 1 << 30;
+
+/// Files of instruments and other programs in
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Cli {
+    #[command(subcommand)]
+    method: Method,
+}
+
+#[derive(Debug, Subcommand)]
+enum Method {
+    /// A height map
+    Surface(SurfaceArgs),
+    /// A tool influence function: a map of rates, of depth after a known time, or a spot before
+    /// and after
+    Tif(TifArgs),
+    /// The program of a motion controller, back into the motion that it makes
+    Program(ProgramArgs),
+}
+
+/// What is read, and what the user knows of it.
+#[derive(Debug, Args)]
+struct FileArgs {
+    /// File, or directory of .npy
+    file: PathBuf,
+    /// Format [default: by the content; for text of numbers by the ending .csv or .xyz]
+    #[arg(long, value_enum)]
+    format: Option<FormatArg>,
+    /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
+    /// [default: Z (Ztif for rates), or the only one]
+    #[arg(long, value_name = "NAME")]
+    dataset: Option<String>,
+    /// Array of the coordinates of the columns [default: X (Xtif) beside Z]
+    #[arg(long, value_name = "NAME")]
+    x: Option<String>,
+    /// Array of the coordinates of the rows [default: Y (Ytif) beside Z]
+    #[arg(long, value_name = "NAME")]
+    y: Option<String>,
+    /// Unit of the heights, where the file does not state it
+    #[arg(long, value_enum)]
+    unit: Option<UnitArg>,
+    /// Wavelength of heights in waves, nm
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    wavelength_nm: Option<f64>,
+    /// Distance of pixel centres along x and y, mm: one number, or two for X,Y
+    #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
+    pitch_mm: Option<[f64; 2]>,
+    /// Unit of the coordinates in the file, where it does not state it
+    #[arg(long, value_enum)]
+    coordinate_unit: Option<UnitArg>,
+    /// Surface height per height in the file: 0.5 for the wavefront of one reflection
+    #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true)]
+    surface_per_value: f64,
+    /// The file counts material (or removal) as negative
+    #[arg(long)]
+    negate: bool,
+    /// Value that marks an invalid pixel, besides NaN and what the format has
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    no_data: Option<f64>,
+    /// Where the first row of the file is [default: as the format has it]
+    #[arg(long, value_enum)]
+    first_row: Option<FirstRowArg>,
+    /// Mirror x
+    #[arg(long)]
+    flip_x: bool,
+    /// Mirror y
+    #[arg(long)]
+    flip_y: bool,
+    /// Turn counter-clockwise with y upwards, after mirroring
+    #[arg(long, value_enum, default_value = "0")]
+    rotate_deg: RotationArg,
+    /// Draw what was read, as SVG, to compare with the picture on the instrument
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Debug, Args)]
+struct SurfaceArgs {
+    #[command(flatten)]
+    file: FileArgs,
+    /// Where the coordinate 0 is
+    #[arg(long, value_enum, default_value = "file")]
+    origin: OriginArg,
+}
+
+#[derive(Debug, Args)]
+struct TifArgs {
+    #[command(flatten)]
+    file: FileArgs,
+    /// The values are rates already: height unit per second, on the offsets from the tool centre
+    #[arg(long, required_unless_present = "dwell_s", conflicts_with_all = ["dwell_s", "before"])]
+    rate: bool,
+    /// Where the offset 0 of a map of rates is [default: the file's coordinates, else the middle]
+    #[arg(long, value_enum, requires = "rate")]
+    origin: Option<OriginArg>,
+    /// Time that the tool rested, s; FILE is the depth of the removal, or the map after it
+    #[arg(long, value_name = "T", requires = "half_size_mm", allow_negative_numbers = true)]
+    dwell_s: Option<f64>,
+    /// Map before, read with the same flags; FILE is the map after
+    #[arg(long, value_name = "FILE")]
+    before: Option<PathBuf>,
+    /// Half the side of the square that becomes the TIF, mm
+    #[arg(long, value_name = "H", requires = "dwell_s", allow_negative_numbers = true)]
+    half_size_mm: Option<f64>,
+    /// Where the spot is, mm [default: where the removal is deepest]
+    #[arg(long, value_name = "X,Y", value_parser = pair, requires = "dwell_s", allow_hyphen_values = true)]
+    spot_mm: Option<[f64; 2]>,
+    /// Whether the part moved between the maps
+    #[arg(long, value_enum, default_value = "none")]
+    align: AlignArg,
+    /// What is subtracted from the removal, fitted outside the square
+    #[arg(long, value_enum, default_value = "plane")]
+    baseline: BaselineArg,
+    /// Set negative rates (noise) to zero
+    #[arg(long, requires = "dwell_s")]
+    clip_negative: bool,
+}
+
+#[derive(Debug, Args)]
+struct ProgramArgs {
+    /// Program
+    file: PathBuf,
+    /// Whose program it is
+    #[arg(long, value_enum)]
+    controller: ControllerArg,
+    /// File that planish-export wrote beside the program; the flags below go before it
+    #[arg(long, value_name = "FILE")]
+    about: Option<PathBuf>,
+    /// Where the axes stand before the program, mm
+    #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
+    start_mm: Option<[f64; 2]>,
+    /// Size of a count, mm: one number, or two for X,Y
+    #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
+    count_mm: Option<[f64; 2]>,
+    /// Sample time, s
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    sample_s: Option<f64>,
+    /// Unit of time of a PMAC's velocities, s
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    feedrate_time_unit_s: Option<f64>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FormatArg {
+    Metropro,
+    Datx,
+    /// Zygo .xyz, or lines x y z
+    Xyz,
+    /// MATLAB up to version 7; 7.3 is hdf5
+    Mat5,
+    Hdf5,
+    Fits,
+    /// A matrix of numbers as text
+    Csv,
+    Npy,
+    Sdf,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum UnitArg {
+    M,
+    Mm,
+    Um,
+    Nm,
+    Angstrom,
+    Waves,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FirstRowArg {
+    /// Largest y
+    Top,
+    /// Smallest y
+    Bottom,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum RotationArg {
+    #[value(name = "0")]
+    None,
+    #[value(name = "90")]
+    Quarter,
+    #[value(name = "180")]
+    Half,
+    #[value(name = "270")]
+    ThreeQuarters,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum OriginArg {
+    /// Where the file has it; without coordinates at the first pixel
+    File,
+    /// At the smallest x and y
+    Corner,
+    /// In the middle
+    Centre,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum AlignArg {
+    /// It did not
+    None,
+    /// By a shift, which is found outside the square
+    Shift,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum BaselineArg {
+    None,
+    Piston,
+    Plane,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ControllerArg {
+    Galil,
+    Xps,
+    Pmac,
+    Gcode,
+    Csv,
+}
+
+fn main() -> ExitCode {
+    let method = Cli::parse().method;
+    run(move || match method {
+        Method::Surface(args) => surface_stage(&args),
+        Method::Tif(args) => tif_stage(&args),
+        Method::Program(args) => program_stage(&args),
+    })
+}
+
+fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
+    let file = &args.file;
+    let mut stage = stage("surface", &file.output);
+    let (pick, settings) = (pick(file, false), settings(file, args.origin));
+    let format = format_of(file)?;
+    stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
+    let reading = open(&mut stage, "file", &file.file, format, &pick)?;
+    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
+        && file.picture.as_ref().is_none_or(|p| p.exists())
+    {
+        return Ok(status);
+    }
+    let (map, statement) = surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
+    let picture = || draw(map.grid(), map.height_nm(), Scale::HeightNm, &file.file, &statement);
+    put_picture(file, picture)?;
+    let statistics = map.statistics();
+    let outcome = json!({
+        "reading": statement,
+        "pv_nm": statistics.pv,
+        "rms_nm": statistics.rms,
+    });
+    stage.write("", &map, outcome, &Status::Done)?;
+    report(&statement, map.grid());
+    say(format!(
+        "planish-import: {:.4} nm RMS, {:.4} nm PV, height {:.4} .. {:.4} nm -> {}",
+        statistics.rms,
+        statistics.pv,
+        map.height_nm().iter().copied().fold(f64::INFINITY, f64::min),
+        map.height_nm().iter().copied().fold(f64::NEG_INFINITY, f64::max),
+        file.output.out.display()
+    ));
+    Ok(Status::Done)
+}
+
+fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
+    let file = &args.file;
+    let mut stage = stage("tif", &file.output);
+    // Maps of a spot are surfaces.
+    let pick = pick(file, args.rate);
+    let format = format_of(file)?;
+    let origin = args.origin.unwrap_or(OriginArg::File);
+    let mut settings = settings(file, origin);
+    let spot_settings = match (args.dwell_s, args.half_size_mm) {
+        (Some(dwell_s), Some(half_size_mm)) => Some(SpotSettings {
+            dwell_s,
+            half_size_mm,
+            spot_mm: args.spot_mm,
+            alignment: match args.align {
+                AlignArg::None => Alignment::None,
+                AlignArg::Shift => Alignment::Shift,
+            },
+            baseline: match args.baseline {
+                BaselineArg::None => Baseline::None,
+                BaselineArg::Piston => Baseline::Piston,
+                BaselineArg::Plane => Baseline::Plane,
+            },
+            clip_negative: args.clip_negative,
+        }),
+        _ => None,
+    };
+    stage.settings(json!({
+        "format": format,
+        "pick": pick,
+        "reading": settings,
+        "origin_given": args.origin.is_some(),
+        "spot": spot_settings,
+    }));
+    let reading = open(&mut stage, "file", &file.file, format, &pick)?;
+    let before = match &args.before {
+        Some(path) => Some(open(&mut stage, "before", path, format, &pick)?),
+        None => None,
+    };
+    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)?
+        && file.picture.as_ref().is_none_or(|p| p.exists())
+    {
+        return Ok(status);
+    }
+    let (made, statement, own) = match &spot_settings {
+        Some(spot_settings) => {
+            let (after, statement) =
+                surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
+            let before = match (before, &args.before) {
+                (Some(reading), Some(path)) => {
+                    Some(surface(reading, &settings).map_err(|e| about(path, &e))?.0)
+                }
+                _ => None,
+            };
+            let made = spot(before.as_ref(), &after, spot_settings)?;
+            let own = serde_json::to_value(&made)?;
+            (made.tif, statement, own)
+        }
+        None => {
+            if args.origin.is_none() && reading.coordinates.is_none() {
+                settings.origin = Origin::Centre;
+            }
+            let (made, statement) = tif(reading, &settings).map_err(|e| about(&file.file, &e))?;
+            (made, statement, Value::Null)
+        }
+    };
+    let picture =
+        || draw(made.grid(), made.rate_nm_per_s(), Scale::RateNmPerS, &file.file, &statement);
+    put_picture(file, picture)?;
+    let outcome = json!({
+        "reading": statement,
+        "spot": own,
+        "peak_nm_per_s": made.peak_nm_per_s(),
+        "vrr_nm_mm2_per_s": made.vrr_nm_mm2_per_s(),
+    });
+    stage.write("", &made, outcome, &Status::Done)?;
+    report(&statement, made.grid());
+    if let Some(noise) = own["outside_rms_nm"].as_f64() {
+        say(format!(
+            "planish-import: spot at {} mm, shift {} mm, noise {noise:.4} nm RMS outside it",
+            own["centre_mm"], own["shift_mm"]
+        ));
+    }
+    say(format!(
+        "planish-import: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
+        made.peak_nm_per_s(),
+        made.vrr_nm_mm2_per_s(),
+        file.output.out.display()
+    ));
+    Ok(Status::Done)
+}
+
+fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
+    let mut stage = stage("program", &args.output);
+    let mut configuration = match &args.about {
+        Some(path) => stage.read_json::<Configuration>("about", path)?,
+        None => Configuration::default(),
+    };
+    configuration.start_mm = args.start_mm.or(configuration.start_mm);
+    configuration.count_mm = args.count_mm.or(configuration.count_mm);
+    configuration.sample_s = args.sample_s.or(configuration.sample_s);
+    configuration.feedrate_time_unit_s =
+        args.feedrate_time_unit_s.or(configuration.feedrate_time_unit_s);
+    let controller = match args.controller {
+        ControllerArg::Galil => Controller::Galil,
+        ControllerArg::Xps => Controller::Xps,
+        ControllerArg::Pmac => Controller::Pmac,
+        ControllerArg::Gcode => Controller::Gcode,
+        ControllerArg::Csv => Controller::Csv,
+    };
+    stage.settings(json!({ "controller": controller, "configuration": configuration }));
+    let bytes = stage.read_bytes("file", &args.file, MOST_BYTES)?;
+    if let Begin::Unchanged(status) = stage.begin(&[""], Trajectory::KIND)? {
+        return Ok(status);
+    }
+    let motion =
+        program::read(controller, &bytes, &configuration).map_err(|e| about(&args.file, &e))?;
+    let outcome = json!({
+        "segments": motion.len(),
+        "total_time_s": motion.total_time_s(),
+        "always_on": motion.tool_on().iter().all(|on| *on),
+    });
+    stage.write("", &motion, outcome, &Status::Done)?;
+    say(format!(
+        "planish-import: {} segments, {:.4} s -> {}",
+        motion.len(),
+        motion.total_time_s(),
+        args.output.out.display()
+    ));
+    Ok(Status::Done)
+}
+
+fn stage(method: &str, output: &OutputArgs) -> Stage {
+    Stage::new("planish-import", env!("CARGO_PKG_VERSION"), method, output)
+}
+
+/// A message of the library, with the file that it is about.
+fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
+    Failure::new(format!("{}: {error}", path.display()))
+}
+
+/// `X,Y`, or one number for both.
+fn pair(text: &str) -> Result<[f64; 2], String> {
+    let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
+    match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
+        Ok([both]) => Ok([*both; 2]),
+        Ok([x, y]) => Ok([*x, *y]),
+        _ => Err("give a number, or two as X,Y".into()),
+    }
+}
+
+fn pick(args: &FileArgs, is_tif: bool) -> Pick {
+    Pick { data: args.dataset.clone(), x: args.x.clone(), y: args.y.clone(), is_tif }
+}
+
+fn settings(args: &FileArgs, origin: OriginArg) -> Settings {
+    let unit = |unit| match unit {
+        UnitArg::M => Unit::M,
+        UnitArg::Mm => Unit::Mm,
+        UnitArg::Um => Unit::Um,
+        UnitArg::Nm => Unit::Nm,
+        UnitArg::Angstrom => Unit::Angstrom,
+        UnitArg::Waves => Unit::Waves,
+    };
+    Settings {
+        unit: args.unit.map(unit),
+        wavelength_nm: args.wavelength_nm,
+        pitch_mm: args.pitch_mm,
+        coordinate_unit: args.coordinate_unit.map(unit),
+        surface_per_value: args.surface_per_value,
+        negate: args.negate,
+        no_data: args.no_data,
+        first_row: args.first_row.map(|row| match row {
+            FirstRowArg::Top => FirstRow::Top,
+            FirstRowArg::Bottom => FirstRow::SmallestY,
+        }),
+        flip_x: args.flip_x,
+        flip_y: args.flip_y,
+        rotation: match args.rotate_deg {
+            RotationArg::None => Rotation::None,
+            RotationArg::Quarter => Rotation::Quarter,
+            RotationArg::Half => Rotation::Half,
+            RotationArg::ThreeQuarters => Rotation::ThreeQuarters,
+        },
+        origin: match origin {
+            OriginArg::File => Origin::File,
+            OriginArg::Corner => Origin::Corner,
+            OriginArg::Centre => Origin::Centre,
+        },
+    }
+}
+
+/// The format that was given, or that the content or the ending of the file tells.
+fn format_of(args: &FileArgs) -> Result<Format, Failure> {
+    let path = &args.file;
+    let given = args.format.map(|format| match format {
+        FormatArg::Metropro => Format::Metropro,
+        FormatArg::Datx => Format::Datx,
+        FormatArg::Xyz => Format::Xyz,
+        FormatArg::Mat5 => Format::Mat5,
+        FormatArg::Hdf5 => Format::Hdf5,
+        FormatArg::Fits => Format::Fits,
+        FormatArg::Csv => Format::Csv,
+        FormatArg::Npy => Format::Npy,
+        FormatArg::Sdf => Format::Sdf,
+    });
+    if path.is_dir() {
+        return Ok(Format::Directory);
+    }
+    if let Some(format) = given {
+        return Ok(format);
+    }
+    let unreadable = |e| Failure::new(format!("{}: cannot read: {e}", path.display()));
+    let size = fs::metadata(path).map_err(unreadable)?.len();
+    if size > MOST_BYTES {
+        let remedy = "export only the map";
+        return Err(Failure::new(format!("{}: has {size} bytes; {remedy}", path.display())));
+    }
+    let bytes = fs::read(path).map_err(unreadable)?;
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let by_ending = match ending.as_deref() {
+        Some("csv") => Some(Format::Csv),
+        Some("xyz") => Some(Format::Xyz),
+        _ => None,
+    };
+    Format::of(&bytes).or(by_ending).ok_or_else(|| {
+        Failure::new(format!("{}: is of no format that is known; give --format", path.display()))
+    })
+}
+
+fn open(
+    stage: &mut Stage,
+    role: &str,
+    path: &Path,
+    format: Format,
+    pick: &Pick,
+) -> Result<Reading, Failure> {
+    if format == Format::Directory {
+        if pick.data.is_some() || pick.x.is_some() || pick.y.is_some() {
+            let problem = "is a directory; leave out --dataset, --x and --y";
+            return Err(Failure::new(format!("{}: {problem}", path.display())));
+        }
+        return Ok(match pick.is_tif {
+            false => {
+                let map: Surface = stage.read(role, path)?;
+                Reading::of_map(map.grid(), map.height_nm())
+            }
+            true => {
+                let map: Tif = stage.read(role, path)?;
+                Reading::of_map(map.grid(), map.rate_nm_per_s())
+            }
+        });
+    }
+    let bytes = stage.read_bytes(role, path, MOST_BYTES)?;
+    read(format, &bytes, pick).map_err(|e| about(path, &e))
+}
+
+/// What was done, for the user to check, and the warnings.
+fn report(statement: &Statement, grid: &Grid) {
+    for warning in &statement.warnings {
+        let _ = writeln!(std::io::stderr(), "warning: {warning}");
+    }
+    #[derive(Serialize)]
+    struct Names(Format, FirstRow);
+    let name = |v: Value| v.as_str().unwrap_or_default().to_string();
+    let names = serde_json::to_value(Names(statement.format, statement.first_row));
+    let names = names.unwrap_or_default();
+    let (ny, nx) = grid.shape();
+    say(format!(
+        "planish-import: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), {} invalid",
+        name(names[0].clone()),
+        grid.x.step_mm(),
+        grid.y.step_mm(),
+        statement.pitch_from,
+        statement.invalid
+    ));
+    say(format!(
+        "planish-import: stored value 1 is {} nm of surface (unit: {}); the first row of the file is \
+         the {}",
+        statement.nm_per_value,
+        statement.unit_from,
+        if statement.first_row == FirstRow::Top { "top" } else { "smallest y" }
+    ));
+}
+
+fn draw(
+    grid: &Grid,
+    map: &Array2<f64>,
+    scale: Scale,
+    file: &Path,
+    statement: &Statement,
+) -> String {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let title = format!(
+        "{name}: {} x {} pixels, {} invalid (grey)",
+        map.ncols(),
+        map.nrows(),
+        statement.invalid
+    );
+    svg(grid, map, scale, &title)
+}
+
+/// Writes the picture that was asked for; an older one is replaced with --force.
+fn put_picture(args: &FileArgs, picture: impl Fn() -> String) -> Result<(), Failure> {
+    let Some(path) = &args.picture else { return Ok(()) };
+    if path.exists() && !args.output.force {
+        let problem = "exists; give --force to replace it, or another --picture";
+        return Err(Failure::new(format!("{}: {problem}", path.display())));
+    }
+    if path.starts_with(&args.output.out) {
+        let problem = "is in the output; give another --picture";
+        return Err(Failure::new(format!("{}: {problem}", path.display())));
+    }
+    if let Some(parent) = path.parent() {
+        let _ = fs::create_dir_all(parent);
+    }
+    let mut beside = path.clone().into_os_string();
+    beside.push(".part");
+    fs::write(&beside, picture())
+        .and_then(|()| fs::rename(&beside, path))
+        .map_err(|e| Failure::new(format!("{}: cannot write: {e}", path.display())))
+}

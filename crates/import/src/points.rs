@@ -1,0 +1,379 @@
+//! Text with one pixel per line: Zygo's `.xyz`, and any lines `x y z`.
+//!
+//! A `Zygo XYZ Data File` has a header of 14 lines, then `#`, then `column row z` or
+//! `column row No Data`, then `#`. The pitch is in the header, in m. The unit of z is not in the file:
+//! micrometres by custom. Row 0 is the top.
+//!
+//! A `Zygo ASCII Data File` has the same header, then `#`, the intensity, `#`, the phase, `#`, both as
+//! whole numbers, row by row. The phase is coded as in a MetroPro file ([`crate::metropro`]):
+//!
+//! ```text
+//! height (m) = raw W S O / R
+//! ```
+//!
+//! Other text: three numbers per line, in any order of the pixels, on a uniform grid; a pixel that
+//! no line names is invalid.
+
+use ndarray::Array2;
+use planish_types::Invalid;
+use serde_json::json;
+
+use crate::{
+    Format, Unit, check_size,
+    reading::{Coordinates, FirstRow, Reading},
+    text,
+};
+
+const NAME: &str = "XYZ file";
+
+/// Phases from here on mark an invalid pixel.
+const INVALID: f64 = 2_147_483_640.0;
+
+/// Largest departure of a coordinate from the grid, as a fraction of its step.
+const UNIFORMITY: f64 = 0.01;
+
+/// Reads a Zygo file or lines of `x y z`.
+pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
+    let text = text::text(NAME, bytes)?;
+    if text.starts_with("Zygo XYZ Data File") {
+        zygo(text, Body::Points)
+    } else if text.starts_with("Zygo ASCII Data File") {
+        zygo(text, Body::Phase)
+    } else {
+        lines(text)
+    }
+}
+
+/// What follows the header of a Zygo file.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Body {
+    /// Lines `column row z`.
+    Points,
+    /// Coded phase, row by row.
+    Phase,
+}
+
+fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
+    let bad =
+        |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
+    let mut all = text.lines().enumerate();
+    let mut header = Vec::new();
+    for (_, line) in all.by_ref() {
+        if line.trim() == "#" {
+            break;
+        }
+        header.push(line);
+        if header.len() > 40 {
+            return Err(bad("has no line # after its header".into()));
+        }
+    }
+    let field = |line: usize, field: usize| -> Result<f64, Invalid> {
+        let text = header.get(line - 1).and_then(|l| l.split_whitespace().nth(field - 1));
+        let text = text.ok_or_else(|| bad(format!("has no field {field} in line {line}")))?;
+        text::number(NAME, text, line, field)
+    };
+    let size = |n: usize| match field(4, n)? {
+        v if (0.0..1e9).contains(&v) && v.fract() == 0.0 => Ok(v as usize),
+        v => Err(bad(format!("has {v} pixels in line 4, field {n}"))),
+    };
+    let (columns, rows) = (size(3)?, size(4)?);
+    check_size("phase", rows, columns)?;
+    if rows * columns > text.len() {
+        return Err(bad(format!("is truncated: {rows} x {columns} pixels, {} bytes", text.len())));
+    }
+    let (x0, y0) = (field(4, 1)?, field(4, 2)?);
+    let (scale, wavelength_m, pitch_m) = (field(8, 2)?, field(8, 3)?, field(8, 7)?);
+    if !(pitch_m.is_finite() && pitch_m >= 0.0) {
+        return Err(bad(format!("has the pixel size {pitch_m} m in line 8")));
+    }
+
+    let frame = Frame { rows, columns, x0, y0 };
+    let (values, unit, factor) = match body {
+        Body::Points => (frame.points(all)?, Unit::Um, 1.0),
+        Body::Phase => {
+            let (obliquity, resolution) = (field(8, 5)?, field(11, 1)?);
+            let resolution = match resolution {
+                0.0 => 4096.0,
+                1.0 => 32768.0,
+                2.0 => 131_072.0,
+                other => return Err(bad(format!("has the phase resolution {other}, not 0, 1, 2"))),
+            };
+            let factors = [wavelength_m, scale, obliquity];
+            if !factors.iter().all(|f| f.is_finite() && *f > 0.0) {
+                let problem = format!("has wavelength, scale factor, obliquity {factors:?}");
+                return Err(bad(problem));
+            }
+            // z = raw W S O / R
+            let factor = wavelength_m * scale * obliquity / resolution;
+            (frame.phase(all)?, Unit::M, factor)
+        }
+    };
+    let mut reading = Reading::new(Format::Xyz, values, FirstRow::Top);
+    (reading.unit, reading.unit_by_custom) = (Some(unit), body == Body::Points);
+    reading.factor = factor;
+    if wavelength_m > 0.0 && wavelength_m.is_finite() {
+        reading.wavelength_nm = Some(wavelength_m * 1e9);
+    }
+    if pitch_m > 0.0 {
+        reading.pitch_mm = Some([pitch_m * 1e3; 2]);
+    }
+    reading.stated = json!({
+        "interferometric_scale_factor": scale,
+        "wavelength_nm": reading.wavelength_nm,
+        "origin_pixel": [x0, y0],
+    });
+    Ok(reading)
+}
+
+/// The rectangle of the pixels within the camera.
+struct Frame {
+    rows: usize,
+    columns: usize,
+    x0: f64,
+    y0: f64,
+}
+
+impl Frame {
+    /// Lines `column row z` up to a line `#`.
+    fn points<'a>(
+        &self,
+        lines: impl Iterator<Item = (usize, &'a str)>,
+    ) -> Result<Array2<f64>, Invalid> {
+        let (rows, columns) = (self.rows, self.columns);
+        let mut values = Array2::from_elem((rows, columns), f64::NAN);
+        let (mut count, mut closed) = (0, false);
+        for (i, line) in lines {
+            let line = line.trim();
+            if line == "#" {
+                closed = true;
+                break;
+            }
+            if line.is_empty() {
+                continue;
+            }
+            let (column, rest) = next(line);
+            let (row, z) = next(rest);
+            let at = [
+                self.index(row, i + 1, 2, self.y0, rows)?,
+                self.index(column, i + 1, 1, self.x0, columns)?,
+            ];
+            values[at] = text::number(NAME, z.trim(), i + 1, 3)?;
+            count += 1;
+        }
+        if !closed || count != rows * columns {
+            let of = rows * columns;
+            return Err(broken(format!(
+                "is truncated: {count} of {of} pixels, closing # {closed}"
+            )));
+        }
+        Ok(values)
+    }
+
+    fn index(
+        &self,
+        field: &str,
+        line: usize,
+        k: usize,
+        origin: f64,
+        len: usize,
+    ) -> Result<usize, Invalid> {
+        let v = text::number(NAME, field, line, k)?;
+        // Writers count within the rectangle or within the camera.
+        let inside = [v - origin, v].into_iter().find(|v| (0.0..len as f64).contains(v));
+        match inside.filter(|v| v.fract() == 0.0) {
+            Some(v) => Ok(v as usize),
+            None => Err(broken(format!("has pixel {field} of {len} in line {line}"))),
+        }
+    }
+
+    /// The numbers between the second and the third `#` (the first one closed the header).
+    fn phase<'a>(
+        &self,
+        mut lines: impl Iterator<Item = (usize, &'a str)>,
+    ) -> Result<Array2<f64>, Invalid> {
+        let of = self.rows * self.columns;
+        let mut values = Vec::new();
+        lines.by_ref().find(|(_, line)| line.trim() == "#");
+        for (i, line) in lines.take_while(|(_, line)| line.trim() != "#") {
+            for (k, field) in line.split_whitespace().enumerate() {
+                let v = text::number(NAME, field, i + 1, k + 1)?;
+                values.push(if v >= INVALID { f64::NAN } else { v });
+            }
+            if values.len() > of {
+                return Err(broken(format!("has more than {of} pixels in line {}", i + 1)));
+            }
+        }
+        let found = values.len();
+        Array2::from_shape_vec((self.rows, self.columns), values)
+            .map_err(|_| broken(format!("is truncated: {found} of {of} pixels")))
+    }
+}
+
+fn broken(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "export it again from the instrument")
+}
+
+/// The first word, and the rest.
+fn next(line: &str) -> (&str, &str) {
+    line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
+}
+
+fn lines(text: &str) -> Result<Reading, Invalid> {
+    let mut points: Vec<[f64; 3]> = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let trimmed = line.trim();
+        if trimmed.is_empty() || trimmed.starts_with('#') {
+            continue;
+        }
+        let fields = text::fields(trimmed);
+        // "No Data" is two words.
+        let [x, y, z] = match fields[..] {
+            [x, y, z] => [x, y, z],
+            [x, y, no, data]
+                if no.eq_ignore_ascii_case("no") && data.eq_ignore_ascii_case("data") =>
+            {
+                [x, y, "no data"]
+            }
+            _ => {
+                let problem = format!("has {} fields in line {}, not x y z", fields.len(), i + 1);
+                let remedy = "give three numbers per line, or --format csv for a matrix";
+                return Err(Invalid::whole(NAME, problem, remedy));
+            }
+        };
+        let point = [
+            text::number(NAME, x, i + 1, 1)?,
+            text::number(NAME, y, i + 1, 2)?,
+            text::number(NAME, z, i + 1, 3)?,
+        ];
+        if !(point[0].is_finite() && point[1].is_finite()) {
+            let problem =
+                format!("has the coordinates {}, {} in line {}", point[0], point[1], i + 1);
+            return Err(Invalid::whole(NAME, problem, "leave out pixels without a place"));
+        }
+        points.push(point);
+    }
+    let x = uniform("x", points.iter().map(|p| p[0]).collect(), points.len())?;
+    let y = uniform("y", points.iter().map(|p| p[1]).collect(), points.len())?;
+    check_size(NAME, y.count, x.count)?;
+    // A grid of which most pixels are absent is a mistake in the coordinates.
+    if x.count * y.count > 100 * points.len() {
+        let problem = format!("names {} of {} x {} pixels", points.len(), y.count, x.count);
+        return Err(Invalid::whole(NAME, problem, "resample it to a uniform grid"));
+    }
+    let mut values = Array2::from_elem((y.count, x.count), f64::NAN);
+    let mut seen = Array2::from_elem((y.count, x.count), false);
+    for point in &points {
+        let at = [y.index("y", point[1])?, x.index("x", point[0])?];
+        if std::mem::replace(&mut seen[at], true) {
+            let problem = format!("names the pixel x {}, y {} twice", point[0], point[1]);
+            return Err(Invalid::whole(NAME, problem, "give every pixel once"));
+        }
+        values[at] = point[2];
+    }
+    let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
+    reading.coordinates = Some(Coordinates { x: x.all(), y: y.all(), unit: None });
+    Ok(reading)
+}
+
+/// A uniform axis found among coordinates.
+struct Found {
+    start: f64,
+    step: f64,
+    count: usize,
+}
+
+fn uniform(name: &'static str, mut values: Vec<f64>, points: usize) -> Result<Found, Invalid> {
+    values.sort_by(f64::total_cmp);
+    let (Some(start), Some(end)) = (values.first().copied(), values.last().copied()) else {
+        return Err(Invalid::whole(NAME, "holds no points", "give lines x y z"));
+    };
+    // Coordinates of one column that were computed differently are equal to rounding.
+    let apart = 1e-6 * (end - start) / (points as f64).max(1.0);
+    let gap = values.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > apart);
+    let least = gap.fold(f64::INFINITY, f64::min);
+    if !(least.is_finite() && (end - start).is_finite()) {
+        let problem = format!("has only the value {start}");
+        return Err(Invalid::whole(name, problem, "a map has at least 2 x 2 pixels"));
+    }
+    let steps = ((end - start) / least).round();
+    if steps >= crate::MOST_PIXELS as f64 {
+        let problem = format!("goes from {start} to {end} in steps of {least}");
+        return Err(Invalid::whole(name, problem, "resample it to a uniform grid"));
+    }
+    Ok(Found { start, step: (end - start) / steps, count: steps as usize + 1 })
+}
+
+impl Found {
+    fn index(&self, name: &'static str, v: f64) -> Result<usize, Invalid> {
+        let i = ((v - self.start) / self.step).round();
+        let on_grid = self.start + i * self.step;
+        if (v - on_grid).abs() > UNIFORMITY * self.step {
+            let problem = format!("{v} is not on the grid of step {}", self.step);
+            return Err(Invalid::whole(name, problem, "resample it to a uniform grid"));
+        }
+        Ok((i as usize).min(self.count - 1))
+    }
+
+    fn all(&self) -> Vec<f64> {
+        (0..self.count).map(|i| self.start + i as f64 * self.step).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn points_in_any_order_become_a_grid_with_holes() {
+        let text = "# x y z\n1.0 0 3\n0,0,1\n0.5 0 2\n0 2 4\n1 2 No Data\n";
+        let reading = read(text.as_bytes()).unwrap();
+        let [a, b] = [reading.values.row(0).to_vec(), reading.values.row(1).to_vec()];
+        assert_eq!(a, [1.0, 2.0, 3.0]);
+        assert!(b[0] == 4.0 && b[1].is_nan() && b[2].is_nan());
+        let c = reading.coordinates.unwrap();
+        assert_eq!((c.x, c.y), (vec![0.0, 0.5, 1.0], vec![0.0, 2.0]));
+    }
+
+    #[test]
+    fn what_is_no_grid_is_refused() {
+        let message = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
+        assert!(message("0 0 1\n1 0 2\n0 1 3\n1 1 4\n1 1 4\n").contains("twice"));
+        assert!(message("0 0 1\n1 0 2\n0 1 3\n2.4 1 4\n").contains("not on the grid"));
+        assert!(message("0 0 1\n1 0 2\n").contains("only the value 0"));
+        assert!(message("0 0 1\n1 0 x\n").contains("\"x\" in line 2, field 3"));
+        assert!(message("0 0\n").contains("not x y z"));
+        assert!(message("0 0 1\n400 1 1\n1e9 2 1\n").contains("names 3 of"));
+        assert!(message("").contains("holds no points"));
+    }
+
+    #[test]
+    fn a_zygo_file_of_coded_phase_by_hand() {
+        let mut text = String::from("Zygo ASCII Data File - Format 2\n0\n0\n0 0 2 2\n\n\n\n");
+        text += "0 0.5 6.4e-007 0 1 0 1.5e-004 0\n0\n0\n1 1\n0\n0\n0\n#\n7 7\n#\n";
+        let whole = format!("{text}32768 -16384 2147483640\n0\n#\n");
+        let reading = read(whole.as_bytes()).unwrap();
+        // 32768 is half a wavelength of 640 nm.
+        assert!((reading.factor * 32768.0 - 320e-9).abs() < 1e-22);
+        assert_eq!(reading.values.row(0), array![32768.0, -16384.0]);
+        assert!(reading.values[[1, 0]].is_nan() && reading.values[[1, 1]] == 0.0);
+        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::M), false));
+        let cut = format!("{text}32768 -16384\n#\n");
+        assert!(read(cut.as_bytes()).unwrap_err().to_string().contains("2 of 4 pixels"));
+    }
+
+    #[test]
+    fn a_zygo_file_by_hand() {
+        let mut text = String::from("Zygo XYZ Data File - Format 1\n0 5 0 0 \"x\"\n0 0 0 0 0 0\n");
+        text += "3 4 2 2\n\"\"\n\"\"\n\"\"\n0 0.5 6.328e-007 0 1 0 1.5e-004 0\n";
+        text += "0\n0\n0\n0\n0\n0\n#\n3 4 0.25\n4 4 -0.5\n3 5 No Data\n4 5 1\n#\n";
+        let reading = read(text.as_bytes()).unwrap();
+        assert_eq!(reading.values.row(0), array![0.25, -0.5]);
+        assert!(reading.values[[1, 0]].is_nan());
+        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::Um), true));
+        // 1.5e-4 m; the product rounds.
+        assert!((reading.pitch_mm.unwrap()[0] - 0.15).abs() < 1e-15);
+        let cut = &text[..text.len() - 8];
+        assert!(read(cut.as_bytes()).unwrap_err().to_string().contains("truncated"));
+    }
+}

@@ -1,0 +1,241 @@
+//! Programs of motion controllers, back into the motion that the controller will run.
+//!
+//! Written from the controllers' manuals, not from `planish-export`: the two share no code, so what
+//! one of them gets wrong the other does not undo.
+//!
+//! | module | program | motion between two lines |
+//! |---|---|---|
+//! | [`galil`] | `PVA=dP,V,T` in counts and samples | cubic (Hermite) |
+//! | [`xps`] | `dt, dx, vx, dy, vy` | cubic (Hermite) |
+//! | [`pmac`] | `PVT<ms>`, `X<p>:<v> Y<p>:<v>` | cubic (Hermite) |
+//! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed |
+//! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
+//!
+//! What a program does not say, where the axes stand before it and what a count is, is given by
+//! [`Configuration`].
+
+pub mod csv;
+pub mod galil;
+pub mod gcode;
+pub mod pmac;
+pub mod xps;
+
+use planish_types::{Invalid, Trajectory};
+use serde::{Deserialize, Serialize};
+
+/// Whose program it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Controller {
+    /// Galil DMC, PVT mode.
+    Galil,
+    /// Newport XPS, PVT trajectory file.
+    Xps,
+    /// Delta Tau / Omron PMAC, PVT mode.
+    Pmac,
+    /// G-code as LinuxCNC runs it.
+    Gcode,
+    /// Table of the motion.
+    Csv,
+}
+
+/// How the controller is set up. What a program needs and is absent is asked for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Configuration {
+    /// Where the axes (x, y) stand before the program, mm.
+    pub start_mm: Option<[f64; 2]>,
+    /// Size of a count of (x, y), mm.
+    pub count_mm: Option<[f64; 2]>,
+    /// Sample time, s.
+    pub sample_s: Option<f64>,
+    /// Unit of time of a PMAC's velocities, s.
+    pub feedrate_time_unit_s: Option<f64>,
+}
+
+/// Reads a program of `controller` into the motion that it makes.
+pub fn read(
+    controller: Controller,
+    bytes: &[u8],
+    configuration: &Configuration,
+) -> Result<Trajectory, Invalid> {
+    let text = crate::text::text("program", bytes)?;
+    match controller {
+        Controller::Galil => galil::read(text, configuration),
+        Controller::Xps => xps::read(text, configuration),
+        Controller::Pmac => pmac::read(text, configuration),
+        Controller::Gcode => gcode::read(text),
+        Controller::Csv => csv::read(text),
+    }
+}
+
+/// A state that a program names: time since its start (s), position (mm), velocity (mm/s).
+#[derive(Clone, Copy, Debug)]
+struct Knot {
+    time_s: f64,
+    position_mm: [f64; 2],
+    velocity_mm_per_s: [f64; 2],
+    /// Whether the tool removes until the next knot.
+    tool_on: bool,
+}
+
+/// The cubic through position and velocity at both ends of a time T:
+///
+/// ```text
+/// p(u) = p0 + v0 u + (3 (p1 - p0)/T - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 (p1 - p0)/T)/T^2 u^3
+/// ```
+fn hermite(p: [f64; 2], v: [f64; 2], time_s: f64) -> [f64; 4] {
+    let mean = (p[1] - p[0]) / time_s;
+    [
+        p[0],
+        v[0],
+        (3.0 * mean - 2.0 * v[0] - v[1]) / time_s,
+        (v[0] + v[1] - 2.0 * mean) / (time_s * time_s),
+    ]
+}
+
+fn through(knots: &[Knot]) -> Result<Trajectory, Invalid> {
+    if knots.len() < 2 {
+        return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
+    }
+    let segments = knots.windows(2).map(|k| {
+        let time_s = k[1].time_s - k[0].time_s;
+        [0, 1].map(|a| {
+            let p = [k[0].position_mm[a], k[1].position_mm[a]];
+            hermite(p, [k[0].velocity_mm_per_s[a], k[1].velocity_mm_per_s[a]], time_s)
+        })
+    });
+    let n = knots.len() - 1;
+    Trajectory::new(
+        knots.iter().map(|k| k.time_s).collect(),
+        segments.collect(),
+        knots[..n].iter().map(|k| k.tool_on).collect(),
+        vec![-1; n],
+    )
+}
+
+/// An error in a line, counted from 1.
+fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
+    Invalid::at("program line", line, problem, "write the program again")
+}
+
+fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
+    text.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+        let short: String = text.trim().chars().take(20).collect();
+        wrong(line, format!("has \"{short}\" where a number should be"))
+    })
+}
+
+fn needed<T: Copy>(name: &'static str, flag: &str, value: Option<T>) -> Result<T, Invalid> {
+    value.ok_or_else(|| {
+        let remedy = format!("give {flag}, or --about with the file beside the program");
+        Invalid::whole(name, "is not in such a program", remedy)
+    })
+}
+
+fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
+    if v.is_finite() && v > 0.0 {
+        Ok(v)
+    } else {
+        Err(Invalid::whole(name, format!("is {v}"), "give a positive number"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn configuration() -> Configuration {
+        Configuration {
+            start_mm: Some([1.0, -2.0]),
+            count_mm: Some([0.001, 0.001]),
+            sample_s: Some(0.001),
+            feedrate_time_unit_s: Some(1.0),
+        }
+    }
+
+    fn message(controller: Controller, text: &str) -> String {
+        read(controller, text.as_bytes(), &configuration()).unwrap_err().to_string()
+    }
+
+    /// 1 mm in x in 0.1 s from rest to rest, then 0.2 s of standing.
+    fn is_the_move(trajectory: &Trajectory, straight: bool) {
+        assert_eq!(trajectory.len(), 2);
+        let t = trajectory.break_time_s();
+        assert!((t[1] - 0.1).abs() < 1e-12 && (t[2] - 0.3).abs() < 1e-12, "{t:?}");
+        let first = trajectory.segment(0);
+        let ends = [first.position_mm(0.0), first.position_mm(0.1)];
+        assert!((ends[0][0] - 1.0).abs() < 1e-12 && (ends[1][0] - 2.0).abs() < 1e-12);
+        // A cubic from rest to rest: at a quarter of the time 10/64 of the way.
+        let quarter = if straight { 0.25 } else { 10.0 / 64.0 };
+        assert!((first.position_mm(0.025)[0] - 1.0 - quarter).abs() < 1e-12);
+        assert_eq!(trajectory.segment(1).position_mm(0.1), [2.0, -2.0]);
+    }
+
+    #[test]
+    fn the_same_move_in_every_language() {
+        let read = |c, text: &str| read(c, text.as_bytes(), &configuration()).unwrap();
+        let galil = "' a comment\nPVA=0,0,-1;PVB=0,0,-1\nPVA=1000,0,100\nPVB=0,0,100\nBTAB\n\
+                     PVA=0,0,200\nPVB=0,0,200\nPVA=0,0,0;PVB=0,0,0\n";
+        is_the_move(&read(Controller::Galil, galil), false);
+        is_the_move(&read(Controller::Xps, "0.1, 1, 0, 0, 0\n0.2, 0, 0, 0, 0\n"), false);
+        let pmac = "; a comment\nABS\nPVT100\nX2:0 Y-2:0\nPVT200\nX2:0 Y-2:0\n";
+        is_the_move(&read(Controller::Pmac, pmac), false);
+        let relative = "INC\nPVT100\nX1:0\nPVT200\nX0 Y0\n";
+        is_the_move(&read(Controller::Pmac, relative), false);
+        let inverse =
+            "%\n(a comment) G21 G90\nG0 X1 Y-2\nG93\nG1 X2 F600 ; on\nG4 P0.2\nG94 F60\nM2\n";
+        is_the_move(&read(Controller::Gcode, inverse), true);
+        let feed = "g0x1y-2\ng94g1x2f600\ng4p.2\nm2\n";
+        is_the_move(&read(Controller::Gcode, feed), true);
+        let csv = "# a comment\nt_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n\
+                   0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n0.3,2,0,-2,0,1\n";
+        is_the_move(&read(Controller::Csv, csv), false);
+    }
+
+    #[test]
+    fn the_tool_is_off_where_the_program_says_so() {
+        let text = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM63 P0\nG1 X2 F60\nM2\n";
+        let program = read(Controller::Gcode, text.as_bytes(), &Configuration::default()).unwrap();
+        assert_eq!(program.tool_on(), [true, false]);
+        let text =
+            "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,2,0,0\n1,1,0,2,0,1\n2,1,0,2,0,1";
+        let program = read(Controller::Csv, text.as_bytes(), &Configuration::default()).unwrap();
+        assert_eq!(program.tool_on(), [false, true]);
+    }
+
+    #[test]
+    fn bad_programs_are_refused_with_their_line() {
+        use Controller::*;
+        for (controller, text, expected) in [
+            (Galil, "PVA=1,0,100\n", "1 segment(s) of A, 0 of B"),
+            (Galil, "PVA=1,0,100\nPVB=1,0,102\n", "100 samples for A, 102 for B"),
+            (Galil, "PVA=1,x,100\n", "line[1]: has \"x\""),
+            (Galil, "PVA=1,0,0\nPVB=1,0,0\n", "0 samples"),
+            (Galil, "SHA\n", "line[1]: has \"SHA\""),
+            (Galil, "PVA=1,0,9999\n", "9999 samples"),
+            (Xps, "0.1, 1, 0, 0\n", "line[1]: has 4 fields"),
+            (Xps, "0, 1, 0, 0, 0\n", "line[1]: lasts 0 s"),
+            (Xps, "0.1, 1, 0, 0, 0.5\n", "ends with the velocity"),
+            (Xps, "", "moves nothing"),
+            (Pmac, "X1:0\n", "before PVT"),
+            (Pmac, "PVT0\nX1:0\n", "line[1]: lasts 0 ms"),
+            (Pmac, "PVT10\nZ1:0\n", "line[2]: has \"Z"),
+            (Gcode, "G93\nG1 X1\n", "line[2]: has no F"),
+            (Gcode, "G93\nG0 X0 Y0\nG1 X0 F60\n", "no length"),
+            (Gcode, "G0 X0 Y0\nG94\nG1 X1\n", "has no F"),
+            (Gcode, "G20\n", "inches"),
+            (Gcode, "G2 X1 Y1 R1\n", "G2"),
+            (Gcode, "G0 X0 Y0\nG1 X1 F-5\n", "F is -5"),
+            (Gcode, "G0 X0 Y0\nG1 Xa F5\n", "where a number should be"),
+            (Csv, "0,1,0,2,0,1\n", "line[1]: is not the header"),
+        ] {
+            let said = message(controller, text);
+            assert!(said.contains(expected), "{controller:?} {text:?}: {said}");
+        }
+        let nothing = Configuration::default();
+        let said = read(Galil, b"PVA=1,0,100\nPVB=1,0,100\n", &nothing).unwrap_err().to_string();
+        assert!(said.contains("--count-mm"), "{said}");
+        let said = read(Xps, b"0.1, 1, 0, 0, 0\n", &nothing).unwrap_err().to_string();
+        assert!(said.contains("--start-mm"), "{said}");
+    }
+}

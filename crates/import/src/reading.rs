@@ -1,0 +1,622 @@
+//! From the numbers of a file to a map in nm on a grid in mm.
+//!
+//! ```text
+//! height (nm) = stored value x factor of the file x unit of the file (nm) x factor asked for
+//! ```
+//!
+//! in one multiplication, so that a map comes back to the last bit its file holds. A unit or a
+//! pitch that the file does not state is asked for; a unit that contradicts the file is refused.
+
+use ndarray::{Array2, s};
+use planish_types::{Axis, Grid, Invalid, Surface, Tif};
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::Format;
+
+/// A unit of length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Unit {
+    /// Metre.
+    M,
+    /// Millimetre.
+    Mm,
+    /// Micrometre.
+    Um,
+    /// Nanometre.
+    Nm,
+    /// Angstrom.
+    Angstrom,
+    /// Wavelengths (heights only).
+    Waves,
+}
+
+impl Unit {
+    /// The unit that a file calls `name`; an unknown one is refused by its name.
+    pub fn stated(place: &'static str, name: &str) -> Result<Self, Invalid> {
+        let plain = name.trim().to_lowercase().replace(['\u{b5}', '\u{3bc}'], "u");
+        match plain.as_str() {
+            "m" | "meter" | "meters" | "metre" | "metres" => Ok(Self::M),
+            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => Ok(Self::Mm),
+            "um" | "micron" | "microns" | "micrometer" | "micrometers" | "micrometre"
+            | "micrometres" => Ok(Self::Um),
+            "nm" | "nanometer" | "nanometers" | "nanometre" | "nanometres" => Ok(Self::Nm),
+            "angstrom" | "angstroms" => Ok(Self::Angstrom),
+            "wave" | "waves" => Ok(Self::Waves),
+            _ => Err(Invalid::whole(
+                place,
+                format!("is \"{}\"", name.chars().take(40).collect::<String>()),
+                "a map of lengths is needed: m, mm, um, nm, angstrom or waves",
+            )),
+        }
+    }
+
+    fn nm(self, wavelength_nm: Option<f64>) -> Result<f64, Invalid> {
+        match self {
+            Self::M => Ok(1e9),
+            Self::Mm => Ok(1e6),
+            Self::Um => Ok(1e3),
+            Self::Nm => Ok(1.0),
+            Self::Angstrom => Ok(0.1),
+            Self::Waves => match wavelength_nm {
+                Some(w) if w.is_finite() && w > 0.0 => Ok(w),
+                Some(w) => {
+                    Err(Invalid::whole("wavelength_nm", format!("is {w}"), "give a length in nm"))
+                }
+                None => Err(Invalid::whole(
+                    "wavelength_nm",
+                    "is not in the file, whose heights are in waves",
+                    "give --wavelength-nm",
+                )),
+            },
+        }
+    }
+
+    /// mm in one unit of a lateral coordinate.
+    pub(crate) fn mm(self) -> Result<f64, Invalid> {
+        match self {
+            Self::M => Ok(1e3),
+            Self::Mm => Ok(1.0),
+            Self::Um => Ok(1e-3),
+            Self::Nm => Ok(1e-6),
+            Self::Angstrom => Ok(1e-7),
+            Self::Waves => Err(Invalid::whole(
+                "coordinate_unit",
+                "is waves",
+                "coordinates are in m, mm, um or nm",
+            )),
+        }
+    }
+}
+
+/// Which side of the part the first row of a file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FirstRow {
+    /// The largest y: the top of the picture.
+    Top,
+    /// The smallest y: the bottom of the picture.
+    SmallestY,
+}
+
+/// What to take from a file that holds several arrays.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Pick {
+    /// Name or path of the map.
+    pub data: Option<String>,
+    /// Name or path of the coordinates along the columns.
+    pub x: Option<String>,
+    /// Name or path of the coordinates along the rows.
+    pub y: Option<String>,
+    /// Whether a TIF is wanted: which of the customary names are tried when none is given.
+    pub is_tif: bool,
+}
+
+/// Coordinates of the columns and rows, in the unit of the file.
+#[derive(Clone, Debug)]
+pub struct Coordinates {
+    /// Of the columns (nx); ascending or descending.
+    pub x: Vec<f64>,
+    /// Of the rows (ny); ascending or descending.
+    pub y: Vec<f64>,
+    /// Their unit, where the file states it.
+    pub unit: Option<Unit>,
+}
+
+/// What a file holds.
+#[derive(Clone, Debug)]
+pub struct Reading {
+    /// Format of the file.
+    pub format: Format,
+    /// Stored values (rows, columns) in the order of the file; NaN = invalid pixel.
+    pub values: Array2<f64>,
+    /// Unit of `factor * value`, where the file states it.
+    pub unit: Option<Unit>,
+    /// Whether the unit is only what writers of this format use, not in the file.
+    pub unit_by_custom: bool,
+    /// Factor of the file: stored value to `unit`.
+    pub factor: f64,
+    /// Wavelength, nm, where the file states it.
+    pub wavelength_nm: Option<f64>,
+    /// Distance of pixel centres along (x, y), mm, where the file states it.
+    pub pitch_mm: Option<[f64; 2]>,
+    /// Coordinates, where the file has them.
+    pub coordinates: Option<Coordinates>,
+    /// Where the first row is, by the format.
+    pub first_row: FirstRow,
+    /// What the file states besides, for the manifest.
+    pub stated: Value,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+impl Reading {
+    /// What a directory of `.npy` holds: `map` (ny, nx) in nm or nm/s on `grid`.
+    pub fn of_map(grid: &Grid, map: &Array2<f64>) -> Self {
+        let mut reading = Self::new(Format::Directory, map.clone(), FirstRow::SmallestY);
+        reading.unit = Some(Unit::Nm);
+        let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
+        reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::Mm) });
+        reading
+    }
+
+    pub(crate) fn new(format: Format, values: Array2<f64>, first_row: FirstRow) -> Self {
+        Self {
+            format,
+            values,
+            unit: None,
+            unit_by_custom: false,
+            factor: 1.0,
+            wavelength_nm: None,
+            pitch_mm: None,
+            coordinates: None,
+            first_row,
+            stated: Value::Null,
+            warnings: Vec::new(),
+        }
+    }
+}
+
+/// Where the coordinate 0 is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Origin {
+    /// Where the file has it; without coordinates in the file, at the first pixel.
+    File,
+    /// At the first pixel: smallest x, smallest y.
+    Corner,
+    /// In the middle of the map.
+    Centre,
+}
+
+/// Turn of the map, counter-clockwise with x to the right and y upwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Rotation {
+    /// 0 degrees.
+    #[serde(rename = "0")]
+    None,
+    /// 90 degrees: what was on the right comes to the top.
+    #[serde(rename = "90")]
+    Quarter,
+    /// 180 degrees.
+    #[serde(rename = "180")]
+    Half,
+    /// 270 degrees: what was on the right comes to the bottom.
+    #[serde(rename = "270")]
+    ThreeQuarters,
+}
+
+/// What the user states about a file. `None` leaves it to the file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Unit of the heights.
+    pub unit: Option<Unit>,
+    /// Wavelength of heights in waves, nm.
+    pub wavelength_nm: Option<f64>,
+    /// Distance of pixel centres along (x, y), mm; takes the place of the file's, with a warning.
+    pub pitch_mm: Option<[f64; 2]>,
+    /// Unit of the coordinates in the file.
+    pub coordinate_unit: Option<Unit>,
+    /// Surface height per stated height: 1 for a surface, 0.5 for the wavefront of one reflection.
+    pub surface_per_value: f64,
+    /// Whether the file counts material as negative.
+    pub negate: bool,
+    /// A stored value that marks an invalid pixel.
+    pub no_data: Option<f64>,
+    /// Where the first row of the file is.
+    pub first_row: Option<FirstRow>,
+    /// Mirror x.
+    pub flip_x: bool,
+    /// Mirror y.
+    pub flip_y: bool,
+    /// Turn, after mirroring.
+    pub rotation: Rotation,
+    /// Where the coordinate 0 is.
+    pub origin: Origin,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            unit: None,
+            wavelength_nm: None,
+            pitch_mm: None,
+            coordinate_unit: None,
+            surface_per_value: 1.0,
+            negate: false,
+            no_data: None,
+            first_row: None,
+            flip_x: false,
+            flip_y: false,
+            rotation: Rotation::None,
+            origin: Origin::File,
+        }
+    }
+}
+
+/// What was done with a reading, for the manifest.
+#[derive(Clone, Debug, Serialize)]
+pub struct Statement {
+    /// Format of the file.
+    pub format: Format,
+    /// Unit of the heights in the file.
+    pub unit: Unit,
+    /// Who says so: "file", "custom of the format" or "asked for".
+    pub unit_from: &'static str,
+    /// Height in nm of the stored value 1: all factors and the sign in one.
+    pub nm_per_value: f64,
+    /// Surface height per stated height.
+    pub surface_per_value: f64,
+    /// Distance of pixel centres along (x, y), mm, in the map that was written.
+    pub pitch_mm: [f64; 2],
+    /// Who says so: "file" or "asked for".
+    pub pitch_from: &'static str,
+    /// Where the first row of the file is.
+    pub first_row: FirstRow,
+    /// Mirrored in x.
+    pub flip_x: bool,
+    /// Mirrored in y.
+    pub flip_y: bool,
+    /// Turned by, degrees.
+    pub rotation: Rotation,
+    /// Invalid pixels.
+    pub invalid: usize,
+    /// What the file states besides.
+    pub stated: Value,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+/// The map of a reading, heights in nm.
+pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statement), Invalid> {
+    let (grid, values, statement) = map(reading, settings)?;
+    Ok((Surface::new(grid, values)?, statement))
+}
+
+/// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second.
+/// A spot that has to be cut out or divided by its time is a [`crate::spot`].
+pub fn tif(reading: Reading, settings: &Settings) -> Result<(Tif, Statement), Invalid> {
+    let (grid, values, statement) = map(reading, settings)?;
+    Ok((Tif::new(grid, values)?, statement))
+}
+
+fn map(
+    mut reading: Reading,
+    settings: &Settings,
+) -> Result<(Grid, Array2<f64>, Statement), Invalid> {
+    let mut warnings = std::mem::take(&mut reading.warnings);
+    let (unit, unit_from) = unit(&reading, settings, &mut warnings)?;
+    let wavelength_nm = wavelength(&reading, settings)?;
+    if !(settings.surface_per_value.is_finite() && settings.surface_per_value > 0.0) {
+        let problem = format!("is {}", settings.surface_per_value);
+        let remedy = "give a positive factor, and --negate for the other sign";
+        return Err(Invalid::whole("surface_per_value", problem, remedy));
+    }
+    let sign = if settings.negate { -1.0 } else { 1.0 };
+    let nm_per_value =
+        sign * settings.surface_per_value * (reading.factor * unit.nm(wavelength_nm)?);
+
+    let no_data = settings.no_data;
+    // height (nm) = stored value x nm_per_value
+    reading.values.mapv_inplace(|v| if Some(v) == no_data { f64::NAN } else { v * nm_per_value });
+    let (grid, values, first_row, pitch_from) = place(&reading, settings, &mut warnings)?;
+    let (grid, values) = turn(grid, values, settings)?;
+    let grid = set_origin(grid, settings.origin)?;
+    let statement = Statement {
+        format: reading.format,
+        unit,
+        unit_from,
+        nm_per_value,
+        surface_per_value: settings.surface_per_value,
+        pitch_mm: [grid.x.step_mm(), grid.y.step_mm()],
+        pitch_from,
+        first_row,
+        flip_x: settings.flip_x,
+        flip_y: settings.flip_y,
+        rotation: settings.rotation,
+        invalid: values.iter().filter(|v| v.is_nan()).count(),
+        stated: reading.stated,
+        warnings,
+    };
+    Ok((grid, values, statement))
+}
+
+fn unit(
+    reading: &Reading,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<(Unit, &'static str), Invalid> {
+    match (reading.unit, settings.unit) {
+        (None, None) => {
+            Err(Invalid::whole("unit", "is not in the file", "give --unit m, mm, um, nm or waves"))
+        }
+        (None, Some(asked)) => Ok((asked, "asked for")),
+        (Some(custom), None) if reading.unit_by_custom => {
+            warnings.push(format!(
+                "the file does not state the unit of its heights; writers of this format use \
+                 {custom:?}; give --unit to be sure"
+            ));
+            Ok((custom, "custom of the format"))
+        }
+        (Some(_), Some(asked)) if reading.unit_by_custom => Ok((asked, "asked for")),
+        (Some(stated), Some(asked)) if asked != stated => Err(Invalid::whole(
+            "unit",
+            format!("is {stated:?} in the file, {asked:?} was asked for"),
+            "leave out --unit, or correct the file",
+        )),
+        (Some(stated), _) => Ok((stated, "file")),
+    }
+}
+
+fn wavelength(reading: &Reading, settings: &Settings) -> Result<Option<f64>, Invalid> {
+    match (reading.wavelength_nm, settings.wavelength_nm) {
+        // Writers keep the wavelength with 6 digits or more.
+        (Some(a), Some(b)) if (a - b).abs() > 1e-5 * a.abs() => Err(Invalid::whole(
+            "wavelength_nm",
+            format!("is {a} in the file, {b} was asked for"),
+            "leave out --wavelength-nm, or correct the file",
+        )),
+        (stated, asked) => Ok(asked.or(stated)),
+    }
+}
+
+/// The grid, and the map with both axes ascending.
+fn place(
+    reading: &Reading,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<(Grid, Array2<f64>, FirstRow, &'static str), Invalid> {
+    let values = &reading.values;
+    let (rows, columns) = values.dim();
+    let Some(coordinates) = &reading.coordinates else {
+        if settings.coordinate_unit.is_some() {
+            return Err(Invalid::whole(
+                "coordinate_unit",
+                "was given, but no coordinates are read from the file",
+                "leave out --coordinate-unit, or name the arrays with --x and --y",
+            ));
+        }
+        let ([x, y], from) = match (settings.pitch_mm, reading.pitch_mm) {
+            (None, None) => {
+                return Err(Invalid::whole(
+                    "pitch_mm",
+                    "is not in the file",
+                    "give --pitch-mm, the distance of pixel centres",
+                ));
+            }
+            (Some(asked), stated) => {
+                for s in stated.into_iter().filter(|s| *s != asked) {
+                    warnings.push(format!("the pitch of the file, {s:?} mm, is not used"));
+                }
+                (asked, "asked for")
+            }
+            (None, Some(stated)) => (stated, "file"),
+        };
+        for pitch in [x, y] {
+            if !(pitch.is_finite() && pitch > 0.0) {
+                let remedy = "a pitch is positive; give --pitch-mm";
+                return Err(Invalid::whole("pitch_mm", format!("is {pitch}"), remedy));
+            }
+        }
+        let grid = Grid { x: Axis::new(0.0, x, columns)?, y: Axis::new(0.0, y, rows)? };
+        let first_row = settings.first_row.unwrap_or(reading.first_row);
+        let values = match first_row {
+            FirstRow::Top => values.slice(s![..;-1, ..]).to_owned(),
+            FirstRow::SmallestY => values.clone(),
+        };
+        return Ok((grid, values, first_row, from));
+    };
+    for (name, given) in
+        [("pitch_mm", settings.pitch_mm.is_some()), ("first_row", settings.first_row.is_some())]
+    {
+        if given {
+            let remedy = "leave it out";
+            return Err(Invalid::whole(name, "was given, but the file has coordinates", remedy));
+        }
+    }
+    let unit = match (coordinates.unit, settings.coordinate_unit) {
+        (Some(a), Some(b)) if a != b => {
+            return Err(Invalid::whole(
+                "coordinate_unit",
+                format!("is {a:?} in the file, {b:?} was asked for"),
+                "leave out --coordinate-unit, or correct the file",
+            ));
+        }
+        (a, b) => a.or(b).ok_or_else(|| {
+            Invalid::whole("coordinate_unit", "is not in the file", "give --coordinate-unit")
+        })?,
+    };
+    let to_mm = unit.mm()?;
+    let axis = |name: &'static str, given: &[f64], len: usize| {
+        if given.len() != len {
+            let problem = format!("has {} coordinates for {len} pixels", given.len());
+            return Err(Invalid::whole(name, problem, "give one per pixel"));
+        }
+        let mut mm: Vec<f64> = given.iter().map(|v| v * to_mm).collect();
+        let descends = mm.first() > mm.last();
+        if descends {
+            mm.reverse();
+        }
+        Axis::from_coordinates(name, &mm).map(|axis| (axis, descends))
+    };
+    let (x, x_descends) = axis("x", &coordinates.x, columns)?;
+    let (y, y_descends) = axis("y", &coordinates.y, rows)?;
+    let mut view = values.view();
+    if x_descends {
+        view.invert_axis(ndarray::Axis(1));
+    }
+    if y_descends {
+        view.invert_axis(ndarray::Axis(0));
+    }
+    let first_row = if y_descends { FirstRow::Top } else { FirstRow::SmallestY };
+    Ok((Grid { x, y }, view.to_owned(), first_row, "file"))
+}
+
+/// Mirrors, then turns. A mirrored axis keeps its coordinates; a quarter turn swaps the axes.
+fn turn(
+    grid: Grid,
+    values: Array2<f64>,
+    settings: &Settings,
+) -> Result<(Grid, Array2<f64>), Invalid> {
+    let mut view = values.view();
+    let (mut flip_x, mut flip_y) = (settings.flip_x, settings.flip_y);
+    if settings.rotation == Rotation::Half {
+        (flip_x, flip_y) = (!flip_x, !flip_y);
+    }
+    if flip_x {
+        view.invert_axis(ndarray::Axis(1));
+    }
+    if flip_y {
+        view.invert_axis(ndarray::Axis(0));
+    }
+    // 90 degrees: (x, y) -> (-y, x); 270 degrees: (x, y) -> (y, -x)
+    let swapped = Grid { x: grid.y, y: grid.x };
+    Ok(match settings.rotation {
+        Rotation::None | Rotation::Half => (grid, view.to_owned()),
+        Rotation::Quarter => {
+            let mut turned = view.reversed_axes();
+            turned.invert_axis(ndarray::Axis(1));
+            (swapped, turned.as_standard_layout().into_owned())
+        }
+        Rotation::ThreeQuarters => {
+            let mut turned = view.reversed_axes();
+            turned.invert_axis(ndarray::Axis(0));
+            (swapped, turned.as_standard_layout().into_owned())
+        }
+    })
+}
+
+fn set_origin(grid: Grid, origin: Origin) -> Result<Grid, Invalid> {
+    let start = |axis: &Axis| match origin {
+        Origin::File => axis.start_mm(),
+        Origin::Corner => 0.0,
+        Origin::Centre => -0.5 * (axis.len() - 1) as f64 * axis.step_mm(),
+    };
+    let moved = |axis: &Axis| Axis::new(start(axis), axis.step_mm(), axis.len());
+    Ok(Grid { x: moved(&grid.x)?, y: moved(&grid.y)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    /// Two rows, three columns, all different.
+    fn reading() -> Reading {
+        let values = array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
+        let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);
+        reading.unit = Some(Unit::Um);
+        reading.pitch_mm = Some([0.5, 0.25]);
+        reading
+    }
+
+    fn height(settings: &Settings) -> Array2<f64> {
+        surface(reading(), settings).unwrap().0.height_nm().clone()
+    }
+
+    #[test]
+    fn every_orientation_by_hand() {
+        let k = 1e3;
+        let set = |change: fn(&mut Settings)| {
+            let mut settings = Settings::default();
+            change(&mut settings);
+            height(&settings) / k
+        };
+        assert_eq!(set(|_| ()), array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+        let top = set(|s| s.first_row = Some(FirstRow::Top));
+        assert_eq!(top, array![[4.0, 5.0, 6.0], [1.0, 2.0, 3.0]]);
+        assert_eq!(set(|s| s.flip_x = true), array![[3.0, 2.0, 1.0], [6.0, 5.0, 4.0]]);
+        assert_eq!(set(|s| s.flip_y = true), top);
+        // Seen with y upwards: 4 5 6 over 1 2 3. A quarter turn to the left puts the right
+        // column (6 over 3) on top, 6 on the left.
+        let quarter = set(|s| s.rotation = Rotation::Quarter);
+        assert_eq!(quarter, array![[4.0, 1.0], [5.0, 2.0], [6.0, 3.0]]);
+        let half = set(|s| s.rotation = Rotation::Half);
+        assert_eq!(half, array![[6.0, 5.0, 4.0], [3.0, 2.0, 1.0]]);
+        let three = set(|s| s.rotation = Rotation::ThreeQuarters);
+        assert_eq!(three, array![[3.0, 6.0], [2.0, 5.0], [1.0, 4.0]]);
+        assert_eq!(set(|s| s.negate = true), -array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+    }
+
+    #[test]
+    fn a_quarter_turn_takes_the_pitch_with_it_and_the_centre_is_the_origin() {
+        let settings =
+            Settings { rotation: Rotation::Quarter, origin: Origin::Centre, ..Settings::default() };
+        let (surface, statement) = surface(reading(), &settings).unwrap();
+        assert_eq!(statement.pitch_mm, [0.25, 0.5]);
+        let grid = surface.grid();
+        assert_eq!((grid.x.start_mm(), grid.y.start_mm()), (-0.125, -0.5));
+        assert_eq!((grid.x.end_mm(), grid.y.end_mm()), (0.125, 0.5));
+    }
+
+    #[test]
+    fn nothing_is_guessed_and_contradictions_are_refused() {
+        let message = |change: &dyn Fn(&mut Reading), settings: &Settings| {
+            let mut reading = reading();
+            change(&mut reading);
+            surface(reading, settings).unwrap_err().to_string()
+        };
+        let plain = Settings::default();
+        assert!(message(&|r| r.unit = None, &plain).contains("give --unit"));
+        assert!(message(&|r| r.pitch_mm = None, &plain).contains("give --pitch-mm"));
+        assert!(message(&|r| r.unit = Some(Unit::Waves), &plain).contains("--wavelength-nm"));
+        assert!(message(&|r| r.pitch_mm = Some([0.1, 0.0]), &plain).contains("pitch_mm: is 0"));
+        let asked = Settings { unit: Some(Unit::Nm), ..plain.clone() };
+        assert!(message(&|_| (), &asked).contains("Um in the file, Nm was asked for"));
+        let asked = Settings { pitch_mm: Some([-1.0; 2]), ..plain.clone() };
+        assert!(message(&|_| (), &asked).contains("pitch_mm: is -1"));
+        let coordinates = Coordinates { x: vec![0.0, 1.0, 2.0], y: vec![1.0, 0.0], unit: None };
+        let with = |r: &mut Reading| r.coordinates = Some(coordinates.clone());
+        assert!(message(&with, &plain).contains("give --coordinate-unit"));
+        let asked = Settings { coordinate_unit: Some(Unit::Waves), ..plain.clone() };
+        assert!(message(&with, &asked).contains("is waves"));
+        assert!(Unit::stated("BUNIT", "furlong").unwrap_err().to_string().contains("furlong"));
+    }
+
+    #[test]
+    fn descending_coordinates_turn_the_map() {
+        let mut reading = reading();
+        reading.coordinates =
+            Some(Coordinates { x: vec![2.0, 1.0, 0.0], y: vec![7.0, 6.0], unit: Some(Unit::M) });
+        let (surface, statement) = surface(reading, &Settings::default()).unwrap();
+        assert_eq!(surface.height_nm() / 1e3, array![[6.0, 5.0, 4.0], [3.0, 2.0, 1.0]]);
+        assert_eq!(surface.grid().y.start_mm(), 6000.0);
+        assert_eq!((statement.first_row, statement.pitch_from), (FirstRow::Top, "file"));
+    }
+
+    #[test]
+    fn a_pitch_asked_for_is_used_with_a_warning_and_no_data_is_nan() {
+        let settings = Settings {
+            pitch_mm: Some([0.1, 0.1]),
+            no_data: Some(5.0),
+            surface_per_value: 0.5,
+            ..Settings::default()
+        };
+        let (surface, statement) = surface(reading(), &settings).unwrap();
+        assert_eq!(statement.warnings.len(), 1);
+        assert_eq!((statement.invalid, statement.nm_per_value), (1, 500.0));
+        assert!(surface.height_nm()[[1, 1]].is_nan());
+        assert_eq!(surface.height_nm()[[1, 2]], 3000.0);
+    }
+}

@@ -1,0 +1,145 @@
+//! Surface data files of ISO 25178-71: `aISO-1.0` in text, `bISO-1.0` in little-endian bytes.
+//!
+//! `height (m) = raw Zscale`, pitch Xscale and Yscale in m. In text `BAD` marks an invalid pixel; in
+//! bytes the least value of a signed integer, the largest of an unsigned one, or NaN. The first row
+//! of the file is the smallest y.
+
+use ndarray::Array2;
+use planish_types::Invalid;
+use serde_json::json;
+
+use crate::{
+    Format, Unit,
+    bytes::{Bytes, Number},
+    check_size,
+    reading::{FirstRow, Reading},
+    text,
+};
+
+const NAME: &str = "SDF file";
+
+/// Bytes of a binary header.
+const HEADER: usize = 81;
+
+/// Reads a map.
+pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
+    if bytes.starts_with(b"aISO-1.0") {
+        ascii(bytes)
+    } else if bytes.starts_with(b"bISO-1.0") {
+        binary(bytes)
+    } else {
+        let problem = "does not start with aISO-1.0 or bISO-1.0";
+        Err(Invalid::whole(NAME, problem, "give an SDF file, or the right --format"))
+    }
+}
+
+fn finish(
+    values: Vec<f64>,
+    [columns, rows]: [usize; 2],
+    scale_m: [f64; 3],
+    checks: [f64; 2],
+) -> Result<Reading, Invalid> {
+    let [compression, check] = checks;
+    if compression != 0.0 || !(0.0..=255.0).contains(&check) {
+        let problem = format!("has compression {compression}, check type {check}");
+        return Err(Invalid::whole(NAME, problem, "export it without compression"));
+    }
+    let values = Array2::from_shape_vec((rows, columns), values).map_err(|_| {
+        Invalid::whole(NAME, "does not hold the pixels it claims", "export it again")
+    })?;
+    let mut reading = Reading::new(Format::Sdf, values, FirstRow::SmallestY);
+    let [x, y, z] = scale_m;
+    if !(z.is_finite() && z != 0.0) {
+        return Err(Invalid::whole(NAME, format!("has Zscale {z}"), "export it again"));
+    }
+    (reading.unit, reading.factor) = (Some(Unit::M), z);
+    reading.pitch_mm = Some([x * 1e3, y * 1e3]);
+    reading.stated = json!({ "z_scale_m": z });
+    Ok(reading)
+}
+
+fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
+    let text = text::text(NAME, bytes)?;
+    let mut lines = text.lines().enumerate();
+    let mut fields = Vec::new();
+    for (_, line) in lines.by_ref() {
+        if line.trim() == "*" {
+            break;
+        }
+        if let Some((key, value)) = line.split_once('=') {
+            fields.push((key.trim().to_ascii_lowercase(), value.trim()));
+        }
+    }
+    let get = |key: &str| -> Result<f64, Invalid> {
+        let found = fields.iter().find(|(k, _)| k == key).and_then(|(_, v)| v.parse().ok());
+        found.ok_or_else(|| {
+            Invalid::whole(NAME, format!("has no number for {key}"), "export it again")
+        })
+    };
+    let size = |key: &str| -> Result<usize, Invalid> {
+        let v = get(key)?;
+        // A float to an integer saturates; the size is checked next.
+        if v >= 0.0 && v.fract() == 0.0 {
+            Ok(v as usize)
+        } else {
+            Err(Invalid::whole(NAME, format!("has {key} = {v}"), "export it again"))
+        }
+    };
+    let (columns, rows) = (size("numpoints")?, size("numprofiles")?);
+    let count = check_size("SDF map", rows, columns)?;
+    let scales = [get("xscale")?, get("yscale")?, get("zscale")?];
+    let mut values = Vec::new();
+    for (i, line) in lines {
+        if line.trim() == "*" {
+            break;
+        }
+        for (k, field) in line.split_whitespace().enumerate() {
+            if values.len() == count {
+                let problem = format!("has more than {count} numbers in line {}", i + 1);
+                return Err(Invalid::whole(NAME, problem, "export it again"));
+            }
+            values.push(text::number(NAME, field, i + 1, k + 1)?);
+        }
+    }
+    if values.len() != count {
+        let problem = format!("is truncated: {} of {count} pixels", values.len());
+        return Err(Invalid::whole(NAME, problem, "export it again"));
+    }
+    let checks = [get("compression")?, get("checktype").unwrap_or(0.0)];
+    finish(values, [columns, rows], scales, checks)
+}
+
+fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
+    let b = Bytes { all: bytes, name: NAME, big_endian: false };
+    // 8 version, 10 manufacturer, 12 + 12 dates, sizes, scales, compression, types.
+    let (columns, rows) = (usize::from(b.u16(42)?), usize::from(b.u16(44)?));
+    let scales = [b.f64(46)?, b.f64(54)?, b.f64(62)?];
+    let [compression, kind, check] = [78, 79, 80].map(|at| b.slice(at, 1).map(|s| s[0]));
+    let number = match kind? {
+        0 => Number::U8,
+        1 => Number::U16,
+        2 => Number::U32,
+        3 => Number::F32,
+        4 => Number::I8,
+        5 => Number::I16,
+        6 => Number::I32,
+        7 => Number::F64,
+        other => {
+            return Err(Invalid::whole(NAME, format!("has data type {other}"), "export it again"));
+        }
+    };
+    let count = check_size("SDF map", rows, columns)?;
+    let raw = b.slice(HEADER, count * number.size())?;
+    let mut values = number.decode(raw, count, false);
+    let invalid = match number {
+        Number::U8 => f64::from(u8::MAX),
+        Number::U16 => f64::from(u16::MAX),
+        Number::U32 => f64::from(u32::MAX),
+        Number::I8 => f64::from(i8::MIN),
+        Number::I16 => f64::from(i16::MIN),
+        Number::I32 => f64::from(i32::MIN),
+        _ => f64::NAN,
+    };
+    values.iter_mut().filter(|v| **v == invalid).for_each(|v| *v = f64::NAN);
+    finish(values, [columns, rows], scales, [f64::from(compression?), f64::from(check?)])
+}

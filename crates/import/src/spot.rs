@@ -1,0 +1,510 @@
+//! A TIF from a measured spot: maps of a test piece before and after the tool rested on it.
+//!
+//! ```text
+//! removal(p) = before(p) - after(p + d) - (a + b x + c y)
+//! R(p - centre) = removal(p) / dwell time
+//! ```
+//!
+//! d is the shift of the part between the two measurements; a, b, c its piston and tilt. All five
+//! are fitted to the ring outside the spot, where nothing was removed, by the method of
+//! Gauss and Newton:
+//!
+//! ```text
+//! min sum_outside removal(p)^2 over d, a, b, c;     d removal / d d = -grad after
+//! ```
+//!
+//! `after` between its pixels is Keys' cubic convolution ([`planish_numerics::keys`]). The centre is
+//! the centroid of what is above half of the peak. The samples stay where they are measured: only
+//! the offsets are counted from the centre.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | before, after | `before`, `after` | (ny, nx) | nm |
+//! | d | `shift_mm` | (2) | mm |
+//! | R | `tif` | (my, mx) | nm/s |
+
+use ndarray::{Array2, s};
+use planish_numerics::{cholesky::Cholesky, keys, statistics};
+use planish_types::{Axis, Grid, Invalid, Surface, Tif};
+use serde::Serialize;
+
+/// Gauss-Newton steps before the alignment is given up.
+const MOST_STEPS: usize = 50;
+
+/// Aligned when a step is below this share of a pixel: 1e-4 of a pixel moves the steepest spot by
+/// less than its noise.
+const TOLERANCE: f64 = 1e-6;
+
+/// Depth of a spot over the RMS outside it below which it may be noise: the deepest of 1e4 pixels of
+/// Gaussian noise is 4 times its RMS.
+const LEAST_CONTRAST: f64 = 5.0;
+
+/// Whether the part moved between the measurements.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Alignment {
+    /// It did not.
+    None,
+    /// It was shifted.
+    Shift,
+}
+
+/// What is subtracted from the removal, fitted outside the spot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Baseline {
+    /// Nothing.
+    None,
+    /// A constant.
+    Piston,
+    /// A plane.
+    Plane,
+}
+
+/// How a spot becomes a TIF.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SpotSettings {
+    /// Time that the tool rested, s.
+    pub dwell_s: f64,
+    /// Half the side of the square that becomes the TIF; outside it nothing was removed, mm.
+    pub half_size_mm: f64,
+    /// Where the spot is, mm; found by itself when absent.
+    pub spot_mm: Option<[f64; 2]>,
+    /// Whether the part moved between the measurements.
+    pub alignment: Alignment,
+    /// What is subtracted from the removal.
+    pub baseline: Baseline,
+    /// Whether negative rates (noise) become zero.
+    pub clip_negative: bool,
+}
+
+/// A TIF, and what was done on the way.
+#[derive(Clone, Debug, Serialize)]
+pub struct Spot {
+    /// The TIF.
+    #[serde(skip)]
+    pub tif: Tif,
+    /// Shift of `after` against `before`, mm.
+    pub shift_mm: [f64; 2],
+    /// Steps of the alignment.
+    pub steps: usize,
+    /// Centre of the spot in the coordinates of the map, mm.
+    pub centre_mm: [f64; 2],
+    /// RMS (mean removed) of the removal outside the spot: the noise of the measurement, nm.
+    pub outside_rms_nm: f64,
+    /// Pixels outside the spot.
+    pub outside_pixels: usize,
+    /// Largest depth, nm.
+    pub depth_nm: f64,
+    /// Removed volume that was negative and became zero, over the whole.
+    pub clipped_share: f64,
+}
+
+/// The TIF of a spot. `before` is absent where `after` already is the depth of the removal.
+pub fn spot(
+    before: Option<&Surface>,
+    after: &Surface,
+    settings: &SpotSettings,
+) -> Result<Spot, Invalid> {
+    for (name, v) in [("dwell_s", settings.dwell_s), ("half_size_mm", settings.half_size_mm)] {
+        if !(v.is_finite() && v > 0.0) {
+            return Err(Invalid::whole(name, format!("is {v}"), "give a positive number"));
+        }
+    }
+    let grid = after.grid();
+    let apart = |a: &Axis, b: &Axis| {
+        // Both pitches may have passed through 32-bit floats.
+        a.len() != b.len() || (a.step_mm() - b.step_mm()).abs() > 1e-6 * a.step_mm()
+    };
+    if let Some(b) = before.filter(|b| apart(&b.grid().x, &grid.x) || apart(&b.grid().y, &grid.y)) {
+        let of = |g: &Grid| format!("{:?} pixels of {} mm", g.shape(), g.x.step_mm());
+        let problem = format!("has {}, the map after {}", of(b.grid()), of(grid));
+        return Err(Invalid::whole("before", problem, "measure both maps alike, or crop them"));
+    }
+    let removal = |shift_px: [f64; 2]| match before {
+        None => after.height_nm().clone(),
+        Some(before) => before.height_nm() - &shifted(after.height_nm(), shift_px).0,
+    };
+
+    let first = removal([0.0; 2]);
+    let coarse = match settings.spot_mm {
+        Some(centre) => centre,
+        None => find(grid, &first, settings.half_size_mm)?,
+    };
+    let outside = outside(grid, coarse, settings.half_size_mm);
+    let (shift_px, steps) = match (settings.alignment, before) {
+        (Alignment::None, _) => ([0.0; 2], 0),
+        (Alignment::Shift, Some(before)) => align(grid, before, after, &outside)?,
+        (Alignment::Shift, None) => {
+            let remedy = "give --before, or --align none";
+            return Err(Invalid::whole("align", "there is only one map", remedy));
+        }
+    };
+    let mut removal = removal(shift_px);
+    let mut ring = masked(&removal, &outside);
+    let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
+    let no_ring = || {
+        let remedy = "give a smaller --half-size-mm, or --baseline none";
+        Invalid::whole("half_size_mm", "leaves no pixels outside the spot", remedy)
+    };
+    match settings.baseline {
+        Baseline::None => {}
+        Baseline::Piston => {
+            let mean = statistics::statistics(ring.view()).ok_or_else(no_ring)?.mean;
+            removal -= mean;
+            ring -= mean;
+        }
+        Baseline::Plane => {
+            let plane = statistics::fit_plane(ring.view(), &x, &y).ok_or_else(no_ring)?;
+            removal = statistics::subtract_plane(removal.view(), &x, &y, plane);
+            ring = masked(&removal, &outside);
+        }
+    }
+    let centre = centroid(grid, &removal, coarse, settings.half_size_mm)?;
+    let noise = statistics::statistics(ring.view());
+    let (tif, depth_nm, clipped_share) = cut(grid, &removal, centre, settings)?;
+    if let Some(n) = noise.filter(|n| depth_nm < LEAST_CONTRAST * n.rms) {
+        let problem =
+            format!("is {depth_nm} nm deep, with {} nm RMS outside it: nothing stands out", n.rms);
+        let remedy = "check --before and after (or --negate), --align, or give --spot-mm X,Y";
+        return Err(Invalid::whole("spot", problem, remedy));
+    }
+    Ok(Spot {
+        tif,
+        shift_mm: [shift_px[0] * grid.x.step_mm(), shift_px[1] * grid.y.step_mm()],
+        steps,
+        centre_mm: centre,
+        outside_rms_nm: noise.map_or(0.0, |s| s.rms),
+        outside_pixels: noise.map_or(0, |s| s.valid_count),
+        depth_nm,
+        clipped_share,
+    })
+}
+
+/// `map` at every pixel moved by `d` pixels (x, y), and its slopes per pixel along x and y; NaN
+/// where a pixel that is needed is invalid or beyond the map.
+fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f64>; 2]) {
+    let (ny, nx) = map.dim();
+    let ([ix, fx], [iy, fy]) =
+        ([d[0].floor(), d[0] - d[0].floor()], [d[1].floor(), d[1] - d[1].floor()]);
+    let (wx, wy) = (keys::weights(fx), keys::weights(fy));
+    // Derivatives of Keys' weights: central difference with 1e-4 of a pixel; they only steer the
+    // steps of the alignment.
+    let slope = |f: f64| {
+        let (up, down) = (keys::weights(f + 1e-4), keys::weights(f - 1e-4));
+        [0, 1, 2, 3].map(|k| (up[k] - down[k]) / 2e-4)
+    };
+    let (sx, sy) = (slope(fx), slope(fy));
+    let at = |r: isize, c: isize| {
+        let inside = (0..ny as isize).contains(&r) && (0..nx as isize).contains(&c);
+        if inside { map[[r as usize, c as usize]] } else { f64::NAN }
+    };
+    // K = sum_b w_b(fy) sum_a w_a(fx) g[r + b, c + a]; a weight 0 needs no pixel.
+    let sum = |wy: [f64; 4], wx: [f64; 4]| {
+        Array2::from_shape_fn((ny, nx), |(r, c)| {
+            let (r, c) = (r as isize + iy as isize - 1, c as isize + ix as isize - 1);
+            let mut total = 0.0;
+            for (b, wb) in wy.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+                for (a, wa) in wx.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+                    total += wb * wa * at(r + b as isize, c + a as isize);
+                }
+            }
+            total
+        })
+    };
+    (sum(wy, wx), [sum(wy, sx), sum(sy, wx)])
+}
+
+/// The shift of `after` against `before` in pixels (x, y), and the steps that it took.
+fn align(
+    grid: &Grid,
+    before: &Surface,
+    after: &Surface,
+    outside: &Array2<bool>,
+) -> Result<([f64; 2], usize), Invalid> {
+    let lost = |problem: &str| {
+        let remedy = "give --align none, or maps with structure outside the spot";
+        Invalid::whole("align", problem, remedy)
+    };
+    let (ny, nx) = grid.shape();
+    let mut d = [0.0; 2];
+    for step in 1..=MOST_STEPS {
+        let (moved, [gx, gy]) = shifted(after.height_nm(), d);
+        let mut normal = Array2::<f64>::zeros((5, 5));
+        let mut right = [0.0; 5];
+        for ((r, c), outside) in outside.indexed_iter() {
+            // e = before - after(p + d) = gx dx + gy dy + a + b x + c y at the next step
+            let e = before.height_nm()[[r, c]] - moved[[r, c]];
+            let (x, y) = (2.0 * c as f64 / nx as f64 - 1.0, 2.0 * r as f64 / ny as f64 - 1.0);
+            let row = [gx[[r, c]], gy[[r, c]], 1.0, x, y];
+            if !outside || e.is_nan() || row.iter().any(|v| v.is_nan()) {
+                continue;
+            }
+            for i in 0..5 {
+                right[i] += row[i] * e;
+                for j in 0..=i {
+                    normal[[i, j]] += row[i] * row[j];
+                }
+            }
+        }
+        // In units of the columns: heights and pixels have nothing to do with each other.
+        let scale = [0, 1, 2, 3, 4].map(|i| normal[[i, i]].sqrt());
+        if scale.contains(&0.0) {
+            return Err(lost("there is nothing outside the spot to align by"));
+        }
+        for i in 0..5 {
+            right[i] /= scale[i];
+            for j in 0..=i {
+                normal[[i, j]] /= scale[i] * scale[j];
+            }
+        }
+        let factor = Cholesky::new(normal).ok_or_else(|| lost("the maps have no structure"))?;
+        factor.solve(&mut right);
+        let change = [right[0] / scale[0], right[1] / scale[1]];
+        d = [d[0] + change[0], d[1] + change[1]];
+        if d[0].abs() > 0.25 * nx as f64 || d[1].abs() > 0.25 * ny as f64 {
+            return Err(lost(
+                "the maps do not fit by a shift of less than a quarter of their size",
+            ));
+        }
+        if change[0].abs().max(change[1].abs()) < TOLERANCE {
+            return Ok((d, step));
+        }
+    }
+    Err(lost("the shift does not settle"))
+}
+
+fn outside(grid: &Grid, centre: [f64; 2], half_size_mm: f64) -> Array2<bool> {
+    Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        let (x, y) = (grid.x.at(c) - centre[0], grid.y.at(r) - centre[1]);
+        x.abs().max(y.abs()) > half_size_mm
+    })
+}
+
+fn masked(map: &Array2<f64>, mask: &Array2<bool>) -> Array2<f64> {
+    let mut out = map.clone();
+    out.zip_mut_with(mask, |v, keep| {
+        if !keep {
+            *v = f64::NAN;
+        }
+    });
+    out
+}
+
+/// The middle of the square of a quarter of the size that holds the deepest mean.
+fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2], Invalid> {
+    let (ny, nx) = removal.dim();
+    // Sums over all pixels above and to the left, of values and of valid pixels.
+    let mut sums = Array2::from_elem((ny + 1, nx + 1), [0.0; 2]);
+    for r in 0..ny {
+        for c in 0..nx {
+            let v = removal[[r, c]];
+            let own = if v.is_nan() { [0.0; 2] } else { [v, 1.0] };
+            sums[[r + 1, c + 1]] = [0, 1]
+                .map(|k| own[k] + sums[[r, c + 1]][k] + sums[[r + 1, c]][k] - sums[[r, c]][k]);
+        }
+    }
+    let reach = |axis: &Axis| (0.25 * half_size_mm / axis.step_mm()).round() as usize;
+    let (rx, ry) = (reach(&grid.x), reach(&grid.y));
+    let mut best = (f64::NEG_INFINITY, None);
+    for r in 0..ny {
+        for c in 0..nx {
+            let (r0, r1) = (r.saturating_sub(ry), (r + ry + 1).min(ny));
+            let (c0, c1) = (c.saturating_sub(rx), (c + rx + 1).min(nx));
+            let [total, count] = [0, 1].map(|k| {
+                sums[[r1, c1]][k] - sums[[r0, c1]][k] - sums[[r1, c0]][k] + sums[[r0, c0]][k]
+            });
+            // Half of the square at least is measured.
+            if 2.0 * count > ((r1 - r0) * (c1 - c0)) as f64 && total / count > best.0 {
+                best = (total / count, Some([grid.x.at(c), grid.y.at(r)]));
+            }
+        }
+    }
+    best.1.ok_or_else(|| {
+        Invalid::whole("spot", "was not found: no valid removal", "give --spot-mm X,Y")
+    })
+}
+
+/// The centroid of what is above half of the peak, within the half size of `near`.
+fn centroid(
+    grid: &Grid,
+    removal: &Array2<f64>,
+    near: [f64; 2],
+    half_size_mm: f64,
+) -> Result<[f64; 2], Invalid> {
+    let inside = |r: usize, c: usize| {
+        (grid.x.at(c) - near[0]).abs().max((grid.y.at(r) - near[1]).abs()) <= half_size_mm
+    };
+    let within = || removal.indexed_iter().filter(|((r, c), v)| !v.is_nan() && inside(*r, *c));
+    let peak = within().map(|(_, v)| *v).fold(0.0, f64::max);
+    if peak <= 0.0 {
+        let problem = format!("has no removal around x {}, y {} mm", near[0], near[1]);
+        let remedy = "check --before and --after (or --negate), or give --spot-mm X,Y";
+        return Err(Invalid::whole("spot", problem, remedy));
+    }
+    let mut sums = [0.0; 3];
+    for ((r, c), v) in within().filter(|(_, v)| **v >= 0.5 * peak) {
+        let add = [v * grid.x.at(c), v * grid.y.at(r), *v];
+        sums.iter_mut().zip(add).for_each(|(s, a)| *s += a);
+    }
+    Ok([sums[0] / sums[2], sums[1] / sums[2]])
+}
+
+/// The square around the centre as a TIF, its depth, and the share that was clipped.
+fn cut(
+    grid: &Grid,
+    removal: &Array2<f64>,
+    centre: [f64; 2],
+    settings: &SpotSettings,
+) -> Result<(Tif, f64, f64), Invalid> {
+    let half = settings.half_size_mm;
+    let window = |axis: &Axis, centre: f64| -> Result<(usize, usize, Axis), Invalid> {
+        let inside: Vec<usize> =
+            (0..axis.len()).filter(|i| (axis.at(*i) - centre).abs() <= half).collect();
+        let (Some(first), Some(last)) = (inside.first(), inside.last()) else {
+            let remedy = "give a larger --half-size-mm";
+            return Err(Invalid::whole("half_size_mm", format!("{half} holds no pixel"), remedy));
+        };
+        let offsets = Axis::new(axis.at(*first) - centre, axis.step_mm(), last - first + 1)?;
+        Ok((*first, *last, offsets))
+    };
+    let (c0, c1, x) = window(&grid.x, centre[0])?;
+    let (r0, r1, y) = window(&grid.y, centre[1])?;
+    let mut depth = removal.slice(s![r0..=r1, c0..=c1]).to_owned();
+    let invalid = depth.iter().filter(|v| v.is_nan()).count();
+    if invalid > 0 {
+        let problem = format!("has {invalid} invalid pixels in the square of the TIF");
+        let remedy = "give a smaller --half-size-mm, or fill them first";
+        return Err(Invalid::whole("spot", problem, remedy));
+    }
+    let depth_nm = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let mut clipped_share = 0.0;
+    if settings.clip_negative {
+        let negative: f64 = depth.iter().filter(|v| **v < 0.0).sum();
+        depth.mapv_inplace(|v| v.max(0.0));
+        clipped_share = -negative / depth.sum();
+    }
+    // R = removal / dwell time
+    let tif = Tif::new(Grid { x, y }, depth / settings.dwell_s)?;
+    Ok((tif, depth_nm, clipped_share))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    const STEP: f64 = 0.1;
+    const CENTRE: [f64; 2] = [6.03, 4.17];
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(0.0, STEP, 121).unwrap(), y: Axis::new(0.0, STEP, 101).unwrap() }
+    }
+
+    /// A piece with waves that no shift maps to itself, moved by `d` mm.
+    fn piece(d: [f64; 2]) -> Array2<f64> {
+        let g = grid();
+        Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) - d[0], g.y.at(r) - d[1]);
+            10.0 * (1.1 * x + 0.3 * y).sin() + 7.0 * (0.7 * y - 0.2 * x).cos()
+        })
+    }
+
+    fn dig(at: [f64; 2]) -> Array2<f64> {
+        let g = grid();
+        Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) - at[0], g.y.at(r) - at[1]);
+            200.0 * (-(x * x + 1.5 * y * y) / 0.5).exp()
+        })
+    }
+
+    fn settings() -> SpotSettings {
+        SpotSettings {
+            dwell_s: 25.0,
+            half_size_mm: 2.5,
+            spot_mm: None,
+            alignment: Alignment::Shift,
+            baseline: Baseline::Plane,
+            clip_negative: false,
+        }
+    }
+
+    #[test]
+    fn a_planted_spot_comes_back_from_shifted_and_tilted_maps() {
+        let g = grid();
+        let d = [0.237, -0.154];
+        let tilt =
+            Array2::from_shape_fn(g.shape(), |(r, c)| 40.0 - 3.0 * g.x.at(c) + 2.0 * g.y.at(r));
+        let before = Surface::new(g, piece([0.0; 2])).unwrap();
+        // The spot is on the part, so it moves with it.
+        let after = piece(d) - dig([CENTRE[0] + d[0], CENTRE[1] + d[1]]) + tilt;
+        let after = Surface::new(g, after).unwrap();
+        let made = spot(Some(&before), &after, &settings()).unwrap();
+        for k in 0..2 {
+            // Keys' interpolation of waves of 5.7 mm at 0.1 mm: (2 pi 0.1 / 5.7)^3 / 6 of 10 nm,
+            // 2e-3 nm against slopes of 10 nm/mm: 2e-4 mm; the centroid of pixels above half of
+            // the peak: some percent of a pixel.
+            assert!((made.shift_mm[k] - d[k]).abs() < 3e-4, "{:?}", made.shift_mm);
+            assert!((made.centre_mm[k] - CENTRE[k]).abs() < 5e-3, "{:?}", made.centre_mm);
+        }
+        assert!(made.outside_rms_nm < 0.01, "{}", made.outside_rms_nm);
+        let (gx, gy) = (made.tif.grid().x, made.tif.grid().y);
+        for ((r, c), v) in made.tif.rate_nm_per_s().indexed_iter() {
+            let [x, y] = [
+                gx.at(c) + made.centre_mm[0] - CENTRE[0],
+                gy.at(r) + made.centre_mm[1] - CENTRE[1],
+            ];
+            let expected = 8.0 * (-(x * x + 1.5 * y * y) / 0.5).exp();
+            // Interpolation of the dig itself: (0.1 / 0.5)^3 / 6 x 8 nm/s.
+            assert!((v - expected).abs() < 1.1e-2, "{x} {y}: {v} for {expected}");
+        }
+        // Without alignment the waves stay: d times slopes of 10 nm/mm, over the ring.
+        let still = SpotSettings { alignment: Alignment::None, ..settings() };
+        let made = spot(Some(&before), &after, &still).unwrap();
+        assert!(made.outside_rms_nm > 1.0, "{}", made.outside_rms_nm);
+    }
+
+    #[test]
+    fn a_depth_map_is_cut_centred_and_divided_by_the_time() {
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let depth = dig(CENTRE).mapv(|v| v + random.random_range(-0.5..0.5) + 12.0);
+        let depth = Surface::new(grid(), depth).unwrap();
+        let settings =
+            SpotSettings { alignment: Alignment::None, clip_negative: true, ..settings() };
+        let made = spot(None, &depth, &settings).unwrap();
+        // 200 nm in 25 s, noise of 0.5 nm at most, the peak within half a pixel of a sample.
+        assert!((made.tif.peak_nm_per_s() - 8.0).abs() < 0.03 + 8.0 * 0.0125);
+        assert!(made.clipped_share > 0.0 && made.clipped_share < 0.02, "{}", made.clipped_share);
+        assert!(made.tif.rate_nm_per_s().iter().all(|v| *v >= 0.0));
+        assert!(made.tif.half_size_mm()[0] <= 2.5);
+        // RMS of a uniform distribution of +-0.5: 1 / sqrt(12), within 3 % for 8000 pixels.
+        assert!((made.outside_rms_nm - 12.0_f64.powf(-0.5)).abs() < 0.01);
+    }
+
+    #[test]
+    fn what_cannot_be_a_spot_is_refused() {
+        let g = grid();
+        let map = |m: Array2<f64>| Surface::new(g, m).unwrap();
+        let flat = map(piece([0.0; 2]));
+        let dug = map(piece([0.0; 2]) - dig(CENTRE));
+        let message = |b: Option<&Surface>, a: &Surface, s: SpotSettings| {
+            spot(b, a, &s).unwrap_err().to_string()
+        };
+        let zero = SpotSettings { dwell_s: 0.0, ..settings() };
+        assert!(message(Some(&flat), &dug, zero).contains("dwell_s: is 0"));
+        assert!(message(None, &dug, settings()).contains("only one map"));
+        let large = SpotSettings { half_size_mm: 50.0, ..settings() };
+        assert!(message(Some(&flat), &dug, large).contains("align"));
+        let mut holed = piece([0.0; 2]) - dig(CENTRE);
+        holed[[42, 60]] = f64::NAN;
+        assert!(message(Some(&flat), &map(holed), settings()).contains("invalid pixels"));
+        let smaller = Grid { x: Axis::new(0.0, STEP, 120).unwrap(), y: g.y };
+        let smaller = Surface::new(smaller, Array2::zeros((101, 120))).unwrap();
+        assert!(message(Some(&smaller), &dug, settings()).contains("before: has"));
+        // Swapped maps: material was added.
+        let still = SpotSettings { alignment: Alignment::None, ..settings() };
+        let swapped = message(Some(&dug), &flat, still);
+        assert!(swapped.contains("nothing stands out"), "{swapped}");
+    }
+}

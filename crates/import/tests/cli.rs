@@ -1,0 +1,276 @@
+//! The binary from end to end, and the files of real instruments where `PLANISH_REFERENCE` names the
+//! folder that holds them.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use ndarray::Array2;
+use planish_handoff::{
+    artifact::{self, Manifest},
+    npy::ArrayData,
+};
+use planish_types::{Surface, Tif, Trajectory};
+
+fn call(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-import"))
+        .current_dir(dir)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+/// Runs, expects exit code 0, returns what was printed and what was warned of.
+fn done(dir: &Path, arguments: &[&str]) -> (String, String) {
+    let output = call(dir, arguments);
+    let text = |b: &[u8]| String::from_utf8_lossy(b).into_owned();
+    let (said, warned) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {said}{warned}");
+    (said, warned)
+}
+
+/// Runs, expects exit code 2, one line and nothing written; returns the line.
+fn refused(dir: &Path, arguments: &[&str]) -> String {
+    let output = call(dir, &[arguments, &["--out", "refused"]].concat());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+    assert!(output.stdout.is_empty() && said.starts_with("error: "), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+    assert!(!dir.join("refused").exists(), "{arguments:?}");
+    said
+}
+
+fn surface(dir: &Path) -> (Surface, Manifest) {
+    let loaded = artifact::read::<Surface>(dir).unwrap();
+    (loaded.value, loaded.manifest.unwrap())
+}
+
+const CSV: &str = "1,2,3\n4,nan,6\n";
+
+#[test]
+fn a_map_its_statement_and_its_picture() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    fs::write(dir.join("a.csv"), CSV).unwrap();
+    let flags = ["surface", "a.csv", "--unit", "um", "--pitch-mm", "0.5,0.25", "--negate"];
+    let more = ["--first-row", "top", "--picture", "p/a.svg", "--origin", "centre", "--out", "a"];
+    let (said, _) = done(dir, &[&flags[..], &more].concat());
+    assert!(said.contains("stored value 1 is -1000 nm of surface (unit: asked for)"), "{said}");
+    assert!(said.contains("the first row of the file is the top"), "{said}");
+    let (map, manifest) = surface(&dir.join("a"));
+    assert_eq!(map.height_nm().row(1).to_vec(), [-1000.0, -2000.0, -3000.0]);
+    assert!(map.height_nm()[[0, 1]].is_nan());
+    assert_eq!((map.grid().x.start_mm(), map.grid().y.start_mm()), (-0.5, -0.125));
+    let reading = &manifest.outcome["reading"];
+    assert_eq!((&reading["format"], &reading["invalid"]), (&"csv".into(), &1.into()));
+    assert_eq!(manifest.inputs[0].kind, "file");
+    let picture = fs::read_to_string(dir.join("p/a.svg")).unwrap();
+    assert!(picture.contains("a.csv: 3 x 2 pixels, 1 invalid"), "{picture}");
+    // Again: nothing to do. Without --force another file is not replaced.
+    let (said, _) = done(dir, &[&flags[..], &more].concat());
+    assert!(said.contains("unchanged"), "{said}");
+    let other = ["surface", "a.csv", "--unit", "nm", "--pitch-mm", "1", "--out", "a"];
+    assert_eq!(call(dir, &other).status.code(), Some(2));
+}
+
+#[test]
+fn a_directory_of_npy_is_a_format_too() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    fs::write(dir.join("a.csv"), CSV).unwrap();
+    done(dir, &["surface", "a.csv", "--unit", "nm", "--pitch-mm", "0.1", "--out", "a"]);
+    fs::remove_file(dir.join("a/manifest.json")).unwrap();
+    done(dir, &["surface", "a", "--flip-x", "--out", "b"]);
+    assert_eq!(surface(&dir.join("b")).0.height_nm().row(0).to_vec(), [3.0, 2.0, 1.0]);
+}
+
+#[test]
+fn a_tif_from_rates_and_from_a_spot() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let spot = |depth: f64, x0: f64| {
+        Array2::from_shape_fn((41, 61), |(r, c)| {
+            let (x, y) = (0.1 * c as f64 - 3.0 - x0, 0.1 * r as f64 - 2.0);
+            depth * (-(x * x + y * y) / 0.5).exp()
+        })
+    };
+    let save = |name: &str, map: Array2<f64>| {
+        fs::write(dir.join(name), ArrayData::F64(map.into_dyn()).to_npy()).unwrap();
+    };
+    save("rate.npy", spot(8e-9, 0.0));
+    done(dir, &["tif", "rate.npy", "--rate", "--unit", "m", "--pitch-mm", "0.1", "--out", "rate"]);
+    let tif = artifact::read::<Tif>(&dir.join("rate")).unwrap().value;
+    // The middle is the origin.
+    assert!((tif.grid().x.start_mm() + 3.0).abs() < 1e-12);
+    assert!((tif.peak_nm_per_s() - 8.0).abs() < 1e-12);
+
+    save("after.npy", -spot(240.0, 0.5));
+    save("before.npy", Array2::zeros((41, 61)));
+    let base = ["tif", "after.npy", "--unit", "nm", "--pitch-mm", "0.1", "--dwell-s", "30"];
+    let more = ["--half-size-mm", "1.5", "--before", "before.npy", "--out", "spot"];
+    let (said, _) = done(dir, &[&base[..], &more].concat());
+    assert!(said.contains("noise"), "{said}");
+    let loaded = artifact::read::<Tif>(&dir.join("spot")).unwrap();
+    // Plane fitted outside the square: the tail there is 240 exp(-4.5) = 2.7 nm at its edge.
+    assert!((loaded.value.peak_nm_per_s() - 8.0).abs() < 0.05);
+    let spot = &loaded.manifest.unwrap().outcome["spot"];
+    assert!((spot["centre_mm"][0].as_f64().unwrap() - 3.5).abs() < 1e-2, "{spot}");
+
+    // Directories of maps are read as maps.
+    let nm = ["--unit", "nm", "--pitch-mm", "0.1"];
+    done(dir, &[&["surface", "after.npy", "--out", "after"], &nm[..]].concat());
+    done(dir, &[&["surface", "before.npy", "--out", "before"], &nm[..]].concat());
+    let base = ["tif", "after", "--before", "before", "--dwell-s", "30", "--half-size-mm", "1.5"];
+    done(dir, &[&base[..], &["--out", "spot-2"]].concat());
+    let again = artifact::read::<Tif>(&dir.join("spot-2")).unwrap().value;
+    assert_eq!(again.rate_nm_per_s(), loaded.value.rate_nm_per_s());
+
+    assert!(refused(dir, &["tif", "rate.npy", "--rate", "--unit", "m"]).contains("--pitch-mm"));
+    let added = ["tif", "after.npy", "--unit", "nm", "--pitch-mm", "0.1", "--rate"];
+    assert!(refused(dir, &added).contains("no positive rate"));
+}
+
+#[test]
+fn a_program_becomes_a_motion() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    fs::write(dir.join("p.trj"), "0.1, 1, 0, 0, 0\n0.2, 0, 0, 0, 0\n").unwrap();
+    let base = ["program", "p.trj", "--controller", "xps"];
+    assert!(refused(dir, &base).contains("give --start-mm"));
+    done(dir, &[&base[..], &["--start-mm", "-1,2", "--out", "a"]].concat());
+    let motion = artifact::read::<Trajectory>(&dir.join("a")).unwrap().value;
+    assert_eq!(motion.segment(1).position_mm(0.1), [0.0, 2.0]);
+    fs::write(dir.join("p.trj.json"), "{\"start_mm\": [-1.0, 2.0], \"machine\": \"m\"}").unwrap();
+    done(dir, &[&base[..], &["--about", "p.trj.json", "--out", "b"]].concat());
+    assert_eq!(artifact::read::<Trajectory>(&dir.join("b")).unwrap().value, motion);
+}
+
+#[test]
+fn bad_files_and_flags_are_one_message() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let put = |name: &str, bytes: &[u8]| fs::write(dir.join(name), bytes).unwrap();
+    put("a.csv", CSV.as_bytes());
+    put("b.csv", b"1,2\n3,four\n");
+    put("c.bin", b"what is this");
+    put("d.dat", b"\x88\x1b\x03\x6f\x00\x01\x00\x00\x03\x42short");
+    put("e.dat", &[0; 100]);
+    let nm = ["--unit", "nm", "--pitch-mm", "1"];
+    for (arguments, expected) in [
+        (vec!["surface", "none.csv"], "none.csv: cannot read"),
+        (vec!["surface", "a.csv"], "a.csv: unit: is not in the file"),
+        (vec!["surface", "a.csv", "--unit", "nm"], "a.csv: pitch_mm: is not in the file"),
+        (vec!["surface", "a.csv", "--unit", "nm", "--pitch-mm", "0"], "pitch_mm: is 0"),
+        (vec!["surface", "a.csv", "--unit", "waves", "--pitch-mm", "1"], "--wavelength-nm"),
+        (vec!["surface", "b.csv"], "\"four\" in line 2, field 2"),
+        (vec!["surface", "c.bin"], "give --format"),
+        (vec!["surface", "c.bin", "--format", "hdf5"], "signature of HDF5"),
+        (vec!["surface", "d.dat"], "is truncated"),
+        (vec!["surface", "e.dat", "--format", "metropro"], "magic 00000000"),
+        (vec!["surface", "a.csv", "--dataset", "Z"], "leave it out"),
+        (vec!["surface", "a.csv", "--surface-per-value", "0"], "surface_per_value: is 0"),
+        (vec!["tif", "a.csv", "--rate"], "is NaN"),
+    ] {
+        let flags = if expected == "surface_per_value: is 0" || expected == "is NaN" {
+            &nm[..]
+        } else {
+            &[]
+        };
+        let said = refused(dir, &[&arguments[..], flags].concat());
+        assert!(said.contains(expected), "{arguments:?}: {said}");
+    }
+}
+
+/// A file of some kilobytes that claims gigabytes: the program runs in an address space of 1.5 GiB.
+#[test]
+fn what_a_header_claims_takes_no_memory() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let mut dat = vec![0; 834];
+    dat[..10].copy_from_slice(b"\x88\x1b\x03\x6f\x00\x01\x00\x00\x03\x42");
+    // 0x8000 x 0x8000 pixels of 4 bytes: 4 GiB.
+    dat[68..72].copy_from_slice(&[0x80, 0, 0x80, 0]);
+    fs::write(dir.join("a.dat"), &dat).unwrap();
+    let mut npy = b"\x93NUMPY\x01\x00\x4e\x00".to_vec();
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (23170, 23170), }";
+    npy.extend(format!("{header:<77}\n").bytes());
+    fs::write(dir.join("a.npy"), npy).unwrap();
+    let card = |text: &str| format!("{text:<80}");
+    let cards = [
+        "SIMPLE  = T",
+        "BITPIX  = -64",
+        "NAXIS   = 2",
+        "NAXIS1  = 23170",
+        "NAXIS2  = 23170",
+        "END",
+    ];
+    let fits: String = cards.iter().map(|c| card(c)).collect();
+    fs::write(dir.join("a.fits"), format!("{fits:<2880}")).unwrap();
+    for name in ["a.dat", "a.npy", "a.fits"] {
+        let program = env!("CARGO_BIN_EXE_planish-import");
+        let line = format!(
+            "ulimit -v 1500000; exec {program} surface {name} --unit nm --pitch-mm 1 --out out"
+        );
+        let output = Command::new("sh").args(["-c", &line]).current_dir(dir).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{name}: {said}");
+        assert!(said.contains("at most 33554432 pixels") && said.lines().count() == 1, "{said}");
+    }
+}
+
+/// The folder of the real files; `None` when `PLANISH_REFERENCE` is not set.
+fn instruments() -> Option<PathBuf> {
+    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
+        println!("skipped: PLANISH_REFERENCE is not set");
+        return None;
+    };
+    Some(Path::new(&reference).join("instruments"))
+}
+
+#[test]
+fn real_files_have_their_published_values() {
+    let Some(files) = instruments() else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    let read = |name: &str, flags: &[&str]| {
+        let file = files.join(name);
+        let base = ["surface", file.to_str().unwrap(), "--force", "--out", "out"];
+        done(tmp.path(), &[&base[..], flags].concat());
+        surface(&tmp.path().join("out"))
+    };
+    let range = |s: &Surface| {
+        let valid = s.height_nm().iter().filter(|v| !v.is_nan());
+        valid.fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)))
+    };
+    let close = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-12; // rounding of two orders of factors
+
+    let (map, manifest) = read("metropro-1.dat", &[]);
+    let (low, high) = range(&map);
+    assert!(close(low, 50_108.275_682_971_34) && close(high, 51_471.332_012_260_55));
+    assert_eq!(map.height_nm().dim(), (480, 640));
+    assert_eq!(manifest.outcome["reading"]["invalid"], 0);
+    assert!(close(map.grid().x.step_mm(), 1.098_252_027_986_745_8e-3));
+
+    let (map, manifest) = read("zygo_test.datx", &[]);
+    let pv_nm = manifest.outcome["pv_nm"].as_f64().unwrap();
+    let nm_per_fringe = manifest.outcome["reading"]["nm_per_value"].as_f64().unwrap();
+    assert!(close(pv_nm / nm_per_fringe, 0.462_942_656_580_933_9 + 0.968_885_700_752_118_3));
+    // The published PV takes 632.8 nm; the wavelength in the file passed through a 32-bit float.
+    assert!((pv_nm / 453.030_492_260_177_7 - 1.0).abs() < 1e-7);
+    let valid = map.height_nm().iter().filter(|v| !v.is_nan()).count();
+    assert_eq!((map.height_nm().dim(), valid), ((259, 33), 7771));
+    // The pitch passed through a 32-bit float.
+    assert!((map.grid().x.step_mm() - 1.0).abs() < 1e-7);
+
+    let si = ["--unit", "m", "--coordinate-unit", "m"];
+    let (map, _) = read("initial_map.mat", &si);
+    assert_eq!(map.height_nm().dim(), (271, 271));
+    let (map, _) = read("pvt_model_scheduler.h5", &si);
+    assert_eq!(map.height_nm().dim(), (55, 55));
+    let (map, _) = read("sdf-1.sdf", &[]);
+    assert_eq!((map.height_nm().dim(), range(&map).1), ((4, 7), 1000.0));
+    let (map, _) =
+        read("xyz-1.txt", &["--format", "xyz", "--unit", "um", "--coordinate-unit", "mm"]);
+    assert_eq!((map.height_nm().dim(), range(&map)), ((4, 4), (1000.0, 2000.0)));
+}

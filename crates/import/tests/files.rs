@@ -1,0 +1,453 @@
+//! Files of every format, made here byte by byte from the descriptions of the formats; bad ones; and
+//! random damage to all of them. Files made by other writers: `just test-interop`.
+//!
+//! `PLANISH_FUZZ_EXECUTIONS` sets how many damaged files each reader sees (default 1000).
+
+use std::panic;
+
+use flate2::{Compress, Compression, FlushCompress};
+use ndarray::{Array2, array};
+use planish_import::{
+    Format, Pick, Settings, Unit,
+    program::{self, Configuration, Controller},
+    read, surface,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// 2 x 3 raw values, no two alike.
+fn raw() -> Array2<f64> {
+    array![[1.0, -2.0, 3.0], [40.0, 50.0, -60.0]]
+}
+
+fn metropro(rows: u16, columns: u16, phase: &[i32]) -> Vec<u8> {
+    let mut b = vec![0; 834];
+    b[..4].copy_from_slice(&0x881B_036F_u32.to_be_bytes());
+    b[4..6].copy_from_slice(&1_u16.to_be_bytes());
+    b[6..10].copy_from_slice(&834_u32.to_be_bytes());
+    // Four pixels of intensity.
+    b[60..64].copy_from_slice(&8_u32.to_be_bytes());
+    b[68..70].copy_from_slice(&columns.to_be_bytes());
+    b[70..72].copy_from_slice(&rows.to_be_bytes());
+    b[72..76].copy_from_slice(&(4 * u32::from(rows) * u32::from(columns)).to_be_bytes());
+    for (at, v) in [(164, 0.5_f32), (168, 6.328e-7), (176, 1.0), (184, 1.5e-4)] {
+        b[at..at + 4].copy_from_slice(&v.to_be_bytes());
+    }
+    b[218..220].copy_from_slice(&1_i16.to_be_bytes());
+    b.extend([7; 8]);
+    b.extend(phase.iter().flat_map(|v| v.to_be_bytes()));
+    b
+}
+
+fn npy(descriptor: &str, shape: &str, fortran: bool, data: &[u8]) -> Vec<u8> {
+    let fortran = if fortran { "True" } else { "False" };
+    let mut header =
+        format!("{{'descr': '{descriptor}', 'fortran_order': {fortran}, 'shape': {shape}, }}");
+    while !(header.len() + 11).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut b = b"\x93NUMPY\x01\x00".to_vec();
+    b.extend((header.len() as u16).to_le_bytes());
+    b.extend(header.as_bytes());
+    b.extend(data);
+    b
+}
+
+fn fits(cards: &[&str], data: &[u8]) -> Vec<u8> {
+    let mut b = Vec::new();
+    for card in cards.iter().chain(&["END"]) {
+        b.extend(format!("{card:<80}").bytes());
+    }
+    b.resize(b.len().div_ceil(2880) * 2880, b' ');
+    b.extend(data);
+    b.resize(b.len().div_ceil(2880) * 2880, 0);
+    b
+}
+
+const CARDS: [&str; 10] = [
+    "SIMPLE  =                    T / standard",
+    "BITPIX  =                   16",
+    "NAXIS   =                    2",
+    "NAXIS1  =                    3",
+    "NAXIS2  =                    2",
+    "BSCALE  =                  0.5",
+    "BZERO   =                 10.0",
+    "BLANK   =                  -60",
+    "BUNIT   = 'um      '           / height",
+    "CDELT1  =                0.001",
+];
+
+fn fits_map() -> Vec<u8> {
+    let data: Vec<u8> = raw().iter().flat_map(|v| (*v as i16).to_be_bytes()).collect();
+    let more = ["CUNIT1  = 'm'", "CDELT2  =                  2.0", "CUNIT2  = 'mm'"];
+    fits(&[&CARDS[..], &more].concat(), &data)
+}
+
+fn element(kind: u32, data: &[u8]) -> Vec<u8> {
+    let mut b = kind.to_le_bytes().to_vec();
+    b.extend((data.len() as u32).to_le_bytes());
+    b.extend(data);
+    b.resize(b.len().div_ceil(8) * 8, 0);
+    b
+}
+
+fn matrix(name: &str, rows: i32, columns: i32, kind: u32, data: &[u8]) -> Vec<u8> {
+    let sizes = [rows.to_le_bytes(), columns.to_le_bytes()].concat();
+    let inside = [
+        element(6, &[6, 0, 0, 0, 0, 0, 0, 0]),
+        element(5, &sizes),
+        element(1, name.as_bytes()),
+        element(kind, data),
+    ];
+    element(14, &inside.concat())
+}
+
+fn mat(elements: &[Vec<u8>]) -> Vec<u8> {
+    let mut b = b"MATLAB 5.0 MAT-file, made by a test".to_vec();
+    b.resize(124, b' ');
+    b.extend([0, 1, b'I', b'M']);
+    b.extend(elements.concat());
+    b
+}
+
+fn deflated(data: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(data.len() + 1000);
+    let mut stream = Compress::new(Compression::best(), true);
+    stream.compress_vec(data, &mut out, FlushCompress::Finish).unwrap();
+    let mut b = 15_u32.to_le_bytes().to_vec();
+    b.extend((out.len() as u32).to_le_bytes());
+    b.extend(out);
+    b
+}
+
+/// Z column by column, X and Y as `meshgrid` makes them, X compressed.
+fn mat_map() -> Vec<u8> {
+    let columns = |m: &Array2<f64>| m.t().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let z: Vec<u8> = raw().t().iter().map(|v| *v as i8 as u8).collect();
+    let x = array![[0.0, 0.5, 1.0], [0.0, 0.5, 1.0]];
+    let y = array![[2.0, 2.0, 2.0], [1.0, 1.0, 1.0]];
+    mat(&[
+        matrix("Z", 2, 3, 1, &z),
+        deflated(&matrix("X", 2, 3, 9, &columns(&x))),
+        matrix("Y", 2, 3, 9, &columns(&y)),
+    ])
+}
+
+const ZYGO: &str = "Zygo XYZ Data File - Format 1\n0\n0\n0 0 3 2\n\"\"\n\"\"\n\"\"\n\
+                    0 0.5 6.328e-007 0 1 0 1.5e-004 0\n0\n0\n0\n0\n0\n0\n#\n0 0 1\n1 0 -2\n2 0 3\n\
+                    0 1 40\n1 1 50\n2 1 -60\n#\n";
+
+const SDF: &str = "aISO-1.0\nManufacID = test\nNumPoints = 3\nNumProfiles = 2\nXscale = 1e-3\n\
+                   Yscale = 2e-3\nZscale = 1e-6\nZresolution = -1\nCompression = 0\nDataType = 7\n\
+                   CheckType = 0\n*\n1 -2 3\n40 50 BAD\n*\n";
+
+fn sdf_binary() -> Vec<u8> {
+    let mut b = b"bISO-1.0test      010120260000010120260000".to_vec();
+    b.extend([3_u16.to_le_bytes(), 2_u16.to_le_bytes()].concat());
+    b.extend([1e-3_f64, 2e-3, 1e-6, -1.0].iter().flat_map(|v| v.to_le_bytes()));
+    b.extend([0, 5, 0]);
+    b.extend(raw().iter().flat_map(|v| (*v as i16).to_le_bytes()));
+    b
+}
+
+/// Every text or binary format that can be written here, with what it needs.
+fn seeds() -> Vec<(Format, Vec<u8>)> {
+    let phase: Vec<i32> = raw().iter().map(|v| *v as i32).collect();
+    let f64s: Vec<u8> = raw().iter().flat_map(|v| v.to_le_bytes()).collect();
+    vec![
+        (Format::Metropro, metropro(2, 3, &phase)),
+        (Format::Npy, npy("<f8", "(2, 3)", false, &f64s)),
+        (Format::Fits, fits_map()),
+        (Format::Mat5, mat_map()),
+        (Format::Xyz, ZYGO.into()),
+        (Format::Xyz, "0 0 1\n1 0 -2\n2 0 3\n0 1 40\n1 1 50\n2 1 -60\n".into()),
+        (Format::Csv, "# a\n1,-2,3\n40,50,-60\n".into()),
+        (Format::Sdf, SDF.into()),
+        (Format::Sdf, sdf_binary()),
+        (Format::Hdf5, include_bytes!("data/map.h5").to_vec()),
+        (Format::Datx, include_bytes!("data/map.datx").to_vec()),
+    ]
+}
+
+fn message(format: Format, bytes: &[u8]) -> String {
+    read(format, bytes, &Pick::default()).unwrap_err().to_string()
+}
+
+#[test]
+fn metropro_factors_sign_and_invalid_pixels() {
+    let mut b = metropro(2, 3, &[1, -2, 3, 40, 50, 2_147_483_640]);
+    let settings = Settings::default();
+    let made = |b: &[u8]| {
+        assert_eq!(Format::of(b), Some(Format::Metropro));
+        surface(read(Format::Metropro, b, &Pick::default()).unwrap(), &settings).unwrap()
+    };
+    let (map, statement) = made(&b);
+    // W S O / R in m, in the order of the code; nm.
+    let k = f64::from(6.328e-7_f32) * 0.5 * 1.0 / 32768.0 * 1e9;
+    assert_eq!(statement.nm_per_value, k);
+    // The first row is the top.
+    assert_eq!(map.height_nm().row(1), array![k, -2.0 * k, 3.0 * k]);
+    assert!(map.height_nm()[[0, 2]].is_nan() && statement.invalid == 1);
+    assert_eq!(statement.pitch_mm[0], f64::from(1.5e-4_f32) * 1e3);
+
+    b[232..234].copy_from_slice(&1_i16.to_be_bytes());
+    let (map, statement) = made(&b);
+    assert_eq!(map.height_nm()[[1, 0]], -k);
+    assert!(statement.warnings[0].contains("sign word is 1"));
+
+    b[218..220].copy_from_slice(&0_i16.to_be_bytes());
+    // 4096 in the place of 32768.
+    assert_eq!(made(&b).0.height_nm()[[1, 0]], -8.0 * k);
+}
+
+#[test]
+fn npy_of_every_type_and_order() {
+    let pick = Pick::default();
+    let values = |b: &[u8]| read(Format::Npy, b, &pick).unwrap().values;
+    let big: Vec<u8> = raw().iter().flat_map(|v| (*v as f32).to_be_bytes()).collect();
+    assert_eq!(values(&npy(">f4", "(2, 3)", false, &big)), raw());
+    let bytes: Vec<u8> = raw().iter().map(|v| *v as i8 as u8).collect();
+    assert_eq!(values(&npy("|i1", "(2, 3)", false, &bytes)), raw());
+    let fortran: Vec<u8> = raw().t().iter().flat_map(|v| (*v as i64).to_le_bytes()).collect();
+    assert_eq!(values(&npy("<i8", "(2, 3)", true, &fortran)), raw());
+}
+
+#[test]
+fn fits_scale_blank_unit_and_pitch() {
+    let reading = read(Format::Fits, &fits_map(), &Pick::default()).unwrap();
+    let expected = raw().mapv(|v| 10.0 + 0.5 * v);
+    assert_eq!(reading.values.row(0), expected.row(0));
+    assert!(reading.values[[1, 2]].is_nan());
+    assert_eq!((reading.unit, reading.pitch_mm), (Some(Unit::Um), Some([1.0, 2.0])));
+}
+
+#[test]
+fn mat_by_its_customary_names() {
+    let reading = read(Format::Mat5, &mat_map(), &Pick::default()).unwrap();
+    assert_eq!(reading.values, raw());
+    let c = reading.coordinates.unwrap();
+    assert_eq!((c.x, c.y), (vec![0.0, 0.5, 1.0], vec![2.0, 1.0]));
+    let tif = Pick { is_tif: true, ..Pick::default() };
+    let said = read(Format::Mat5, &mat_map(), &tif).unwrap_err().to_string();
+    assert!(said.contains("several matrices: Z, X, Y") && said.contains("--dataset"), "{said}");
+}
+
+#[test]
+fn sdf_in_text_and_bytes() {
+    for b in [SDF.as_bytes().to_vec(), sdf_binary()] {
+        let reading = read(Format::Sdf, &b, &Pick::default()).unwrap();
+        assert_eq!(reading.values.row(0), raw().row(0));
+        assert_eq!((reading.unit, reading.factor), (Some(Unit::M), 1e-6));
+        assert_eq!(reading.pitch_mm, Some([1.0, 2.0]));
+    }
+}
+
+#[test]
+fn hdf5_and_datx_of_a_real_library() {
+    // Written by h5py 3.16: docs/instruments.py, recipe `just test-interop`.
+    for (format, bytes) in seeds().iter().filter(|s| matches!(s.0, Format::Hdf5 | Format::Datx)) {
+        assert_eq!(Format::of(bytes), Some(*format));
+        let reading = read(*format, bytes, &Pick::default()).unwrap();
+        assert_eq!(reading.values.row(0), raw().row(0), "{format:?}");
+        match format {
+            Format::Datx => {
+                assert!(reading.values[[1, 2]].is_nan());
+                assert_eq!(reading.factor, 0.5 * 1.0 * 632.8e-9);
+                assert_eq!(reading.pitch_mm, Some([0.25, 0.25]));
+            }
+            _ => assert_eq!(reading.unit, Some(Unit::Nm)),
+        }
+    }
+}
+
+#[test]
+fn bad_files_are_refused_with_what_is_wrong() {
+    let phase: Vec<i32> = raw().iter().map(|v| *v as i32).collect();
+    let good = metropro(2, 3, &phase);
+    let cut = &good[..good.len() - 1];
+    assert!(message(Format::Metropro, cut).contains("is truncated"));
+    let changed = |at: usize, bytes: &[u8]| {
+        let mut b = good.clone();
+        b[at..at + bytes.len()].copy_from_slice(bytes);
+        message(Format::Metropro, &b)
+    };
+    assert!(changed(0, &[0]).contains("magic 001B036F"));
+    assert!(changed(218, &[0, 3]).contains("resolution word 3"));
+    assert!(changed(168, &[0, 0, 0, 0]).contains("wavelength in m 0"));
+    assert!(changed(60, &u32::MAX.to_be_bytes()).contains("truncated"));
+    // 65535 x 65535 pixels of 4 bytes: 16 GiB, the size does not fit the field either.
+    assert!(changed(68, &[0xff; 8]).contains("65535 rows x 65535 columns"));
+    let empty = metropro(0, 0, &[]);
+    assert!(message(Format::Metropro, &empty).contains("no phase"));
+
+    let f64s: Vec<u8> = raw().iter().flat_map(|v| v.to_le_bytes()).collect();
+    let huge = npy("<f8", "(23170, 23170)", false, &f64s);
+    assert!(message(Format::Npy, &huge).contains("at most"));
+    let four = npy("<f8", "(5000, 5000)", false, &f64s);
+    assert!(message(Format::Npy, &four).contains("truncated"));
+    for (descriptor, shape, expected) in [
+        ("<c16", "(2, 3)", "type \"<c16\""),
+        ("<f8", "(6,)", "not two axes"),
+        ("<f8", "(2, 2)", "16 bytes after"),
+        ("<f8", "(1, 6)", "at least 2 x 2"),
+    ] {
+        let said = message(Format::Npy, &npy(descriptor, shape, false, &f64s));
+        assert!(said.contains(expected), "{said}");
+    }
+
+    assert!(message(Format::Csv, b"1,2\n3,x\n").contains("\"x\" in line 2, field 2"));
+    assert!(message(Format::Csv, b"1,2\n3\n").contains("1 fields in line 2, 2 before"));
+    assert!(message(Format::Csv, b"\x00\x01").contains("not text"));
+    assert!(message(Format::Xyz, ZYGO.replace("3 2", "70000 70000").as_bytes()).contains("70000"));
+    assert!(message(Format::Xyz, ZYGO.replace("50", "fifty").as_bytes()).contains("\"fifty\""));
+
+    let card = |at: usize, card: &'static str| {
+        let mut cards = CARDS.to_vec();
+        cards[at] = card;
+        message(Format::Fits, &fits(&cards, &[0; 12]))
+    };
+    assert!(card(3, "NAXIS1  =              2000000").contains("truncated"));
+    assert!(card(3, "NAXIS1  =           2000000000").contains("at most"));
+    assert!(card(1, "BITPIX  =                   17").contains("BITPIX Some(17.0)"));
+    assert!(card(4, "NAXIS2  =                 many").contains("\"many\" in card NAXIS2"));
+    assert!(card(8, "BUNIT   = 'furlong '").contains("BUNIT: is \"furlong\""));
+    assert!(message(Format::Fits, &fits_map()[..2881]).contains("truncated"));
+
+    let claims = mat(&[matrix("Z", 1 << 15, 1 << 16, 9, &[0; 48])]);
+    assert!(message(Format::Mat5, &claims).contains("32768 x 65536 in 48 bytes"));
+    let text = mat(&[matrix("Z", 2, 3, 99, &[0; 48])]);
+    assert!(message(Format::Mat5, &text).contains("stored as type 99"));
+    let mut cut = mat_map();
+    cut.truncate(300);
+    assert!(message(Format::Mat5, &cut).contains("truncated"));
+    assert!(message(Format::Sdf, SDF.replace("50", "").as_bytes()).contains("5 of 6"));
+    assert!(message(Format::Hdf5, b"not this").contains("signature"));
+}
+
+/// A compressed variable of zeros grows a thousandfold; it is refused when it is larger than what
+/// may be read, whatever the file says.
+#[test]
+fn a_bomb_is_not_inflated() {
+    let zeros = vec![0; 1 << 20];
+    let mut stream = Compress::new(Compression::best(), true);
+    let mut out = Vec::with_capacity(1 << 21);
+    for _ in 0..600 {
+        out.reserve(1 << 12);
+        stream.compress_vec(&zeros, &mut out, FlushCompress::None).unwrap();
+    }
+    out.reserve(1 << 12);
+    stream.compress_vec(&[], &mut out, FlushCompress::Finish).unwrap();
+    let mut bomb = 15_u32.to_le_bytes().to_vec();
+    bomb.extend((out.len() as u32).to_le_bytes());
+    bomb.extend(out);
+    assert!(message(Format::Mat5, &mat(&[bomb])).contains("grows beyond"));
+}
+
+/// Damage: some bytes replaced, a piece taken out, put in twice, or the end cut off.
+fn damaged(seed: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
+    let mut bytes = seed.to_vec();
+    for _ in 0..random.random_range(1..5) {
+        if bytes.is_empty() {
+            return bytes;
+        }
+        let at = random.random_range(0..bytes.len());
+        match random.random_range(0..6) {
+            0 => bytes[at] = random.random_range(0..=255),
+            1 => bytes[at] ^= 1 << random.random_range(0..8),
+            2 => {
+                let extreme = [0_u8, 0xff, 0x7f, 0x80][random.random_range(0..4)];
+                let end = (at + random.random_range(1..9)).min(bytes.len());
+                bytes[at..end].fill(extreme);
+            }
+            3 => bytes.truncate(at),
+            4 => {
+                let end = (at + random.random_range(1..40)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+            _ => {
+                let end = (at + random.random_range(1..40)).min(bytes.len());
+                let piece = bytes[at..end].to_vec();
+                let to = random.random_range(0..=bytes.len());
+                bytes.splice(to..to, piece);
+            }
+        }
+    }
+    bytes
+}
+
+fn executions() -> usize {
+    let given = std::env::var("PLANISH_FUZZ_EXECUTIONS").ok();
+    given.map_or(1000, |n| n.parse().expect("PLANISH_FUZZ_EXECUTIONS is a number"))
+}
+
+/// No damage makes a reader panic; what it still reads is a map.
+#[test]
+fn damaged_files_are_read_or_refused() {
+    let settings = Settings {
+        unit: Some(Unit::Nm),
+        coordinate_unit: Some(Unit::Mm),
+        pitch_mm: Some([1.0; 2]),
+        ..Settings::default()
+    };
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    for (format, seed) in seeds() {
+        let (mut accepted, mut refused) = (0, 0);
+        for _ in 0..executions() {
+            let bytes = damaged(&seed, &mut random);
+            let outcome = panic::catch_unwind(|| {
+                let _ = Format::of(&bytes);
+                read(format, &bytes, &Pick::default()).map(|r| surface(r, &settings))
+            });
+            match outcome {
+                Ok(Ok(_)) => accepted += 1,
+                Ok(Err(error)) => {
+                    refused += 1;
+                    assert!(error.to_string().len() < 1500, "{error}");
+                }
+                Err(_) => panic!("{format:?} panics on {bytes:?}"),
+            }
+        }
+        println!("{format:?}: {accepted} read, {refused} refused");
+        assert!(refused > 0, "{format:?}");
+    }
+}
+
+#[test]
+fn damaged_programs_are_read_or_refused() {
+    let configuration = Configuration {
+        start_mm: Some([0.0; 2]),
+        count_mm: Some([1e-3; 2]),
+        sample_s: Some(1e-3),
+        feedrate_time_unit_s: Some(1.0),
+    };
+    let seeds = [
+        (
+            Controller::Galil,
+            "' x\nPVA=0,0,-1\nPVA=100,5,100\nPVB=0,0,100\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n",
+        ),
+        (Controller::Xps, "0.1, 1, 0.5, 0, 0\n0.2, 0, 0, 0, 0\n"),
+        (Controller::Pmac, "; x\nABS\nPVT100\nX2:0 Y-2:0\nINC\nPVT200\nX2:0.5 Y-2:0\n"),
+        (
+            Controller::Gcode,
+            "(x) G21 G90\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 F600 ; y\nG4 P0.2\nG94 F60\nM2\n",
+        ),
+        (
+            Controller::Csv,
+            "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n",
+        ),
+    ];
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    for (controller, seed) in seeds {
+        let mut refused = 0;
+        for _ in 0..executions() {
+            let bytes = damaged(seed.as_bytes(), &mut random);
+            let outcome = panic::catch_unwind(|| program::read(controller, &bytes, &configuration));
+            match outcome {
+                Ok(read) => refused += usize::from(read.is_err()),
+                Err(_) => panic!("{controller:?} panics on {:?}", String::from_utf8_lossy(&bytes)),
+            }
+        }
+        assert!(refused > 0, "{controller:?}");
+    }
+}
