@@ -11,9 +11,13 @@ use planish_types::{ClearAperture, Surface, Tif};
 
 const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-surface prepare --surface mirror --level plane --out out/surface\n\
+    \x20 planish-surface prepare --surface mirror --mask-outliers --feature-mm 4 --out out/surface";
+
 /// Conditions a measured map: clear aperture, outlier mask, level
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     method: Method,
@@ -88,7 +92,7 @@ struct OutlierArgs {
 }
 
 fn main() -> ExitCode {
-    let Method::Prepare(args) = Cli::parse().method;
+    let Method::Prepare(args) = planish_handoff::parse::<Cli>().method;
     run(move || prepare_stage(&args))
 }
 
