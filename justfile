@@ -136,6 +136,26 @@ python-example: build
     target/release/planish-schedule pvt --tool-path out/python/tool_path --dwell out/python-dwell \
         --machine fixtures/machines/ion-beam.json --out out/python-trajectory --force
 
+# Use the report in headless Chromium (Debian package chromium) as a person would, and check it
+test-report: build browser
+    just run raster fixture=coupon refine=yes out=out/test-report
+    target/python/bin/python crates/compare/tests/browser.py out/test-report/report out/test-report --shots out/test-report-pictures
+    just run maze fixture=coupon out=out/test-report-maze
+    target/release/planish-compare report out/test-report out/test-report-maze --out out/test-report-both --force
+    target/python/bin/python crates/compare/tests/browser.py --several out/test-report-both --shots out/test-report-pictures
+    target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
+
+# Write the pictures of docs/report.md
+report-pictures: build browser
+    just run raster
+    target/python/bin/python crates/compare/tests/browser.py --docs out/raster/report docs/report
+
+[private]
+browser:
+    @which chromium > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium)
+    @test -d target/python || python3 -m venv target/python
+    @target/python/bin/pip install --quiet numpy websocket-client
+
 # Run the benchmarks
 bench:
     cargo bench --locked -p planish-testkit --bench stages

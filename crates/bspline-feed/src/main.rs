@@ -16,9 +16,12 @@ use planish_handoff::{
 use planish_types::{Surface, Tif, ToolPath, Trajectory};
 use serde_json::json;
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-bspline-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/bspline";
+
 /// Find the feed along every pass of a path, as a B-spline, and the motion that runs it
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     /// Desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
@@ -91,7 +94,7 @@ enum PistonArg {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| feed(&cli))
 }
 

@@ -7,18 +7,20 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use ndarray::Ix3;
 use planish_compare::{
     diff::Elements,
     dwell::{Row, Solver},
-    summary::{Method, VerdictOutcome, WallTimes},
+    report::{Frames, Rounds, Run, RunMethod},
+    summary::{Method, Summary, VerdictOutcome, WallTimes},
 };
 use planish_handoff::{
-    Failure, Stage,
+    Arrays, Artifact, Failure, Stage,
     artifact::MANIFEST,
-    kind::{self, Dtype},
+    kind::{self, Dtype, Kind},
     npy::{self, ArrayData},
 };
-use planish_types::{DwellTime, Removal, Surface, ToolPath, Trajectory};
+use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -30,41 +32,108 @@ pub fn name_of(run: &Path) -> String {
     whole.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// Reads the run number `number`: its surface, and what each method made of it.
+/// Reads the run number `number` (its surface, and what each method made of it), and sums it up.
 pub fn read_run(
     stage: &mut Stage,
     number: usize,
     run: &Path,
-) -> Result<(Surface, Vec<(String, Method)>), Failure> {
-    let surface: Surface = stage.read(&format!("{number}/surface"), &run.join("surface"))?;
+    names: &Names,
+) -> Result<Run, Failure> {
+    let mut provenance = Provenance::default();
+    let role = number.to_string();
+    let desired: Surface = read_part(stage, &role, run, "surface", &mut provenance)?;
+    let path: Option<ToolPath> =
+        read_optional_part(stage, &role, run, "tool_path", &mut provenance)?;
+    let plan: Option<DwellTime> = read_optional_part(stage, &role, run, "dwell", &mut provenance)?;
+    let measured = match names.measured {
+        Some(dir) => Some(stage.read("measured", dir)?),
+        None => None,
+    };
+
     let methods_dir = run.join("methods");
     let schedulers = entries(&methods_dir)?.into_iter().filter(|name| {
         // A stage that runs writes into a sibling whose name begins with a dot.
         !name.starts_with('.') && methods_dir.join(name).is_dir()
     });
-    let mut methods = Vec::new();
+    let (mut numbers, mut methods) = (Vec::new(), Vec::new());
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
-        let method = read_method(stage, &format!("{number}/{scheduler}"), &dir, &surface)?;
-        methods.push((scheduler, method));
+        let role = format!("{number}/{scheduler}");
+        let (number, method) = read_method(stage, &role, &dir, &desired, plan.as_ref())?;
+        numbers.push((scheduler.clone(), number));
+        methods.push(RunMethod { name: scheduler, ..method });
     }
     if methods.is_empty() {
         let message = "holds no method; schedule, simulate and verify at least one";
         return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
     }
-    Ok((surface, methods))
+    let name = name_of(run);
+    let pipeline = names.pipeline.unwrap_or(&name);
+    let summary = Summary::new(pipeline, names.fixture, &desired, numbers);
+    Ok(Run { name, summary, desired, measured, path, methods, provenance })
 }
 
+/// What the user calls the runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Names<'a> {
+    /// Pipeline; the name of the run's directory without it.
+    pub pipeline: Option<&'a str>,
+    /// Mirror.
+    pub fixture: &'a str,
+    /// Map as it was measured [surface artifact].
+    pub measured: Option<&'a Path>,
+}
+
+/// Manifests by role.
+type Provenance = Vec<(String, Value)>;
+
+/// Reads the artifact `name` in `dir` and keeps its manifest.
+fn read_part<T: Artifact>(
+    stage: &mut Stage,
+    role: &str,
+    dir: &Path,
+    name: &str,
+    provenance: &mut Provenance,
+) -> Result<T, Failure> {
+    let (value, manifest) = stage.read_with_manifest(&format!("{role}/{name}"), &dir.join(name))?;
+    if let Some(manifest) = manifest {
+        provenance.push((name.into(), serde_json::to_value(manifest)?));
+    }
+    Ok(value)
+}
+
+/// The same, where there is one.
+fn read_optional_part<T: Artifact>(
+    stage: &mut Stage,
+    role: &str,
+    dir: &Path,
+    name: &str,
+    provenance: &mut Provenance,
+) -> Result<Option<T>, Failure> {
+    let exists = dir.join(name).exists();
+    exists.then(|| read_part(stage, role, dir, name, provenance)).transpose()
+}
+
+/// Reads what one method left in `dir`; its name is for the caller to fill in.
 fn read_method(
     stage: &mut Stage,
     role: &str,
     dir: &Path,
-    surface: &Surface,
-) -> Result<Method, Failure> {
-    let trajectory = stage.read(&format!("{role}/trajectory"), &dir.join("trajectory"))?;
-    let removal = stage.read(&format!("{role}/removal"), &dir.join("removal"))?;
-    let outcome =
-        stage.read_outcome(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
+    desired: &Surface,
+    plan: Option<&DwellTime>,
+) -> Result<(Method, RunMethod), Failure> {
+    let mut provenance = Provenance::default();
+    let trajectory = read_part(stage, role, dir, "trajectory", &mut provenance)?;
+    let removal = read_part(stage, role, dir, "removal", &mut provenance)?;
+    let manifest =
+        stage.read_manifest(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
+    let verdict = manifest.outcome.clone();
+    provenance.push(("verdict".into(), serde_json::to_value(manifest)?));
+    let own_plan = read_optional_part(stage, role, dir, "dwell", &mut provenance)?;
+    let frames: Option<FramesFile> =
+        read_optional_part(stage, role, dir, "frames", &mut provenance)?;
+    let rounds: Option<RoundsFile> =
+        read_optional_part(stage, role, dir, "iterations", &mut provenance)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
@@ -74,9 +143,63 @@ fn read_method(
         Ok(Some(wall_s))
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
-    VerdictOutcome::from_json(&outcome)
-        .and_then(|verdict| Method::new(surface, &removal, &trajectory, &verdict, wall))
-        .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))
+    let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", dir.display()));
+    let outcome = VerdictOutcome::from_json(&verdict).map_err(of_dir)?;
+    let numbers = Method::new(desired, &removal, &trajectory, &outcome, wall).map_err(of_dir)?;
+    let best = provenance.iter().find(|(role, _)| role == "iterations");
+    let best = best.and_then(|(_, manifest)| manifest["outcome"]["best_round"].as_u64());
+    let method = RunMethod {
+        name: String::new(),
+        trajectory,
+        removal,
+        verdict,
+        dwell: own_plan.or_else(|| plan.cloned()),
+        frames: frames.map(|f| f.0),
+        rounds: rounds.map(|r| Rounds { best, ..r.0 }),
+        provenance,
+    };
+    Ok((numbers, method))
+}
+
+/// `kind::FRAMES` as an artifact.
+struct FramesFile(Frames);
+
+impl Artifact for FramesFile {
+    const KIND: &'static Kind = &kind::FRAMES;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        unreachable!("a report does not write frames")
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let mut axis = |name| {
+            let coordinates: Vec<f64> = arrays.take_f64(name).into_iter().collect();
+            Axis::from_coordinates(name, &coordinates)
+        };
+        let grid = Grid { x: axis("x_mm")?, y: axis("y_mm")? };
+        let time_s: Vec<f64> = arrays.take_f64("time_s").into_iter().collect();
+        let removal_nm = arrays.take_f64("removal_nm").into_dimensionality::<Ix3>();
+        let removal_nm = removal_nm.expect("the kind promises three axes");
+        Ok(Self(Frames { time_s, removal_nm, grid }))
+    }
+}
+
+/// `kind::ITERATIONS` as an artifact; the times of the segments are not looked at.
+struct RoundsFile(Rounds);
+
+impl Artifact for RoundsFile {
+    const KIND: &'static Kind = &kind::ITERATIONS;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        unreachable!("a report does not write iterations")
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let mut list = |name| arrays.take_f64(name).into_iter().collect();
+        let rounds =
+            Rounds { rms_nm: list("rms_nm"), total_time_s: list("total_time_s"), best: None };
+        Ok(Self(rounds))
+    }
 }
 
 /// What a stage writes for `--wall-time`.

@@ -2,21 +2,29 @@
 
 mod files;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{io::IsTerminal, path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 use planish_compare::{
     diff::difference,
     dwell,
+    report::{figure::figures, page, sparkline, views},
     summary::{Summary, to_json},
     table::{table, table_of_runs},
 };
 use planish_handoff::{Begin, Failure, OutputArgs, Stage, Status, kind, run, stage::say};
 use serde_json::json;
 
+use crate::files::Names;
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-compare report out/raster --out out/raster/report\n\
+    \x20 planish-compare report out/raster out/maze --out out/both\n\
+    \x20 planish-compare diff out/a/removal out/b/removal --tolerance 0.001";
+
 /// Compare runs, or two artifacts
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -24,7 +32,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Print the results of the methods of one or several runs side by side, and write summary.json
+    /// Print the results of the methods of one or several runs side by side; write summary.json,
+    /// report.html and figures (SVG)
     Report(Report),
     /// Print the results of dwell solvers side by side, and write summary.json
     Dwell(Dwell),
@@ -43,8 +52,22 @@ struct Report {
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     fixture: String,
+    /// Map as it was measured, before anything was done to it; shown beside the others [surface
+    /// artifact; of one run only]
+    #[arg(long, value_name = "DIR")]
+    measured: Option<PathBuf>,
+    /// Small plots under the table; auto: where standard output is a terminal
+    #[arg(long, value_enum, default_value = "auto")]
+    plots: Plots,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Plots {
+    Auto,
+    Always,
+    Never,
 }
 
 #[derive(clap::Args)]
@@ -74,7 +97,7 @@ struct Diff {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| match &cli.command {
         Command::Report(arguments) => report(arguments),
         Command::Dwell(arguments) => dwell_solvers(arguments),
@@ -83,30 +106,50 @@ fn main() -> ExitCode {
 }
 
 fn report(arguments: &Report) -> Result<Status, Failure> {
-    let Report { runs, pipeline, fixture, output } = arguments;
+    let Report { runs, pipeline, fixture, measured, plots, output } = arguments;
     let mut stage = Stage::new("planish-compare", env!("CARGO_PKG_VERSION"), "report", output);
     let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
     stage.settings(json!({ "pipeline": pipeline, "fixture": fixture, "runs": names }));
-    let mut summaries = Vec::new();
-    for (i, dir) in runs.iter().enumerate() {
-        let (surface, methods) = files::read_run(&mut stage, i, dir)?;
-        let pipeline = pipeline.as_ref().unwrap_or(&names[i]);
-        summaries.push(Summary::new(pipeline, fixture, &surface, methods));
+    let called = Names {
+        pipeline: pipeline.as_deref(),
+        fixture,
+        measured: measured.as_deref().filter(|_| runs.len() == 1),
+    };
+    if measured.is_some() && runs.len() > 1 {
+        let message = format!("--measured is of one run, {} are given; leave it out", runs.len());
+        return Err(Failure::new(message));
     }
+    let read = runs.iter().enumerate();
+    let read = read.map(|(i, dir)| files::read_run(&mut stage, i, dir, &called));
+    let read = read.collect::<Result<Vec<_>, _>>()?;
+    let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
     let begin = stage.begin(&[""], &kind::REPORT)?;
 
-    let mut bytes = serde_json::to_vec_pretty(&to_json(&summaries))?;
-    bytes.push(b'\n');
-    // The table is wanted every time, also when the file is there already.
+    let plotted = match plots {
+        Plots::Always => true,
+        Plots::Auto => std::io::stdout().is_terminal(),
+        Plots::Never => false,
+    };
+    // The table is wanted every time, also when the files are there already.
+    let views = if begin == Begin::Run || plotted { views(read) } else { vec![] };
     if begin == Begin::Run {
-        let beside = [("summary.json", bytes)];
+        let summary = to_json(&summaries);
+        let mut bytes = serde_json::to_vec_pretty(&summary)?;
+        bytes.push(b'\n');
+        let page = page(&views, &summary);
+        let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
+        beside.extend(figures(&views).into_iter().map(|(name, svg)| (name, svg.into_bytes())));
         stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
     }
     say(match &summaries[..] {
         [one] => table(one),
         _ => table_of_runs(&names.iter().map(String::as_str).zip(&summaries).collect::<Vec<_>>()),
     });
+    if plotted {
+        say(sparkline::plots(&views));
+    }
     say(output.out.join("summary.json").display());
+    say(output.out.join("report.html").display());
     Ok(Status::Done)
 }
 

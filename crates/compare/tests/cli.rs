@@ -103,7 +103,8 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(row(&table, "pvt").last().unwrap(), "*");
     assert!(row(&table, "position").contains(&"no".to_string()));
     assert_eq!(table.matches('*').count(), 2);
-    assert_eq!(table.lines().last(), Some("report/summary.json"));
+    let last: Vec<&str> = table.lines().rev().take(2).collect();
+    assert_eq!(last, ["report/report.html", "report/summary.json"]);
 
     // Again: nothing to do, and still the table. A lost summary comes back.
     let again = compare(dir.path(), &report);
@@ -122,6 +123,84 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     let forced = compare(dir.path(), &[&report[..], &["--force"]].concat());
     assert_eq!(forced.status.code(), Some(0));
     assert!(near(&summary(&dir.path().join("report"))["methods"]["pvt"]["rms_nm"], 0.2 * rms));
+}
+
+/// The JSON inside the page.
+fn page_data(report: &Path) -> Value {
+    let page = fs::read_to_string(report.join("report.html")).unwrap();
+    let start = page.find("id=\"data\">").unwrap() + "id=\"data\">".len();
+    let end = start + page[start..].find("</script>").unwrap();
+    serde_json::from_str(&page[start..end]).unwrap()
+}
+
+#[test]
+fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
+    let dir = tempfile::tempdir().unwrap();
+    // A name that would end the element of the data if it were not escaped.
+    prepare(&dir.path().join("a<b"), &[("pvt", 0.75, true), ("position", 0.9, false)]);
+    let made = compare(dir.path(), &["report", "a<b", "--out", "one", "--fixture", "</script>"]);
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    let data = page_data(&dir.path().join("one"));
+    assert_eq!(data["summary"], summary(&dir.path().join("one")));
+    let run = &data["runs"][0];
+    assert_eq!((&run["fixture"], &run["best"]), (&json!("</script>"), &json!("pvt")));
+    assert_eq!(run["methods"][0]["name"], "position");
+    assert_eq!(run["desired"]["size"], json!([3, 2]));
+    let provenance = run["methods"][1]["provenance"].as_array().unwrap();
+    let roles: Vec<_> = provenance.iter().map(|p| p["role"].as_str().unwrap()).collect();
+    assert_eq!(roles, ["trajectory", "removal", "verdict"]);
+    // Nothing that only the other file system or another time would give.
+    let page = fs::read_to_string(dir.path().join("one/report.html")).unwrap();
+    assert!(page.contains("<title>Planish: a&lt;b</title>"));
+    assert!(!page.contains("http:") && !page.contains("https:") && !page.contains("{{"));
+    compare(dir.path(), &["report", "a<b", "--out", "two", "--fixture", "</script>"]);
+    for file in
+        ["report.html", "maps.svg", "path.svg", "motion.svg", "histogram.svg", "spectrum.svg"]
+    {
+        let read = |out: &str| fs::read(dir.path().join(out).join(file)).unwrap();
+        assert!(read("one") == read("two"), "{file}");
+        assert!(file.ends_with(".html") || read("one").starts_with(b"<svg xmlns"));
+    }
+    assert!(!dir.path().join("one/refinement.svg").exists());
+}
+
+#[test]
+fn small_plots_are_for_a_terminal() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, true)]);
+    let report = |plots: &str| {
+        let flags = ["report", "run", "--out", "report", "--plots", plots];
+        text(&compare(dir.path(), &flags).stdout)
+    };
+    assert!(!report("auto").contains('▁') && !report("never").contains('▁'));
+    let plotted = report("always");
+    assert!(plotted.contains('█') && plotted.contains("speed over time, at most 0.00 mm/s"));
+}
+
+#[test]
+fn the_map_as_measured_is_of_one_run() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("a"), &[("pvt", 0.75, true)]);
+    prepare(&dir.path().join("b"), &[("pvt", 0.75, true)]);
+    let measured = ["--measured", "b/surface", "--out", "report"];
+    let one = compare(dir.path(), &[&["report", "a"], &measured[..]].concat());
+    assert_eq!(one.status.code(), Some(0));
+    assert_eq!(page_data(&dir.path().join("report"))["runs"][0]["measured"]["every"], 1);
+    let two = compare(dir.path(), &[&["report", "a", "b"], &measured[..]].concat());
+    assert_eq!(two.status.code(), Some(2));
+    assert!(text(&two.stderr).contains("--measured is of one run, 2 are given"));
+}
+
+#[test]
+fn completions_and_the_manual_page_come_from_the_flags() {
+    let dir = tempfile::tempdir().unwrap();
+    let completions = compare(dir.path(), &["--completions", "bash"]);
+    assert!(text(&completions.stdout).contains("--measured"));
+    let manual = compare(dir.path(), &["--man"]);
+    assert!(text(&manual.stdout).contains(".TH planish") && manual.status.success());
+    let help = text(&compare(dir.path(), &["--help"]).stdout);
+    assert!(help.contains("Examples:") && help.contains("--completions bash"), "{help}");
+    assert_eq!(compare(dir.path(), &["--completions", "cmd"]).status.code(), Some(2));
 }
 
 #[test]

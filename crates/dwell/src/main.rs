@@ -13,9 +13,13 @@ use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, 
 use planish_types::{DwellTime, Surface, Tif, ToolPath};
 use serde_json::json;
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-dwell bounded-least-squares --surface out/surface --tif tool --tool-path out/tool_path --min-dwell-s 0.1 --out out/dwell\n\
+    \x20 planish-dwell lucy-richardson --surface out/surface --tif tool --tool-path out/tool_path --out out/dwell";
+
 /// Find the dwell times that remove what is desired
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     solver: Solver,
@@ -89,7 +93,7 @@ enum ColumnKind {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| match &cli.solver {
         Solver::BoundedLeastSquares(arguments) => bounded_least_squares(arguments),
         Solver::Bcls(arguments) => flags::bcls(arguments),

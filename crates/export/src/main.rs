@@ -11,9 +11,12 @@ use planish_export::{Common, Controller, Origin, Program, csv, galil, gcode, pma
 use planish_handoff::{Failure, OutputArgs, Stage, Status, artifact, run, stage::say};
 use planish_types::{Limits, Trajectory};
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-export galil --trajectory out/trajectory --machine machine.json --out run.dmc";
+
 /// A trajectory as the program of a motion controller
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     controller: Method,
@@ -107,7 +110,7 @@ struct CommonArgs {
 }
 
 fn main() -> ExitCode {
-    let method = Cli::parse().controller;
+    let method = planish_handoff::parse::<Cli>().controller;
     run(move || {
         let (controller, args) = match method {
             Method::Galil { sample_s, common } => {

@@ -309,6 +309,35 @@ pub const REMOVAL: Kind = Kind {
     files: &[],
 };
 
+/// The run in time.
+pub const FRAMES: Kind = Kind {
+    name: "frames",
+    version: 1,
+    doc: "What a trajectory has removed at chosen times, on every s-th pixel of the map so that it stays small.",
+    frame: MAP_FRAME,
+    arrays: &[
+        array(
+            "time_s",
+            Dtype::F64,
+            &["m"],
+            &["frame"],
+            "s",
+            "Times of the frames; the last is the end of the motion.",
+        ),
+        array(
+            "removal_nm",
+            Dtype::F64,
+            &["m", "ny", "nx"],
+            &["frame", "y", "x"],
+            "nm",
+            "Removal from the start to the time of the frame.",
+        ),
+        X,
+        Y,
+    ],
+    files: &[],
+};
+
 /// The rounds of a refinement.
 pub const ITERATIONS: Kind = Kind {
     name: "iterations",
@@ -428,14 +457,24 @@ pub const PSD: Kind = Kind {
 pub const REPORT: Kind = Kind {
     name: "report",
     version: 1,
-    doc: "The summary of a run.",
+    doc: "The summary of one or several runs, a page to look at, and its figures (see report.md).",
     frame: MAP_FRAME,
     arrays: &[],
-    files: &["summary.json"],
+    files: &[
+        "summary.json",
+        "report.html",
+        "maps.svg",
+        "path.svg",
+        "motion.svg",
+        "dwell.svg",
+        "histogram.svg",
+        "spectrum.svg",
+        "refinement.svg",
+    ],
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 11] = [
+pub const ALL: [&Kind; 12] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -443,6 +482,7 @@ pub const ALL: [&Kind; 11] = [
     &FEED,
     &TRAJECTORY,
     &REMOVAL,
+    &FRAMES,
     &ITERATIONS,
     &VERDICT,
     &PSD,
@@ -510,6 +550,6 @@ under their names and it is an artifact.
 | `files` | BLAKE3 of the files beside the arrays, where there are any |
 
 A reader checks kind, version, dtype, shape, finiteness, axes and hash. There is no time of day in
-any file: the same command on the same input gives the same bytes (`summary.json` apart, which
-states how long the stages took).
+any file: the same command on the same input gives the same bytes (a report states how long the stages
+took: that is part of its input).
 ";

@@ -5,16 +5,19 @@
 //! * [`npy`]: one array from or to a `.npy` file.
 //! * [`artifact`]: a directory of arrays with its manifest: read, checked, hashed, written whole
 //!   or not at all.
+//! * [`command_line`]: flags, and the completions and manual pages made from them.
 //! * [`stage`]: what the `main` of a stage does: flags, inputs, skipping what is unchanged,
-//!   messages and exit codes.
+//!   progress, messages and exit codes.
 
 pub mod artifact;
+pub mod command_line;
 pub mod kind;
 mod nouns;
 pub mod npy;
 pub mod stage;
 
 pub use artifact::{Arrays, Artifact, Manifest};
+pub use command_line::parse;
 pub use stage::{Begin, Failure, OutputArgs, Stage, Status, run};
 
 /// A file or directory that cannot be used. The message names the file, the place, the value and

@@ -26,9 +26,10 @@ use std::{
     panic,
     path::{Path, PathBuf},
     process::ExitCode,
-    time::Instant,
+    time::{Duration, Instant},
 };
 
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ndarray::{Array2, Ix2};
 use planish_types::Limits;
 use serde::Serialize;
@@ -40,6 +41,9 @@ use crate::{
     kind::{Dtype, Kind},
     npy::{self, ArrayData},
 };
+
+/// How often the progress on a terminal is drawn anew: the first time after this long.
+const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
 
 /// Flags that every stage has.
 #[derive(Clone, Debug, clap::Args)]
@@ -138,6 +142,7 @@ pub struct Stage {
     settings: Value,
     inputs: Vec<InputRecord>,
     started: Instant,
+    progress: ProgressBar,
 }
 
 impl Stage {
@@ -156,6 +161,7 @@ impl Stage {
             settings: json!({}),
             inputs: Vec::new(),
             started: Instant::now(),
+            progress: ProgressBar::hidden(),
         }
     }
 
@@ -166,27 +172,36 @@ impl Stage {
 
     /// Reads an input artifact given by the flag `--role`.
     pub fn read<T: Artifact>(&mut self, role: &str, dir: &Path) -> Result<T, HandoffError> {
+        Ok(self.read_with_manifest(role, dir)?.0)
+    }
+
+    /// [`Self::read`], and the manifest where there is one.
+    pub fn read_with_manifest<T: Artifact>(
+        &mut self,
+        role: &str,
+        dir: &Path,
+    ) -> Result<(T, Option<Manifest>), HandoffError> {
         let loaded = artifact::read::<T>(dir)?;
         if let Some(warning) = &loaded.warning {
             complain(&format!("warning: {warning}"));
         }
         self.record(role, dir, T::KIND.name, loaded.digest);
-        Ok(loaded.value)
+        Ok((loaded.value, loaded.manifest))
     }
 
-    /// Reads the outcome of an artifact, for kinds that keep everything in their manifest.
-    pub fn read_outcome(
+    /// Reads the manifest of an artifact whose kind keeps everything in its outcome.
+    pub fn read_manifest(
         &mut self,
         role: &str,
         dir: &Path,
         kind: &Kind,
-    ) -> Result<Value, HandoffError> {
+    ) -> Result<Manifest, HandoffError> {
         let manifest = artifact::read_manifest(dir, kind)?.ok_or_else(|| {
             HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
         })?;
         let digest = blake3::hash(manifest.outcome.to_string().as_bytes()).to_string();
         self.record(role, dir, kind.name, digest);
-        Ok(manifest.outcome)
+        Ok(manifest)
     }
 
     /// Reads a JSON file given by the flag `--role`.
@@ -278,8 +293,32 @@ impl Stage {
                 ));
                 Begin::Unchanged(status)
             }
-            None => Begin::Run,
+            None => {
+                self.show_progress();
+                Begin::Run
+            }
         })
+    }
+
+    /// On a terminal: what runs, and for how long; nothing in a pipe.
+    fn show_progress(&self) {
+        let style = "{spinner} {msg} {elapsed}";
+        self.progress.set_style(ProgressStyle::with_template(style).expect("a valid template"));
+        self.progress.set_message(format!("{} {}", self.tool, self.method));
+        self.progress.reset();
+        self.progress.set_draw_target(ProgressDrawTarget::stderr());
+        self.progress.enable_steady_tick(PROGRESS_PERIOD);
+    }
+
+    /// Says that `done` of `total` parts of the work are done; on a terminal the progress becomes a
+    /// bar.
+    pub fn progress(&self, done: usize, total: usize) {
+        if self.progress.length() != Some(total as u64) {
+            let style = "{msg} {wide_bar} {pos}/{len} {elapsed}, {eta} left";
+            self.progress.set_style(ProgressStyle::with_template(style).expect("a valid template"));
+            self.progress.set_length(total as u64);
+        }
+        self.progress.set_position(done as u64);
     }
 
     /// How the artifact in `dir` ended when it is what this run would make, else `None`; an error
@@ -383,6 +422,8 @@ impl Stage {
         text.push('\n');
         files.push((MANIFEST.into(), text.into_bytes()));
         artifact::replace_directory(&self.directory(part), kind, &files)?;
+        // What is said from now on is not mixed with it.
+        self.progress.finish_and_clear();
         self.write_wall_time()
     }
 
@@ -406,6 +447,12 @@ impl Stage {
         let wall_s = self.started.elapsed().as_secs_f64();
         let text = format!("{}\n", json!({ "wall_s": wall_s, "peak_memory_mb": peak_memory_mb() }));
         fs::write(path, text).map_err(|e| HandoffError::io(path, "write", &e))
+    }
+}
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        self.progress.finish_and_clear();
     }
 }
 

@@ -23,9 +23,13 @@ use serde_json::{Value, json};
 /// Largest file that is read, bytes: as text, a map of the most pixels.
 const MOST_BYTES: u64 = 1 << 30;
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
+    \x20 planish-import tif spot.mat --rate --unit m --coordinate-unit m --out out/tif";
+
 /// Files of instruments and other programs in
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     method: Method,
@@ -249,7 +253,7 @@ enum ControllerArg {
 }
 
 fn main() -> ExitCode {
-    let method = Cli::parse().method;
+    let method = planish_handoff::parse::<Cli>().method;
     run(move || match method {
         Method::Surface(args) => surface_stage(&args),
         Method::Tif(args) => tif_stage(&args),

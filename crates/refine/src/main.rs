@@ -13,11 +13,14 @@ use planish_schedule::pvt;
 use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use serde_json::json;
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined";
+
 /// Correct the dwell times against the removal of the scheduled motion, round by round
 ///
 /// Writes DIR/dwell and DIR/trajectory of the best round, and DIR/iterations with all of them.
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     /// Desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
@@ -65,7 +68,7 @@ enum Mode {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| body(&cli))
 }
 
@@ -101,16 +104,6 @@ fn body(cli: &Cli) -> Result<Status, Failure> {
 
     let refined = refine(&surface, &tif, &path, &machine, first, &settings)?;
 
-    for (round, i) in refined.iterates.iter().enumerate() {
-        say(format!(
-            "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",
-            i.rms_nm,
-            i.total_time_s,
-            i.stretched,
-            if i.limits_respected { "" } else { ", limits exceeded" },
-            if round == refined.best { "  <- best" } else { "" }
-        ));
-    }
     let best = &refined.iterates[refined.best];
     let outcome = json!({
         "best_round": refined.best,
@@ -122,6 +115,16 @@ fn body(cli: &Cli) -> Result<Status, Failure> {
     stage.write("trajectory", &refined.trajectory, outcome.clone(), &Status::Done)?;
     let arrays = iterations(&refined.iterates);
     stage.write_files("iterations", &kind::ITERATIONS, &arrays, &[], outcome, &Status::Done)?;
+    for (round, i) in refined.iterates.iter().enumerate() {
+        say(format!(
+            "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",
+            i.rms_nm,
+            i.total_time_s,
+            i.stretched,
+            if i.limits_respected { "" } else { ", limits exceeded" },
+            if round == refined.best { "  <- best" } else { "" }
+        ));
+    }
     say(format!(
         "{} after {} rounds -> {}",
         refined.end,

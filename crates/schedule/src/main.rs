@@ -8,9 +8,12 @@ use planish_schedule::{constant_acceleration, position, pvt};
 use planish_types::{DwellTime, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-schedule pvt --tool-path out/tool_path --dwell out/dwell --machine machine.json --mode monotone --out out/trajectory";
+
 /// Turn a tool path and dwell times into a motion that the machine can follow
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     scheduler: Scheduler,
@@ -65,7 +68,7 @@ enum Mode {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| schedule(&cli.scheduler))
 }
 

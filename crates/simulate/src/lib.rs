@@ -13,6 +13,8 @@
 //! * [`gridded`]: exact quadrature ([`quadrature`]) and one FFT convolution; the default.
 //! * [`direct`]: midpoint quadrature, pixel by pixel; slow, and the oracle of the other.
 //!
+//! [`frames`] does either of them part by part: the surface in the course of the run.
+//!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | R | `tif` | (my, mx) | nm/s |
@@ -20,11 +22,12 @@
 //! | removal | `removal_nm` | (ny, nx) | nm |
 
 pub mod direct;
+pub mod frames;
 pub mod gridded;
 pub mod quadrature;
 
 use ndarray::Array2;
-use planish_types::{Invalid, Removal, Surface, Tif, Trajectory};
+use planish_types::{Grid, Invalid, Removal, Surface, Tif, Trajectory};
 use serde::Serialize;
 
 /// How the integral is computed.
@@ -68,10 +71,19 @@ pub fn simulate(
     desired: &Surface,
     settings: Settings,
 ) -> Result<Prediction, Invalid> {
-    let grid = desired.grid();
-    let (removal_nm, numerics): (Array2<f64>, Numerics) = match settings {
-        Settings::Gridded => gridded::removal_nm(trajectory, tif, grid)?,
-        Settings::Direct { steps } => direct::removal_nm(trajectory, tif, grid, steps)?,
-    };
+    let (removal_nm, numerics) = removal_nm(trajectory, tif, desired.grid(), settings)?;
     Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
+}
+
+/// Removal (ny, nx) in nm on `grid`.
+fn removal_nm(
+    trajectory: &Trajectory,
+    tif: &Tif,
+    grid: &Grid,
+    settings: Settings,
+) -> Result<(Array2<f64>, Numerics), Invalid> {
+    match settings {
+        Settings::Gridded => gridded::removal_nm(trajectory, tif, grid),
+        Settings::Direct { steps } => direct::removal_nm(trajectory, tif, grid, steps),
+    }
 }

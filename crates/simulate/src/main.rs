@@ -3,14 +3,25 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, ValueEnum};
-use planish_handoff::{Artifact, Begin, OutputArgs, Stage, Status, run, stage::say};
-use planish_simulate::{Settings, simulate};
+use ndarray::Array1;
+use planish_handoff::{
+    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+};
+use planish_simulate::{
+    Settings,
+    frames::{Frames, frames},
+    simulate,
+};
 use planish_types::{Removal, Surface, Tif, Trajectory};
 use serde_json::json;
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface --out out/removal\n\
+    \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface --frames 24 --out out/frames";
+
 /// Predict what a trajectory removes from a surface, and what remains
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     /// Motion [trajectory artifact]
     #[arg(long, value_name = "DIR")]
@@ -27,6 +38,10 @@ struct Cli {
     /// Time steps per segment of the direct method
     #[arg(long, default_value_t = 16)]
     steps: usize,
+    /// Write the removal at N equal steps of time instead [frames artifact of at most 20 000 pixels
+    /// a frame]
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -40,20 +55,30 @@ enum Method {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| {
         let settings = match cli.method {
             Method::Gridded => Settings::Gridded,
             Method::Direct => Settings::Direct { steps: cli.steps },
         };
-        let mut stage =
-            Stage::new("planish-simulate", env!("CARGO_PKG_VERSION"), "simulate", &cli.output);
-        stage.settings(settings);
+        let method = if cli.frames.is_some() { "frames" } else { "simulate" };
+        let version = env!("CARGO_PKG_VERSION");
+        let mut stage = Stage::new("planish-simulate", version, method, &cli.output);
+        match cli.frames {
+            Some(count) => stage.settings(json!({ "method": settings, "frames": count })),
+            None => stage.settings(settings),
+        }
         let trajectory: Trajectory = stage.read("trajectory", &cli.trajectory)?;
         let tif: Tif = stage.read("tif", &cli.tif)?;
         let surface: Surface = stage.read("surface", &cli.surface)?;
-        if let Begin::Unchanged(status) = stage.begin(&[""], Removal::KIND)? {
+        let kind = if cli.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
+        if let Begin::Unchanged(status) = stage.begin(&[""], kind)? {
             return Ok(status);
+        }
+        if let Some(count) = cli.frames {
+            let done = |i| stage.progress(i, count);
+            let frames = frames(&trajectory, &tif, &surface, settings, count, done)?;
+            return write_frames(&stage, frames, &cli.output);
         }
 
         let prediction = simulate(&trajectory, &tif, &surface, settings)?;
@@ -78,4 +103,21 @@ fn main() -> ExitCode {
         ));
         Ok(Status::Done)
     })
+}
+
+fn write_frames(stage: &Stage, frames: Frames, output: &OutputArgs) -> Result<Status, Failure> {
+    let (x, y) = (frames.grid.x.coordinates(), frames.grid.y.coordinates());
+    let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
+    let (count, stride) = (frames.time_s.len(), frames.stride);
+    let removal = ArrayData::F64(frames.removal_nm.into_dyn());
+    let arrays = [list(frames.time_s), removal, list(x), list(y)];
+    let outcome = json!({ "every_pixel": stride });
+    stage.write_files("", &kind::FRAMES, &arrays, &[], outcome, &Status::Done)?;
+    let [sx, sy] = stride;
+    let shape = format!("{} x {} pixels", frames.grid.x.len(), frames.grid.y.len());
+    say(format!(
+        "{count} frames of {shape} (one in {sx} columns, {sy} rows) -> {}",
+        output.out.display()
+    ));
+    Ok(Status::Done)
 }

@@ -8,7 +8,11 @@ use std::{
 };
 
 use ndarray::{Array1, Array2, Array3};
-use planish_handoff::{Artifact, OutputArgs, Stage, Status, artifact, npy::ArrayData};
+use planish_handoff::{
+    Artifact, OutputArgs, Stage, Status, artifact,
+    kind::Dtype,
+    npy::{self, ArrayData},
+};
 use planish_types::{Axis, Grid, Removal, Surface, Tif, Trajectory};
 use serde_json::{Value, json};
 
@@ -75,7 +79,7 @@ fn run_on(threads: &str, dir: &Path, more: &[&str]) -> Output {
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])
-        .args(["--out", "removal"])
+        .args(if more.contains(&"--out") { &[][..] } else { &["--out", "removal"] })
         .args(more)
         .output()
         .unwrap()
@@ -377,4 +381,34 @@ fn a_tif_in_the_wrong_unit_is_refused() {
         }
     };
     refused_after(huge, &[], &["rate_nm_per_s", "lattice", "check that both are in mm"]);
+}
+
+#[test]
+fn frames_end_with_the_removal_and_are_the_same_on_one_thread() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let removal = simulate(tmp.path(), &[]);
+    let frames = |threads: &str, out: &str| {
+        let output = run_on(threads, tmp.path(), &["--frames", "5", "--out", out]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        assert!(text(&output.stdout).contains("5 frames of 51 x 31 pixels"));
+        ["time_s.npy", "removal_nm.npy", "x_mm.npy", "y_mm.npy", "manifest.json"]
+            .map(|file| fs::read(tmp.path().join(out).join(file)).unwrap())
+    };
+    let found = frames("2", "frames");
+    let read = |i: usize| match npy::parse(&found[i], Dtype::F64).unwrap() {
+        ArrayData::F64(a) => a,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(read(0).as_slice().unwrap(), [3.1, 6.2, 9.3, 12.4, 15.5]);
+    let last = read(1).index_axis_move(ndarray::Axis(0), 4);
+    // Sums of the same order 1 terms, the quadrature cut at other places.
+    let off = |(a, b): (&f64, &f64)| (a - b).abs();
+    assert!(last.iter().zip(removal.removal_nm()).map(off).fold(0.0, f64::max) < 1e-9);
+    assert!(frames("1", "frames-1")[..4] == found[..4]);
+
+    let refused = run_on("1", tmp.path(), &["--frames", "0", "--out", "none"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(text(&refused.stderr).contains("frames: are 0; give 1 to 1000"));
+    assert!(!tmp.path().join("none").exists());
 }

@@ -30,9 +30,15 @@ const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
 const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-surface prepare --surface mirror --level plane --out out/surface\n\
+    \x20 planish-surface prepare --surface mirror --mask-outliers --feature-mm 4 --out out/surface\n\
+    \x20 planish-surface psd --surface mirror --band-per-mm 0.1 1 --out out/psd\n\
+    \x20 planish-surface tif --tif spot --centre centroid --fit gaussian --out out/tif";
+
 /// Conditions measured maps and tools, and describes them
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     method: Method,
@@ -298,7 +304,7 @@ struct DrawArgs {
 }
 
 fn main() -> ExitCode {
-    let method = Cli::parse().method;
+    let method = planish_handoff::parse::<Cli>().method;
     run(move || match method {
         Method::Prepare(args) => prepare_stage(&args),
         Method::Statistics(args) => statistics_stage(&args),

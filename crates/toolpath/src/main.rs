@@ -13,9 +13,14 @@ use planish_types::{Surface, Tif, ToolPath};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-toolpath raster --surface out/surface --tif tool --pitch-mm 1 --step-mm 1 --out out/tool_path\n\
+    \x20 planish-toolpath maze --surface out/surface --tif tool --pitch-mm 1 --step-mm 1 --seed 2 --out out/tool_path\n\
+    \x20 planish-toolpath draw --tool-path out/tool_path --surface out/surface --out path.svg";
+
 /// Tool paths over the clear aperture: the valid pixels of a map
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     method: Method,
@@ -236,7 +241,7 @@ struct Outcome {
 }
 
 fn main() -> ExitCode {
-    let method = Cli::parse().method;
+    let method = planish_handoff::parse::<Cli>().method;
     run(move || match method {
         Method::Raster(args) => raster_stage(&args),
         Method::Maze(args) => maze_stage(&args),

@@ -7,9 +7,12 @@ use planish_handoff::{Begin, OutputArgs, Stage, Status, kind, run, stage::say};
 use planish_types::Trajectory;
 use planish_verify::{VerifySettings, verify};
 
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict";
+
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Cli {
     /// Motion [trajectory artifact]
     #[arg(long, value_name = "DIR")]
@@ -33,7 +36,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = planish_handoff::parse();
     run(|| {
         let settings = VerifySettings {
             position_step_mm: cli.position_step_mm,

@@ -1,0 +1,382 @@
+//! The page that people look at, and its figures.
+//!
+//! [`View`] holds what the screen needs of a run, down-sampled where there is more; [`page`] puts
+//! views into one HTML file with its own style and program (`report/page.*`, plain JavaScript and
+//! canvas, no library, nothing from a network), [`figure`] draws them as SVG, [`sparkline`] in a terminal.
+//!
+//! How much of the arrays is in the page is bounded, and stated on it: see the constants.
+
+pub mod figure;
+pub mod map;
+pub mod motion;
+pub mod pack;
+pub mod sparkline;
+pub mod spectrum;
+
+use ndarray::Array3;
+use planish_types::{DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
+use serde_json::{Value, json};
+
+use self::{
+    map::{Histogram, ScreenMap, block_side, histogram, screen_map},
+    motion::{Dwell, Line, Ranges},
+    pack::{Rounding, floats, pack, pack_between},
+    spectrum::{BAND_PERIOD_MM, Spectrum, spectrum},
+};
+use crate::summary::Summary;
+
+/// Most pixels of a map, and of all maps together (2 bytes each, 2.7 in base64).
+const MAX_MAP_PIXELS: usize = 400_000;
+const MAX_ALL_PIXELS: usize = 2_000_000;
+
+/// Most points of the lines of all motions (12 bytes each, 16 in base64).
+const MAX_ALL_POINTS: usize = 100_000;
+
+/// Most pieces with ranges of all motions (28 bytes each, 38 in base64).
+const MAX_ALL_PIECES: usize = 24_000;
+
+/// Most dwell points of all plans (12 bytes each, 16 in base64).
+const MAX_ALL_DWELL: usize = 40_000;
+
+/// Most pixels of all frames (2 bytes each, 2.7 in base64).
+const MAX_ALL_FRAME_PIXELS: usize = 450_000;
+
+/// Parts of the page.
+const HTML: &str = include_str!("report/page.html");
+const CSS: &str = include_str!("report/page.css");
+const JS: &str = include_str!("report/page.js");
+
+/// Everything of one run.
+#[derive(Debug)]
+pub struct Run {
+    /// Name.
+    pub name: String,
+    /// Numbers; its methods are those of `methods`, maybe in another order.
+    pub summary: Summary,
+    /// Desired removal.
+    pub desired: Surface,
+    /// The map as it was measured, where it is known.
+    pub measured: Option<Surface>,
+    /// Path, where the run has one.
+    pub path: Option<ToolPath>,
+    /// What each method made of it.
+    pub methods: Vec<RunMethod>,
+    /// Manifests of the artifacts that the methods share: role and manifest.
+    pub provenance: Vec<(String, Value)>,
+}
+
+/// Everything of one method.
+#[derive(Debug)]
+pub struct RunMethod {
+    /// Scheduler.
+    pub name: String,
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// Prediction.
+    pub removal: Removal,
+    /// Outcome of the verdict.
+    pub verdict: Value,
+    /// Planned dwell times, where they are known.
+    pub dwell: Option<DwellTime>,
+    /// Removal in the course of the run, where it was simulated.
+    pub frames: Option<Frames>,
+    /// Rounds of the refinement, where there was one.
+    pub rounds: Option<Rounds>,
+    /// Manifests of its artifacts: role and manifest.
+    pub provenance: Vec<(String, Value)>,
+}
+
+/// The removal at several times.
+#[derive(Clone, Debug)]
+pub struct Frames {
+    /// Times (m), s.
+    pub time_s: Vec<f64>,
+    /// Removal until then (m, ny, nx), nm.
+    pub removal_nm: Array3<f64>,
+    /// Pixel centres.
+    pub grid: Grid,
+}
+
+/// The rounds of a refinement.
+#[derive(Clone, Debug)]
+pub struct Rounds {
+    /// RMS of the executed residual (m), nm.
+    pub rms_nm: Vec<f64>,
+    /// Time of the motion (m), s.
+    pub total_time_s: Vec<f64>,
+    /// Round that was kept.
+    pub best: Option<u64>,
+}
+
+/// What the screen needs of a run.
+#[derive(Debug)]
+pub struct View {
+    name: String,
+    summary: Summary,
+    desired: ScreenMap,
+    measured: Option<ScreenMap>,
+    before: (Histogram, Spectrum),
+    methods: Vec<MethodView>,
+    provenance: Vec<(String, Value)>,
+}
+
+#[derive(Debug)]
+struct MethodView {
+    name: String,
+    removal: ScreenMap,
+    residual: ScreenMap,
+    after: (Histogram, Spectrum),
+    line: Line,
+    ranges: Ranges,
+    verdict: Value,
+    dwell: Option<Dwell>,
+    frames: Option<FrameView>,
+    rounds: Option<Rounds>,
+    provenance: Vec<(String, Value)>,
+}
+
+#[derive(Debug)]
+struct FrameView {
+    time_s: Vec<f64>,
+    /// Residual at these times, (m) maps of (ny, nx), nm.
+    residual_nm: Array3<f64>,
+    grid: Grid,
+}
+
+/// What the screen needs of `runs`, the methods in the order of their summaries.
+pub fn views(runs: Vec<Run>) -> Vec<View> {
+    let methods: usize = runs.iter().map(|r| r.methods.len()).sum::<usize>().max(1);
+    let maps = 2 * methods + runs.len() + runs.iter().filter(|r| r.measured.is_some()).count();
+    let share = Share {
+        pixels: MAX_MAP_PIXELS.min(MAX_ALL_PIXELS / maps),
+        points: MAX_ALL_POINTS / methods,
+        pieces: MAX_ALL_PIECES / methods,
+        dwell: MAX_ALL_DWELL / methods,
+        frame_pixels: MAX_ALL_FRAME_PIXELS
+            / runs.iter().flat_map(|r| &r.methods).filter(|m| m.frames.is_some()).count().max(1),
+    };
+    runs.into_iter().map(|run| view(run, &share)).collect()
+}
+
+/// How much of each thing a method may take.
+struct Share {
+    pixels: usize,
+    points: usize,
+    pieces: usize,
+    dwell: usize,
+    frame_pixels: usize,
+}
+
+fn view(run: Run, share: &Share) -> View {
+    let grid = *run.desired.grid();
+    let every = block_side(&grid, share.pixels);
+    let on_screen = |s: &Surface, every| screen_map(s.height_nm().view(), s.grid(), every);
+    let analysed =
+        |s: &Surface| (histogram(s.height_nm().view()), spectrum(s.height_nm().view(), s.grid()));
+    let rank = |name: &str| run.summary.methods.iter().position(|(n, _)| n == name);
+    let mut methods = run.methods;
+    methods.sort_by_key(|m| rank(&m.name));
+    let methods = methods.into_iter().map(|m| MethodView {
+        removal: screen_map(m.removal.removal_nm().view(), &grid, every),
+        residual: on_screen(m.removal.residual(), every),
+        after: analysed(m.removal.residual()),
+        line: motion::line(&m.trajectory, share.points),
+        ranges: motion::ranges(&m.trajectory, share.pieces),
+        dwell: run
+            .path
+            .as_ref()
+            .zip(m.dwell.as_ref())
+            .and_then(|(path, plan)| motion::dwell(path, plan, &m.trajectory, share.dwell)),
+        frames: m.frames.map(|f| frame_view(f, &run.desired, share.frame_pixels)),
+        name: m.name,
+        verdict: m.verdict,
+        rounds: m.rounds,
+        provenance: m.provenance,
+    });
+    let methods = methods.collect();
+    View {
+        name: run.name,
+        summary: run.summary,
+        desired: on_screen(&run.desired, every),
+        measured: run.measured.map(|s| on_screen(&s, block_side(s.grid(), share.pixels))),
+        before: analysed(&run.desired),
+        methods,
+        provenance: run.provenance,
+    }
+}
+
+/// residual(t) = desired - removal(t) on the pixels of the frames; every k-th frame, the last in
+/// any case, where there are too many.
+fn frame_view(frames: Frames, desired: &Surface, most_pixels: usize) -> FrameView {
+    let (m, ny, nx) = frames.removal_nm.dim();
+    let every = m.div_ceil((most_pixels / (ny * nx)).max(1));
+    let kept: Vec<usize> =
+        (0..m).rev().step_by(every).collect::<Vec<_>>().into_iter().rev().collect();
+    let full = desired.grid();
+    let nearest = |axis: &planish_types::Axis, mm: f64| {
+        let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+        (i.max(0.0) as usize).min(axis.len() - 1)
+    };
+    let columns: Vec<usize> = (0..nx).map(|c| nearest(&full.x, frames.grid.x.at(c))).collect();
+    let rows: Vec<usize> = (0..ny).map(|r| nearest(&full.y, frames.grid.y.at(r))).collect();
+    let residual_nm = Array3::from_shape_fn((kept.len(), ny, nx), |(i, r, c)| {
+        desired.height_nm()[[rows[r], columns[c]]] - frames.removal_nm[[kept[i], r, c]]
+    });
+    let time_s = kept.iter().map(|i| frames.time_s[*i]).collect();
+    FrameView { time_s, residual_nm, grid: frames.grid }
+}
+
+/// The page: one file, the same for the same views.
+pub fn page(views: &[View], summaries: &Value) -> String {
+    let names: Vec<&str> = views.iter().map(|v| v.name.as_str()).collect();
+    let data = json!({
+        "summary": summaries,
+        "runs": views.iter().map(run_json).collect::<Vec<_>>(),
+        "band_period_mm": BAND_PERIOD_MM,
+        "colours": { "height": figure::HEIGHT_COLOURS, "speed": figure::SPEED_COLOURS },
+    });
+    // Inside a script element only `</` could end it; the slash may be escaped in JSON.
+    let data = data.to_string().replace("</", "<\\/");
+    HTML.replace("{{title}}", &figure::escaped(&names.join(", ")))
+        .replace("{{css}}", CSS)
+        .replace("{{js}}", JS)
+        .replace("{{data}}", &data)
+}
+
+fn run_json(view: &View) -> Value {
+    json!({
+        "name": view.name,
+        "pipeline": view.summary.pipeline,
+        "fixture": view.summary.fixture,
+        "best": view.summary.best(),
+        "summary": view.summary,
+        "desired": view.desired,
+        "measured": view.measured,
+        "histogram": view.before.0,
+        "spectrum": view.before.1,
+        "methods": view.methods.iter().map(method_json).collect::<Vec<_>>(),
+        "provenance": provenance_json(&view.provenance),
+    })
+}
+
+fn method_json(m: &MethodView) -> Value {
+    let points = &m.line.point_mm;
+    let axis = |a: usize| pack(points.iter().map(move |p| p[a]));
+    json!({
+        "name": m.name,
+        "removal": m.removal,
+        "residual": m.residual,
+        "histogram": m.after.0,
+        "spectrum": m.after.1,
+        "line": {
+            "every": m.line.every,
+            "x_mm": axis(0),
+            "y_mm": axis(1),
+            "time_s": floats(m.line.time_s.iter().copied()),
+            "speed_mm_per_s": floats(m.line.speed_mm_per_s.iter().copied()),
+        },
+        "ranges": ranges_json(&m.ranges),
+        "limits": limits_json(&m.verdict),
+        "violations": m.verdict["violations"],
+        "dwell": m.dwell.as_ref().map(dwell_json),
+        "frames": m.frames.as_ref().map(frames_json),
+        "rounds": m.rounds.as_ref().map(|r| json!({
+            "rms_nm": r.rms_nm, "total_time_s": r.total_time_s, "best": r.best,
+        })),
+        "provenance": provenance_json(&m.provenance),
+    })
+}
+
+/// Keys of the quantities of [`Ranges::envelope`] in a verdict, and their names.
+const QUANTITIES: [(&str, &str); 3] = [
+    ("velocity_mm_per_s", "velocity"),
+    ("acceleration_mm_per_s2", "acceleration"),
+    ("jerk_mm_per_s3", "jerk"),
+];
+
+/// Keys of the steps in a verdict that a machine cannot do.
+const STEPS: [&str; 2] = ["position_step_mm", "velocity_step_mm_per_s"];
+
+fn ranges_json(ranges: &Ranges) -> Value {
+    let mut json = json!({
+        "every": ranges.every,
+        "end_s": floats(ranges.end_s.iter().copied()),
+    });
+    for (envelopes, (_, name)) in ranges.envelope.iter().zip(QUANTITIES) {
+        json[name] = envelopes
+            .iter()
+            .map(|e| {
+                let low = e.low.iter().copied().fold(f64::INFINITY, f64::min);
+                let high = e.high.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                json!({
+                    "low": pack_between(e.low.iter().copied(), low, high, Rounding::Down),
+                    "high": pack_between(e.high.iter().copied(), low, high, Rounding::Up),
+                })
+            })
+            .collect();
+    }
+    json
+}
+
+/// Per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
+/// of the worst steps in position and velocity.
+fn limits_json(verdict: &Value) -> Value {
+    let mut json = json!({});
+    for (key, name) in QUANTITIES {
+        let of_axis = |axis: usize| {
+            let check = &verdict["axes"][axis][key];
+            let worst = check["worst"].as_array().into_iter().flatten();
+            json!({
+                "limit": check["limit"],
+                "exceeding_count": check["exceeding_count"],
+                "worst": worst.map(|p| json!([p["time_s"], p["value"]])).collect::<Vec<_>>(),
+            })
+        };
+        json[name] = json!([of_axis(0), of_axis(1)]);
+    }
+    let mut steps = vec![];
+    for (axis, key) in [0, 1].into_iter().flat_map(|a| STEPS.map(|key| (a, key))) {
+        let worst = verdict["axes"][axis][key]["worst"].as_array().into_iter().flatten();
+        steps.extend(worst.map(|p| p["time_s"].clone()));
+    }
+    json["steps"] = steps.into();
+    json
+}
+
+fn dwell_json(d: &Dwell) -> Value {
+    let axis = |a: usize| pack(d.point_mm.iter().map(move |p| p[a]));
+    json!({
+        "every": d.every,
+        "x_mm": axis(0),
+        "y_mm": axis(1),
+        "planned_s": floats(d.planned_s.iter().copied()),
+        "executed_s": floats(d.executed_s.iter().copied()),
+        "total_error_s": d.total_error_s,
+    })
+}
+
+fn frames_json(f: &FrameView) -> Value {
+    let (x, y) = (&f.grid.x, &f.grid.y);
+    json!({
+        "time_s": f.time_s,
+        "start_mm": [x.start_mm(), y.start_mm()],
+        "step_mm": [x.step_mm(), y.step_mm()],
+        "size": [x.len(), y.len()],
+        "residual_nm": pack(f.residual_nm.iter().copied()),
+    })
+}
+
+/// What the page shows of manifests: all but the arrays.
+fn provenance_json(manifests: &[(String, Value)]) -> Value {
+    manifests
+        .iter()
+        .map(|(role, manifest)| {
+            let mut shown = json!({ "role": role });
+            for key in ["tool", "tool_version", "method", "command", "settings", "inputs"] {
+                shown[key] = manifest[key].clone();
+            }
+            shown["status"] = manifest["outcome"]["status"].clone();
+            shown
+        })
+        .collect()
+}

@@ -1,0 +1,149 @@
+//! Height maps for the screen: down-sampled where they are large, histogram of all pixels.
+
+use ndarray::{Array2, ArrayView2};
+use planish_numerics::statistics::statistics;
+use planish_types::{Axis, Grid};
+use serde::Serialize;
+
+use super::pack::{Packed, pack};
+
+/// A map for the screen.
+#[derive(Clone, Debug, Serialize)]
+pub struct ScreenMap {
+    /// Centre of the first column and row, mm.
+    pub start_mm: [f64; 2],
+    /// Distance of the columns and rows, mm.
+    pub step_mm: [f64; 2],
+    /// Columns and rows.
+    pub size: [usize; 2],
+    /// Pixels of the array along the side of one here, whose mean it is.
+    pub every: usize,
+    /// Mean of the valid pixels of the array, nm.
+    pub mean_nm: f64,
+    /// RMS without the mean of the array, nm.
+    pub rms_nm: f64,
+    /// Smallest and largest value of the array, nm.
+    pub range_nm: [f64; 2],
+    /// Heights (ny, nx), nm.
+    pub height_nm: Packed,
+    /// The same, not packed.
+    #[serde(skip)]
+    pub means_nm: Array2<f64>,
+}
+
+/// The smallest side of a block that brings `grid` to at most `most` pixels.
+pub fn block_side(grid: &Grid, most: usize) -> usize {
+    let pixels = |k: usize| grid.x.len().div_ceil(k) * grid.y.len().div_ceil(k);
+    (1..).find(|k| pixels(*k) <= most.max(4)).expect("a large block leaves one pixel")
+}
+
+/// `map` in means over blocks of `every` x `every` pixels.
+pub fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> ScreenMap {
+    let means = block_means(map, every);
+    let start = |axis: &Axis| axis.start_mm() + 0.5 * (every - 1) as f64 * axis.step_mm();
+    let step = |axis: &Axis| axis.step_mm() * every as f64;
+    let s = statistics(map).expect("a map has a valid pixel");
+    ScreenMap {
+        start_mm: [start(&grid.x), start(&grid.y)],
+        step_mm: [step(&grid.x), step(&grid.y)],
+        size: [means.ncols(), means.nrows()],
+        every,
+        mean_nm: s.mean,
+        rms_nm: s.rms,
+        range_nm: [s.min, s.max],
+        height_nm: pack(means.iter().copied()),
+        means_nm: means,
+    }
+}
+
+/// Means of the valid pixels of each block; NaN where it has none. The last blocks may be smaller.
+pub fn block_means(map: ArrayView2<f64>, every: usize) -> Array2<f64> {
+    if every == 1 {
+        return map.to_owned();
+    }
+    let (ny, nx) = map.dim();
+    let shape = (ny.div_ceil(every), nx.div_ceil(every));
+    let (mut sum, mut count) = (Array2::zeros(shape), Array2::<f64>::zeros(shape));
+    for ((r, c), v) in map.indexed_iter().filter(|(_, v)| !v.is_nan()) {
+        sum[[r / every, c / every]] += v;
+        count[[r / every, c / every]] += 1.0;
+    }
+    // 0 / 0 is NaN.
+    sum / count
+}
+
+/// Shares of the pixels in equal bins of height, the mean removed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Histogram {
+    /// Lower edge of the first bin, nm.
+    pub low_nm: f64,
+    /// Width of the bins, nm.
+    pub width_nm: f64,
+    /// Share of the valid pixels per nm in each bin, 1/nm.
+    pub density_per_nm: Vec<f64>,
+    /// Share of the valid pixels beyond the bins.
+    pub outside: f64,
+}
+
+const BINS: usize = 101;
+
+/// Half the range of a histogram in RMS: a Gaussian has 6e-5 of its pixels beyond.
+const REACH_RMS: f64 = 4.0;
+
+/// Bins over four RMS on both sides of the mean.
+pub fn histogram(map: ArrayView2<f64>) -> Histogram {
+    let s = statistics(map).expect("a map has a valid pixel");
+    // A flat map gets bins of some width all the same.
+    let reach = if s.rms > 0.0 { REACH_RMS * s.rms } else { 1e-6 };
+    let width_nm = 2.0 * reach / BINS as f64;
+    let mut counts = vec![0_usize; BINS];
+    let mut outside = 0_usize;
+    for v in map.iter().filter(|v| !v.is_nan()) {
+        let bin = ((v - s.mean + reach) / width_nm).floor();
+        if bin >= 0.0 && bin < BINS as f64 { counts[bin as usize] += 1 } else { outside += 1 }
+    }
+    let n = s.valid_count as f64;
+    Histogram {
+        low_nm: -reach,
+        width_nm,
+        density_per_nm: counts.iter().map(|c| *c as f64 / n / width_nm).collect(),
+        outside: outside as f64 / n,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    const NAN: f64 = f64::NAN;
+
+    #[test]
+    fn blocks_are_means_of_their_valid_pixels_and_their_centres() {
+        let map = array![[1.0, 3.0, 5.0], [5.0, NAN, 7.0], [NAN, NAN, 9.0]];
+        let means = block_means(map.view(), 2);
+        assert!(means[[1, 0]].is_nan());
+        assert_eq!([means[[0, 0]], means[[0, 1]], means[[1, 1]]], [3.0, 6.0, 9.0]);
+        let axis = Axis::new(10.0, 0.5, 3).unwrap();
+        let screen = screen_map(map.view(), &Grid { x: axis, y: axis }, 2);
+        assert_eq!((screen.start_mm, screen.step_mm), ([10.25; 2], [1.0; 2]));
+        assert_eq!((screen.size, screen.range_nm, screen.mean_nm), ([2, 2], [1.0, 9.0], 5.0));
+        let grid = Grid { x: Axis::new(0.0, 1.0, 1641).unwrap(), y: axis };
+        assert_eq!(block_side(&grid, 1641 * 3), 1);
+        assert_eq!([block_side(&grid, 1642), block_side(&grid, 1641)], [2, 3]);
+    }
+
+    #[test]
+    fn a_histogram_has_all_pixels() {
+        let map =
+            Array2::from_shape_fn(
+                (10, 100),
+                |(r, c)| if r == 0 && c == 0 { 1e4 } else { (c % 10) as f64 },
+            );
+        let h = histogram(map.view());
+        let inside: f64 = h.density_per_nm.iter().sum::<f64>() * h.width_nm;
+        assert!((inside + h.outside - 1.0).abs() < 1e-12);
+        assert_eq!(h.outside, 0.001);
+        assert!(histogram(array![[2.0, 2.0]].view()).density_per_nm[50] > 0.0);
+    }
+}

@@ -1,0 +1,208 @@
+//! A motion for the screen: points to draw, and exact ranges of velocity, acceleration and jerk.
+//!
+//! Where there are more segments than the screen needs, neighbours are taken together: a point is
+//! the end of a group, a range is that of all its segments, so no peak is lost.
+
+use planish_numerics::polynomial::{derivative, range};
+use planish_types::{DwellTime, ToolPath, Trajectory};
+
+/// Gaps between segments above this are jumps, mm: far above rounding, far below a pixel.
+const JUMP_MM: f64 = 1e-6;
+
+/// Most points per segment: enough for a cubic on the screen.
+const MOST_PER_SEGMENT: usize = 4;
+
+/// A line through the points of a motion.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Line {
+    /// Points [x, y], mm.
+    pub point_mm: Vec<[f64; 2]>,
+    /// Their times from the start of the motion, s.
+    pub time_s: Vec<f64>,
+    /// Mean speed on the way to the point, mm/s; NaN after a jump and at the start.
+    pub speed_mm_per_s: Vec<f64>,
+    /// Segments between two points, where it is more than one.
+    pub every: usize,
+}
+
+/// The line of a motion in about `most` points.
+pub fn line(t: &Trajectory, most: usize) -> Line {
+    let every = t.len().div_ceil(most.max(1));
+    let per_segment = (most / t.len()).clamp(1, MOST_PER_SEGMENT);
+    let start_s = t.break_time_s()[0];
+    let mut line = Line { every, ..Line::default() };
+    let mut push = |p: [f64; 2], time_s: f64, speed: f64| {
+        line.point_mm.push(p);
+        line.time_s.push(time_s);
+        line.speed_mm_per_s.push(speed);
+    };
+    let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let mut at = t.segment(0).position_mm(0.0);
+    push(at, 0.0, f64::NAN);
+    let (mut length_mm, mut duration_s) = (0.0, 0.0);
+    for (i, segment) in t.segments().enumerate() {
+        let first = segment.position_mm(0.0);
+        if distance(first, at) > JUMP_MM {
+            push(first, segment.start_s - start_s, f64::NAN);
+            at = first;
+        }
+        for j in 1..=per_segment {
+            let u = segment.duration_s * j as f64 / per_segment as f64;
+            let p = segment.position_mm(u);
+            length_mm += distance(p, at);
+            duration_s += segment.duration_s / per_segment as f64;
+            at = p;
+            if (i + 1) % every == 0 || i + 1 == t.len() {
+                push(p, segment.start_s + u - start_s, length_mm / duration_s);
+                (length_mm, duration_s) = (0.0, 0.0);
+            }
+        }
+    }
+    line
+}
+
+/// Smallest and largest value of one quantity on one axis, piece by piece.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Envelope {
+    /// Smallest values.
+    pub low: Vec<f64>,
+    /// Largest values.
+    pub high: Vec<f64>,
+}
+
+/// Ranges of a motion.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Ranges {
+    /// End of each piece from the start of the motion, s.
+    pub end_s: Vec<f64>,
+    /// [velocity mm/s, acceleration mm/s^2, jerk mm/s^3][x, y].
+    pub envelope: [[Envelope; 2]; 3],
+    /// Segments in a piece.
+    pub every: usize,
+}
+
+/// The ranges of a motion in at most `most` pieces, exact on each.
+pub fn ranges(t: &Trajectory, most: usize) -> Ranges {
+    let every = t.len().div_ceil(most.max(1));
+    let mut found = Ranges { every, ..Ranges::default() };
+    let start_s = t.break_time_s()[0];
+    for first in (0..t.len()).step_by(every) {
+        let last = (first + every).min(t.len());
+        let mut low_high = [[(f64::INFINITY, f64::NEG_INFINITY); 2]; 3];
+        for segment in (first..last).map(|i| t.segment(i)) {
+            for axis in 0..2 {
+                // v = p', a = p'', j = p'''
+                let mut order = segment.coefficient_mm[axis];
+                for reached in &mut low_high {
+                    order = derivative(&order);
+                    let r = range(&order, segment.duration_s);
+                    reached[axis] = (reached[axis].0.min(r.min), reached[axis].1.max(r.max));
+                }
+            }
+        }
+        for (envelopes, reached) in found.envelope.iter_mut().zip(low_high) {
+            for (envelope, (low, high)) in envelopes.iter_mut().zip(reached) {
+                envelope.low.push(low);
+                envelope.high.push(high);
+            }
+        }
+        found.end_s.push(t.break_time_s()[last] - start_s);
+    }
+    found
+}
+
+/// Planned and executed time of the dwell points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dwell {
+    /// Dwell points [x, y], mm.
+    pub point_mm: Vec<[f64; 2]>,
+    /// Planned, s.
+    pub planned_s: Vec<f64>,
+    /// Executed: time of the segments that serve the point, s.
+    pub executed_s: Vec<f64>,
+    /// Points of the plan per point here.
+    pub every: usize,
+    /// Sum of |executed - planned| over all points of the plan, s.
+    pub total_error_s: f64,
+}
+
+/// At most `most` dwell points; `None` where path, plan and motion do not belong together.
+pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> Option<Dwell> {
+    let n = path.len();
+    if plan.dwell_s().len() != n {
+        return None;
+    }
+    let mut executed_s = vec![0.0; n];
+    for segment in t.segments().filter(|s| s.dwell_index >= 0) {
+        *executed_s.get_mut(usize::try_from(segment.dwell_index).ok()?)? += segment.duration_s;
+    }
+    let every = n.div_ceil(most.max(1));
+    let thin = |values: &[f64]| values.iter().step_by(every).copied().collect::<Vec<_>>();
+    let error = plan.dwell_s().iter().zip(&executed_s).map(|(p, e)| (e - p).abs());
+    Some(Dwell {
+        point_mm: path.dwell_point_mm().iter().step_by(every).copied().collect(),
+        planned_s: thin(plan.dwell_s()),
+        total_error_s: error.sum(),
+        executed_s: thin(&executed_s),
+        every,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// p = (u^2, -u) for 2 s, then a jump to (9, 9) where it rests for 1 s, three times.
+    fn motion(rests: usize) -> Trajectory {
+        let mut c = vec![[[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]]];
+        c.extend(vec![[[9.0, 0.0, 0.0, 0.0]; 2]; rests]);
+        let mut times = vec![10.0, 12.0];
+        times.extend((1..=rests).map(|i| 12.0 + i as f64));
+        let n = c.len();
+        Trajectory::new(times, c, vec![true; n], (0..n as i64).collect()).unwrap()
+    }
+
+    #[test]
+    fn a_line_follows_the_cubic_and_shows_the_jump() {
+        let l = line(&motion(1), 8);
+        assert_eq!(l.time_s, [0.0, 0.5, 1.0, 1.5, 2.0, 2.0, 2.25, 2.5, 2.75, 3.0]);
+        assert_eq!((l.point_mm[2], l.point_mm[4]), ([1.0, -1.0], [4.0, -2.0]));
+        assert!(l.speed_mm_per_s[0].is_nan() && l.speed_mm_per_s[5].is_nan());
+        assert_eq!(l.speed_mm_per_s[9], 0.0);
+        // Chord from (0, 0) to (0.25, -0.5) in 0.5 s.
+        assert!((l.speed_mm_per_s[1] - 0.25_f64.hypot(0.5) / 0.5).abs() < 1e-14);
+        let few = line(&motion(9), 5);
+        assert_eq!((few.every, few.time_s.last()), (2, Some(&11.0)));
+        // Start, the jump, and the ends of five groups.
+        assert_eq!(few.time_s.len(), 7);
+    }
+
+    #[test]
+    fn ranges_are_exact_and_keep_the_peak_of_a_group() {
+        for most in [1, 2, 10] {
+            let r = ranges(&motion(9), most);
+            assert_eq!(r.end_s.len(), most);
+            assert_eq!(r.end_s.last(), Some(&11.0));
+            let [velocity, acceleration, jerk] = &r.envelope;
+            assert_eq!((velocity[0].low[0], velocity[0].high[0]), (0.0, 4.0));
+            assert_eq!(velocity[1].low[0], -1.0);
+            assert_eq!((acceleration[0].high[0], jerk[0].high[0]), (2.0, 0.0));
+        }
+    }
+
+    #[test]
+    fn dwell_is_summed_over_the_segments_that_serve_a_point() {
+        let points = vec![[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]];
+        let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
+        let plan = DwellTime::new(vec![2.0, 2.5]).unwrap();
+        let c = vec![[[0.0; 4]; 2]; 4];
+        let t = |index: Vec<i64>| {
+            Trajectory::new(vec![0.0, 1.0, 3.0, 4.0, 5.0], c.clone(), vec![true; 4], index).unwrap()
+        };
+        let d = dwell(&path, &plan, &t(vec![0, 1, 0, -1]), 10).unwrap();
+        assert_eq!((d.executed_s, d.total_error_s), (vec![2.0, 2.0], 0.5));
+        assert_eq!(dwell(&path, &plan, &t(vec![0, 1, 2, 0]), 10), None);
+        let short = DwellTime::new(vec![2.0]).unwrap();
+        assert_eq!(dwell(&path, &short, &t(vec![0; 4]), 10), None);
+    }
+}

@@ -1,0 +1,91 @@
+//! Small plots of block characters for a terminal.
+
+use super::{View, map::Histogram, motion::Ranges};
+
+const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+
+/// Characters of a plot.
+const WIDTH: usize = 48;
+
+/// One character per value, from 0 to the largest; a blank where there is none.
+pub fn sparkline(values: &[f64]) -> String {
+    let top = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
+    let block = |v: &f64| match top > 0.0 && v.is_finite() {
+        true => BLOCKS[((v / top * 8.0) as usize).min(7)],
+        false if v.is_finite() => BLOCKS[0],
+        false => ' ',
+    };
+    values.iter().map(block).collect()
+}
+
+/// The heights before and after, and the speed in the course of the run, method by method.
+pub fn plots(views: &[View]) -> String {
+    let mut rows: Vec<[String; 3]> = Vec::new();
+    for view in views {
+        let name = |part: &str| match views.len() {
+            1 => part.to_string(),
+            _ => format!("{} {part}", view.name),
+        };
+        rows.push([name("before"), heights(&view.before.0), of_heights(&view.before.0)]);
+        for m in &view.methods {
+            rows.push([name(&m.name), heights(&m.after.0), of_heights(&m.after.0)]);
+            let (speed, top) = speed(&m.ranges);
+            rows.push([String::new(), speed, format!("speed over time, at most {top:.2} mm/s")]);
+            if let Some(rounds) = m.rounds.as_ref().filter(|r| !r.rms_nm.is_empty()) {
+                let first = rounds.rms_nm[0];
+                let text = format!("RMS in {} rounds, from {first:.4} nm", rounds.rms_nm.len() - 1);
+                rows.push([String::new(), sparkline(&rounds.rms_nm), text]);
+            }
+        }
+    }
+    let widest = rows.iter().map(|r| r[0].chars().count()).max().unwrap_or(0);
+    let line =
+        |[name, plot, text]: &[String; 3]| format!("{name:<widest$}  {plot:<WIDTH$}  {text}\n");
+    rows.iter().map(line).collect()
+}
+
+fn of_heights(h: &Histogram) -> String {
+    format!("heights, {:.3} to {:.3} nm about the mean", h.low_nm, -h.low_nm)
+}
+
+/// Means over equal parts of the bins.
+fn heights(h: &Histogram) -> String {
+    let n = h.density_per_nm.len();
+    let part = |i: usize| {
+        let bins = &h.density_per_nm[i * n / WIDTH..((i + 1) * n / WIDTH).max(i * n / WIDTH + 1)];
+        bins.iter().sum::<f64>() / bins.len() as f64
+    };
+    sparkline(&(0..WIDTH).map(part).collect::<Vec<_>>())
+}
+
+/// Largest speed in equal parts of the time, from the ranges of both axes, and the largest of all.
+fn speed(ranges: &Ranges) -> (String, f64) {
+    let total = ranges.end_s.last().copied().unwrap_or(1.0);
+    let column = |t: f64| ((t / total * WIDTH as f64) as usize).min(WIDTH - 1);
+    let mut largest = vec![0.0_f64; WIDTH];
+    let mut start = 0.0;
+    for (i, end) in ranges.end_s.iter().enumerate() {
+        let peak = |a: usize| {
+            let e = &ranges.envelope[0][a];
+            e.low[i].abs().max(e.high[i].abs())
+        };
+        for c in &mut largest[column(start)..=column(*end)] {
+            *c = c.max(peak(0).hypot(peak(1)));
+        }
+        start = *end;
+    }
+    let top = largest.iter().copied().fold(0.0, f64::max);
+    (sparkline(&largest), top)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_grow_with_the_value() {
+        assert_eq!(sparkline(&[0.0, 1.0, 4.0, 7.99, 8.0]), "▁▂▅██");
+        assert_eq!(sparkline(&[0.0, f64::NAN, 0.0]), "▁ ▁");
+        assert_eq!(sparkline(&[]), "");
+    }
+}

@@ -1,0 +1,572 @@
+"""Opens report.html in headless Chromium, uses it as a person would, and compares what it shows
+with the files beside it.
+
+    browser.py REPORT_DIR RUN_DIR [--shots DIR]     a report of one run, and the run
+    browser.py --several REPORT_DIR [--shots DIR]   a report of several runs
+    browser.py --docs REPORT_DIR PICTURE_DIR        the pictures of docs/report.md
+    browser.py --large PLANISH_BIN_DIR WORK_DIR     a mirror of 1641 x 1641 with 2.5e5 segments
+
+Needs chromium (Debian package), numpy and websocket-client. Exit code 1 when a check fails.
+"""
+
+import argparse
+import base64
+import json
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+
+import numpy as np
+import websocket
+
+FAILED = []
+
+
+def check(what, ok, found=""):
+    print(f"{'ok  ' if ok else 'FAIL'} {what}" + (f" ({found})" if found != "" else ""))
+    if not ok:
+        FAILED.append(what)
+
+
+class Browser:
+    """One page in headless Chromium, spoken to over the DevTools protocol."""
+
+    def __init__(self):
+        program = shutil.which("chromium") or shutil.which("chromium-browser")
+        if program is None:
+            sys.exit("chromium is not installed: apt-get install --no-install-recommends chromium")
+        self.profile = tempfile.mkdtemp(prefix="planish-browser-")
+        self.process = subprocess.Popen(
+            [program, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
+             "--remote-allow-origins=*", "--hide-scrollbars", "--no-first-run", "--disable-dev-shm-usage",
+             f"--user-data-dir={self.profile}", "about:blank"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        port_file = pathlib.Path(self.profile, "DevToolsActivePort")
+        for _ in range(600):
+            if port_file.exists() and port_file.read_text().strip():
+                break
+            time.sleep(0.1)
+        port = port_file.read_text().split()[0]
+        pages = json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/json"))
+        page = next(p for p in pages if p["type"] == "page")
+        self.socket = websocket.create_connection(page["webSocketDebuggerUrl"], timeout=120)
+        self.number = 0
+        self.events = []
+        # What this program itself causes: it reads drawings back.
+        self.own = "willReadFrequently"
+        for domain in ["Page", "Runtime", "Log", "Network", "DOM"]:
+            self.call(domain + ".enable")
+
+    def call(self, method, **parameters):
+        self.number += 1
+        self.socket.send(json.dumps({"id": self.number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self.socket.recv())
+            if message.get("id") == self.number:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']}")
+                return message["result"]
+            self.events.append(message)
+
+    def js(self, expression):
+        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in result:
+            raise RuntimeError(f"{expression}: {result['exceptionDetails']}")
+        return result["result"].get("value")
+
+    def settle(self):
+        """Two frames after everything that was asked for."""
+        self.js("new Promise((r) => setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(r)), 220))")
+
+    def size(self, width, height, dark=False, scale=1):
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False)
+        scheme = "dark" if dark else "light"
+        self.call("Emulation.setEmulatedMedia", media="screen", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def open(self, path):
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        for _ in range(600):
+            if self.js("document.readyState") == "complete" and self.js("!!window.planish"):
+                break
+            time.sleep(0.05)
+        self.settle()
+
+    def mouse(self, kind, x, y, **more):
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def click(self, x, y, count=1):
+        self.mouse("mouseMoved", x, y)
+        for i in range(1, count + 1):
+            self.mouse("mousePressed", x, y, button="left", clickCount=i, buttons=1)
+            self.mouse("mouseReleased", x, y, button="left", clickCount=i)
+        self.settle()
+
+    def key(self, name, text=None, shift=False):
+        codes = {"Tab": 9, "Enter": 13, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36}
+        common = {"key": name, "windowsVirtualKeyCode": codes.get(name, ord(name[0].upper())), "modifiers": 8 if shift else 0}
+        if name not in ("+", "-", "0"):
+            common["code"] = name
+        self.call("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **common, **({"text": text} if text else {}))
+        self.call("Input.dispatchKeyEvent", type="keyUp", **common)
+
+    def shot(self, path, whole=False):
+        height = self.js("document.documentElement.scrollHeight") if whole else self.js("innerHeight")
+        width = self.js("innerWidth")
+        clip = {"x": 0, "y": 0 if whole else self.js("scrollY"), "width": width, "height": height, "scale": 1}
+        data = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True, clip=clip)["data"]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(base64.b64decode(data))
+
+    def complaints(self):
+        """Console errors, exceptions, and requests to anything but files."""
+        found = []
+        for e in self.events:
+            p = e.get("params", {})
+            if e["method"] == "Runtime.exceptionThrown":
+                found.append(p["exceptionDetails"].get("exception", {}).get("description", "exception"))
+            if e["method"] == "Runtime.consoleAPICalled" and p["type"] in ("error", "warning"):
+                found.append(str([a.get("value") for a in p["args"]]))
+            if e["method"] == "Log.entryAdded" and p["entry"]["level"] in ("error", "warning"):
+                found.append(p["entry"]["text"])
+            if e["method"] == "Network.requestWillBeSent" and not p["request"]["url"].startswith(("file:", "data:", "blob:")):
+                found.append("request to " + p["request"]["url"])
+        return [text for text in found if self.own not in text]
+
+    def close(self):
+        self.socket.close()
+        self.process.terminate()
+        self.process.wait()
+        shutil.rmtree(self.profile, ignore_errors=True)
+
+
+def panel(browser, name):
+    """Brings a panel into view; its place on the screen."""
+    browser.js(f"document.querySelector('[data-panel=\"{name}\"]').scrollIntoView({{block: 'center'}})")
+    browser.settle()
+    return browser.js(f"(() => {{ const r = document.querySelector('[data-panel=\"{name}\"]').getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; }})()")
+
+
+def on_screen(browser, name, x_mm, y_mm):
+    return browser.js(f"(() => {{ const p = planish.panels.find((q) => q.name === '{name}'), r = p.canvas.getBoundingClientRect(), b = p.box(); return [r.left + b.x.at({x_mm}), r.top + b.y.at({y_mm})]; }})()")
+
+
+def read_text(browser, name):
+    return browser.js(f"planish.panels.find((p) => p.name === '{name}').read.textContent")
+
+
+def check_table(browser, report):
+    summary = json.loads((report / "summary.json").read_text())
+    runs = summary.get("runs", [summary])
+    wanted = [m for run in runs for m in run["methods"].values()]
+    cells = browser.js("[...document.querySelectorAll('#summary td')].map((c) => [c.dataset.key, +c.dataset.entry, c.dataset.value, c.textContent, c.className])")
+    shown = {(key, entry): (json.loads(value), text) for key, entry, value, text, _ in cells}
+    check("the table has every number of every method", len(shown) == sum(len(m) for m in wanted), len(shown))
+    wrong = []
+    for entry, method in enumerate(wanted):
+        for key, value in method.items():
+            data, text = shown.get((key, entry), (None, ""))
+            if data != value:
+                wrong.append((key, entry, data, value))
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                decimals = len(text.split(".")[1]) if "." in text else 0
+                if abs(float(text) - value) > 0.5000001 * 10**-decimals:
+                    wrong.append((key, entry, text, value))
+    check("the numbers equal summary.json", not wrong, wrong[:3] or f"{len(shown)} cells")
+    kept = [m for m in wanted if m["limits_respected"]] or wanted
+    best = [(k, e) for k, e, _, _, c in cells if c == "best" and k == "rms_nm"]
+    least = min(m["rms_nm"] for m in kept)
+    check("the best of a row is marked", len(wanted) == 1 or all(wanted[e]["rms_nm"] == least for _, e in best) and best != [], best)
+
+
+def check_pointer(browser, run, entry):
+    """Values under the mouse, and 400 others, against the arrays."""
+    method = browser.js(f"planish.ENTRIES[{entry}].method.name")
+    rng = np.random.default_rng(1)
+    surface = run / "surface"
+    x, y = np.load(surface / "x_mm.npy"), np.load(surface / "y_mm.npy")
+    arrays = {"desired": np.load(surface / "height_nm.npy"),
+              "removal": np.load(run / "methods" / method / "removal" / "removal_nm.npy"),
+              "residual": np.load(run / "methods" / method / "removal" / "residual_nm.npy")}
+    for name, array in arrays.items():
+        layer = f"planish.panels.find((p) => p.name === '{name}').content().layer"
+        every, step = browser.js(f"[{layer}.every, {layer}.step]")
+        means = array
+        if every > 1:
+            ny, nx = (-(-n // every) for n in array.shape)
+            means = np.array([[np.nanmean(array[r * every:(r + 1) * every, c * every:(c + 1) * every]) for c in range(nx)] for r in range(ny)])
+        shown = np.array(browser.js(f"[...{layer}.values()].map((v) => Number.isNaN(v) ? 1e99 : v)")).reshape(means.shape)
+        shown[shown == 1e99] = np.nan
+        same_nan = (np.isnan(shown) == np.isnan(means)).all()
+        worst = np.nanmax(np.abs(shown - means))
+        check(f"{name}: all {means.size} values equal the array to half a step", same_nan and worst <= 0.501 * step, f"{worst:.2e} of {step:.2e} nm, every {every}")
+        panel(browser, name)
+        found = []
+        for _ in range(5):
+            r, c = rng.integers(0, means.shape[0]), rng.integers(0, means.shape[1])
+            if np.isnan(means[r, c]):
+                continue
+            at = on_screen(browser, name, x[0] + (c * every + (every - 1) / 2) * (x[1] - x[0]), y[0] + (r * every + (every - 1) / 2) * (y[1] - y[0]))
+            browser.mouse("mouseMoved", *at)
+            browser.settle()
+            text = read_text(browser, name)
+            # The mouse stands on whole pixels of the screen: the text says which pixel it reads.
+            row, column = json.loads("[" + text.split("[")[1].split("]")[0] + "]")
+            value = float(text.split("]: ")[1].split(" nm")[0])
+            near = abs(row - r) * (y[1] - y[0]) * every < 1 and abs(column - c) * (x[1] - x[0]) * every < 1
+            found.append(near and abs(value - means[row, column]) <= step + 1e-5 * abs(value))
+        check(f"{name}: what the pointer reads", all(found) and len(found) > 0, f"{sum(found)} of {len(found)}")
+
+
+def check_zoom(browser):
+    box = panel(browser, "residual")
+    cx, cy = box[0] + box[2] / 2, box[1] + box[3] / 2
+    before = browser.js("planish.state.view")
+    browser.mouse("mouseWheel", cx, cy, deltaX=0, deltaY=0.0)
+    browser.click(cx, cy)
+    pinned = browser.js("planish.state.pin")
+    browser.mouse("mouseWheel", cx, cy, deltaX=0, deltaY=-600)
+    browser.settle()
+    zoomed = browser.js("planish.state.view")
+    check("the wheel zooms a map that was clicked", zoomed[1] - zoomed[0] < 0.6 * (before[1] - before[0]))
+    hub = browser.js(f"planish.panels.find((p) => p.name === 'path').box().low")
+    mate = browser.js(f"planish.panels.find((p) => p.name === 'residual').box().low")
+    check("path and maps show the same part", abs(hub[0] - mate[0]) < 0.2 * (zoomed[1] - zoomed[0]))
+    browser.mouse("mouseMoved", cx, cy)
+    browser.mouse("mousePressed", cx, cy, button="left", buttons=1, clickCount=1)
+    browser.mouse("mouseMoved", cx + 60, cy + 5, button="left", buttons=1)
+    browser.mouse("mouseReleased", cx + 60, cy + 5, button="left", clickCount=1)
+    browser.settle()
+    panned = browser.js("planish.state.view")
+    check("dragging moves it", panned[0] < zoomed[0] and abs((panned[1] - panned[0]) - (zoomed[1] - zoomed[0])) < 1e-9)
+    check("dragging does not pin", browser.js("planish.state.pin") == pinned)
+    browser.click(cx, cy, count=2)
+    check("a double click shows all", browser.js("planish.state.view") == before)
+
+
+def check_profiles(browser, run, entry):
+    ink = browser.js("(() => { const c = document.getElementById('profile-x'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size; })()")
+    check("the profile is drawn", ink > 4, ink)
+
+
+def check_playback(browser, run, entry):
+    method = browser.js(f"planish.ENTRIES[{entry}].method.name")
+    frames = run / "methods" / method / "frames"
+    browser.js("document.getElementById('time').focus()")
+    browser.key("Home")
+    browser.settle()
+    check("the slider goes to the start by keyboard", browser.js("planish.state.time") == 0)
+    if frames.exists():
+        check("the start shows the desired removal", "start" in browser.js("planish.panels.find((p) => p.name === 'frame').title.textContent"))
+        times, removal = np.load(frames / "time_s.npy"), np.load(frames / "removal_nm.npy")
+        x, y = np.load(frames / "x_mm.npy"), np.load(frames / "y_mm.npy")
+        sx, sy = np.load(run / "surface/x_mm.npy"), np.load(run / "surface/y_mm.npy")
+        height = np.load(run / "surface/height_nm.npy")
+        desired = height[np.rint((y - sy[0]) / (sy[1] - sy[0])).astype(int)][:, np.rint((x - sx[0]) / (sx[1] - sx[0])).astype(int)]
+        for part in (0.4, 1.0):
+            total = browser.js(f"planish.ENTRIES[{entry}].total")
+            browser.js(f"(() => {{ const t = document.getElementById('time'); t.value = {round(1000 * part)}; t.dispatchEvent(new Event('input')); }})()")
+            browser.settle()
+            layer = "planish.panels.find((p) => p.name === 'frame').content().layer"
+            i = browser.js(layer + ".index")
+            expected = int(np.searchsorted(times, round(1000 * part) / 1000 * total * (1 + 1e-9), side="right")) - 1
+            kept = browser.js(f"planish.ENTRIES[{entry}].frames.time")
+            step = browser.js(layer + ".step")
+            shown = np.array(browser.js(f"[...{layer}.values()].map((v) => Number.isNaN(v) ? 1e99 : v)")).reshape(desired.shape)
+            wanted = desired - removal[int(np.argmin(np.abs(times - kept[i])))]
+            worst = np.nanmax(np.abs(np.where(np.isnan(wanted), 0, shown - wanted)))
+            ok = kept[i] <= times[expected] + 1e-9 and worst <= 0.501 * step
+            check(f"the frame at {part:.0%} of the time is the simulated one", ok, f"{worst:.1e} of {step:.1e} nm")
+    browser.js("document.getElementById('time').focus()")
+    browser.key("Home")
+    place = browser.js("(() => { document.getElementById('play').scrollIntoView({block: 'center'}); const r = document.getElementById('play').getBoundingClientRect(); return [r.left + 5, r.top + 5]; })()")
+    browser.click(*place)
+    time.sleep(0.7)
+    running = browser.js("planish.state.time")
+    browser.click(*place)
+    stopped = browser.js("planish.state.time")
+    browser.settle()
+    check("play moves the tool, pause stops it", running > 0 and stopped == browser.js("planish.state.time"), f"{running:.2f} s")
+    # Linked: the pointer on a chart moves the tool on the path.
+    browser.js("document.getElementById('velocity').scrollIntoView({block: 'center'})")
+    browser.settle()
+    r = browser.js("(() => { const r = document.getElementById('velocity').getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()")
+    browser.mouse("mouseMoved", r[0] + 0.5 * r[2], r[1] + 0.5 * r[3])
+    browser.settle()
+    hover = browser.js("planish.state.hoverTime")
+    total = browser.js(f"planish.ENTRIES[{entry}].total")
+    check("the charts are linked with the path", hover is not None and 0.3 * total < hover < 0.7 * total and f"t {hover:.1f}"[:6] in read_text(browser, "path"), read_text(browser, "path"))
+    browser.click(r[0] + 0.5 * r[2], r[1] + 0.5 * r[3])
+    browser.key("+", "+")
+    browser.settle()
+    view = browser.js("planish.state.timeView")
+    check("the charts zoom by keyboard", view[1] - view[0] < 0.8 * total, view)
+    browser.key("0", "0")
+    browser.settle()
+
+
+def check_methods(browser, run):
+    count = browser.js("planish.ENTRIES.length")
+    if count < 2:
+        return
+    browser.js("document.getElementById('a').focus()")
+    browser.js("document.getElementById('a').value = '1'; document.getElementById('a').dispatchEvent(new Event('change'))")
+    browser.settle()
+    name = browser.js("planish.ENTRIES[1].label")
+    check("the method switch changes the maps", name in browser.js("planish.panels.find((p) => p.name === 'residual').title.textContent"))
+    check("no difference is shown for one method", browser.js("planish.panels.find((p) => p.name === 'difference').figure.hidden"))
+    browser.js("document.getElementById('b').value = '0'; document.getElementById('b').dispatchEvent(new Event('change'))")
+    browser.settle()
+    layer = "planish.panels.find((p) => p.name === 'difference').content().layer"
+    every, step = browser.js(f"[{layer}.every, {layer}.step]")
+    shown = np.array(browser.js(f"[...{layer}.values()].map((v) => Number.isNaN(v) ? 1e99 : v)"))
+    methods = [browser.js(f"planish.ENTRIES[{i}].method.name") for i in (1, 0)]
+    a, b = (np.load(run / "methods" / m / "removal" / "residual_nm.npy") for m in methods)
+    if every == 1:
+        wanted = (a - b).ravel()
+        worst = np.nanmax(np.abs(np.where(np.isnan(wanted), 0, shown - wanted)))
+        check("the difference map is the difference of the arrays", worst <= 0.501 * step, f"{worst:.1e} of {step:.1e} nm")
+        browser.js("(() => { const s = document.getElementById('scale'); for (const v of ['own99', 'own', 'own99']) { s.value = v; s.dispatchEvent(new Event('change')); } })()")
+        browser.settle()
+        reach = browser.js("planish.panels.find((p) => p.name === 'difference').content().bar.range[1]")
+        expected = np.nanquantile(np.abs(wanted - np.nanmean(wanted)), 0.99)
+        check("its own scale holds 99 % of it", abs(reach / expected - 1) < 0.02, f"{reach:.4f} nm")
+        browser.js("(() => { const s = document.getElementById('scale'); s.value = 'common'; s.dispatchEvent(new Event('change')); })()")
+    check("both residuals are shown", not browser.js("planish.panels.find((p) => p.name === 'residual-b').figure.hidden"))
+
+
+def check_keyboard(browser):
+    """Tab reaches everything that can be used."""
+    browser.js("document.activeElement.blur(); scrollTo(0, 0)")
+    wanted = set(browser.js("[...document.querySelectorAll('select, button, input, canvas[tabindex], summary')].filter((e) => e.offsetParent).map((e, i) => { e.dataset.reach = i; return i; })"))
+    reached = set()
+    for _ in range(len(wanted) + 20):
+        browser.key("Tab")
+        at = browser.js("document.activeElement.dataset.reach")
+        if at is not None:
+            reached.add(int(at))
+    check("everything is reached with Tab", wanted <= reached, f"{len(wanted & reached)} of {len(wanted)}")
+    panel(browser, "residual")
+    browser.js("document.querySelector('[data-panel=\"residual\"]').focus(); planish.state.pointer = null")
+    browser.key("ArrowRight")
+    browser.settle()
+    one = browser.js("planish.state.pointer")
+    browser.key("ArrowUp")
+    browser.key("ArrowRight")
+    browser.settle()
+    two = browser.js("planish.state.pointer")
+    check("arrows move the pointer", one is not None and two[0] > one[0] and two[1] > one[1])
+    browser.key("Enter")
+    browser.settle()
+    check("Enter pins the profiles", browser.js("planish.state.pin") == two)
+    before = browser.js("planish.state.view")
+    browser.key("+", "+")
+    browser.settle()
+    check("+ zooms", browser.js("planish.state.view[1] - planish.state.view[0]") < before[1] - before[0])
+    browser.key("0", "0")
+    browser.settle()
+    check("the focus can be seen", browser.js("getComputedStyle(document.activeElement).outlineStyle") != "none")
+
+
+def check_look(browser, shots):
+    """Widths and colour schemes: nothing sticks out, text can be told from the ground."""
+    luminance = "(c) => { const v = c.match(/[\\d.]+/g).slice(0, 3).map((u) => u / 255).map((u) => u <= 0.03928 ? u / 12.92 : ((u + 0.055) / 1.055) ** 2.4); return 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]; }"
+    for width in (1280, 400):
+        for dark in (False, True):
+            name = f"{width}-{'dark' if dark else 'light'}"
+            browser.size(width, 900, dark)
+            browser.js("scrollTo(0, 0)")
+            browser.settle()
+            over = browser.js("document.documentElement.scrollWidth - innerWidth")
+            check(f"{name}: nothing is wider than the window", over <= 0, over)
+            ratios = browser.js(f"(() => {{ const l = {luminance}, ground = l(getComputedStyle(document.body).backgroundColor); return ['body', '.note', '.read', 'td', 'select'].map((s) => document.querySelector(s)).filter(Boolean).map((e) => {{ const t = l(getComputedStyle(e).color); return (Math.max(t, ground) + 0.05) / (Math.min(t, ground) + 0.05); }}); }})()")
+            check(f"{name}: contrast of at least 4.5", min(ratios) >= 4.5, f"{min(ratios):.1f}")
+            smallest = browser.js("Math.min(...[...document.querySelectorAll('p, td, th, label, .read, li, button')].filter((e) => e.offsetParent).map((e) => parseFloat(getComputedStyle(e).fontSize)))")
+            check(f"{name}: text of at least 12 px", smallest >= 12, smallest)
+            narrow = browser.js("Math.min(...[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).map((e) => e.clientWidth))")
+            check(f"{name}: drawings are wide enough", narrow >= min(360, width - 40), narrow)
+            blank = browser.js("[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).filter((c) => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size < 5; }).map((c) => c.dataset.panel || c.id)")
+            check(f"{name}: no drawing is blank", blank == [], blank)
+            if shots:
+                browser.shot(shots / f"{name}.png", whole=True)
+
+
+def ordinary(report, run, shots):
+    browser = Browser()
+    try:
+        browser.size(1280, 900)
+        browser.open(report / "report.html")
+        size = (report / "report.html").stat().st_size
+        check("the page is at most 10 MB", size <= 10e6, f"{size / 1e6:.2f} MB")
+        entry = browser.js("planish.state.a")
+        check_table(browser, report)
+        check_pointer(browser, run, entry)
+        check_zoom(browser)
+        check_profiles(browser, run, entry)
+        check_playback(browser, run, entry)
+        check_keyboard(browser)
+        check_methods(browser, run)
+        check_look(browser, shots)
+        check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
+    finally:
+        browser.close()
+
+
+def docs(report, shots):
+    """The pictures of docs/report.md."""
+    browser = Browser()
+    try:
+        browser.size(1280, 860)
+        browser.open(report / "report.html")
+        browser.shot(shots / "summary.png")
+        browser.size(1280, 1060)
+        browser.js("(() => { for (const [id, value] of [['b', 1], ['scale', 'own99']]) { const s = document.getElementById(id); s.value = value; s.dispatchEvent(new Event('change')); } })()")
+        browser.js("planish.state.pin = [26.0, 12.0]; document.getElementById('maps').scrollIntoView({block: 'start'}); scrollBy(0, -60)")
+        browser.settle()
+        browser.shot(shots / "maps.png")
+        browser.size(1280, 860)
+        browser.js("(() => { for (const [id, value] of [['b', -1], ['scale', 'common']]) { const s = document.getElementById(id); s.value = value; s.dispatchEvent(new Event('change')); } })()")
+        browser.js("(() => { const t = document.getElementById('time'); t.value = 450; t.dispatchEvent(new Event('input')); })()")
+        browser.js("document.getElementById('time').scrollIntoView({block: 'start'}); scrollBy(0, -60)")
+        browser.settle()
+        browser.shot(shots / "motion.png")
+    finally:
+        browser.close()
+
+
+def several(report, shots):
+    """A report of several runs: one table, and maps of different runs beside each other."""
+    browser = Browser()
+    try:
+        browser.size(1280, 900)
+        browser.open(report / "report.html")
+        check_table(browser, report)
+        browser.js("(() => { const s = document.getElementById('b'), a = planish.ENTRIES[planish.state.a]; s.value = planish.ENTRIES.findIndex((e) => e.run !== a.run && e.method.name === 'pvt'); s.dispatchEvent(new Event('change')); })()")
+        browser.settle()
+        runs = browser.js("[planish.ENTRIES[planish.state.a].run.name, planish.ENTRIES[planish.state.b].run.name]")
+        check("methods of two runs are beside each other", runs[0] != runs[1], runs)
+        shown = browser.js("planish.panels.filter((p) => !p.figure.hidden).map((p) => p.name)")
+        check("with their difference", "difference" in shown and "residual-b" in shown)
+        pair = browser.js("(() => { const l = planish.panels.find((p) => p.name === 'difference').content().layer, a = planish.ENTRIES[planish.state.a].residual, b = planish.ENTRIES[planish.state.b].residual, i = Math.floor(l.nx * l.ny * 0.4), x = l.x0 + (i % l.nx) * l.dx, y = l.y0 + Math.floor(i / l.nx) * l.dy; return [l.values()[i], planish.valueAt(a, x, y).value - planish.valueAt(b, x, y).value]; })()")
+        check("pixel by pixel", abs(pair[0] - pair[1]) < 1e-12, pair)
+        if shots:
+            browser.shot(shots / "several.png", whole=True)
+        check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
+    finally:
+        browser.close()
+
+
+def large(programs, work):
+    """1641 x 1641 pixels, 500 lines of 500 segments: opens and pans without a freeze."""
+    shutil.rmtree(work, ignore_errors=True)
+    n, lines, per_line = 1641, 500, 500
+    axis = np.linspace(0, 164.0, n)
+    x, y = np.meshgrid(axis, axis)
+    height = 20 + 8 * np.sin(x / 11) * np.cos(y / 17) + 0.5 * np.sin(3 * x)
+    height[(x - 82) ** 2 + (y - 82) ** 2 > 82**2] = np.nan
+    removal = np.where(np.isnan(height), 10.0, height - 0.3 * np.sin(2 * x + y))
+    removal = np.maximum(removal, 0)
+    run = work / "run"
+
+    def save(where, **arrays):
+        where.mkdir(parents=True, exist_ok=True)
+        for name, array in arrays.items():
+            np.save(where / (name + ".npy"), np.ascontiguousarray(array))
+
+    save(run / "surface", height_nm=height, x_mm=axis, y_mm=axis)
+    save(run / "methods/pvt/removal", removal_nm=removal, residual_nm=height - removal, x_mm=axis, y_mm=axis)
+    points = []
+    for i, level in enumerate(np.linspace(0, 164, lines)):
+        along = np.linspace(0, 164, per_line + 1)[1:]
+        along = along if i % 2 == 0 else 164 - along
+        points.append(np.stack([along, np.full(per_line, level)], axis=1))
+    point = np.concatenate([[[0.0, 0.0]]] + points)
+    seconds = 0.02 + 0.015 * np.sin(np.arange(len(point) - 1) / 40)
+    coefficient = np.zeros((len(seconds), 2, 4))
+    coefficient[:, :, 0] = point[:-1]
+    coefficient[:, :, 1] = np.diff(point, axis=0) / seconds[:, None]
+    save(run / "methods/pvt/trajectory", break_time_s=np.concatenate([[0], np.cumsum(seconds)]), coefficient_mm=coefficient,
+         tool_on=np.ones(len(seconds), np.uint8), dwell_index=np.arange(len(seconds)))
+    save(run / "tool_path", point_mm=point, dwell_point_mm=0.5 * (point[1:] + point[:-1]))
+    save(run / "dwell", dwell_s=seconds * 1.01)
+    machine = work / "machine.json"
+    limit = {"max_velocity_mm_per_s": 250, "max_acceleration_mm_per_s2": 2000}
+    machine.write_text(json.dumps({"name": "large", "axes": [{"name": a, **limit} for a in "xy"]}))
+    subprocess.run([programs / "planish-verify", "--trajectory", run / "methods/pvt/trajectory", "--machine", machine,
+                    "--out", run / "methods/pvt/verdict"], check=False, capture_output=True)
+    began = time.time()
+    made = subprocess.run([programs / "planish-compare", "report", run, "--out", work / "report"], capture_output=True, text=True)
+    check("the report is made", made.returncode == 0, made.stderr[-300:] if made.returncode else f"{time.time() - began:.1f} s")
+    page = work / "report/report.html"
+    check("the page is at most 10 MB", page.stat().st_size <= 10e6, f"{page.stat().st_size / 1e6:.2f} MB")
+    browser = Browser()
+    try:
+        browser.size(1280, 900)
+        began = time.time()
+        browser.open(page)
+        check("it opens", browser.js("planish.ENTRIES.length") == 1, f"{time.time() - began:.1f} s")
+        browser.js("window.longest = 0; new PerformanceObserver((l) => l.getEntries().forEach((e) => { window.longest = Math.max(window.longest, e.duration); })).observe({entryTypes: ['longtask']})")
+        for name in ("residual", "path"):
+            box = panel(browser, name)
+            cx, cy = box[0] + box[2] / 2, box[1] + box[3] / 2
+            browser.click(cx, cy)
+            browser.mouse("mouseWheel", cx, cy, deltaX=0, deltaY=-400)
+            browser.settle()
+            browser.js("window.longest = 0; window.frames_seen = 0; window.counting = true; (function f() { window.frames_seen++; if (window.counting) requestAnimationFrame(f); })()")
+            began = time.time()
+            browser.mouse("mousePressed", cx, cy, button="left", buttons=1, clickCount=1)
+            for i in range(30):
+                browser.mouse("mouseMoved", cx + 4 * i, cy + 2 * i, button="left", buttons=1)
+            browser.mouse("mouseReleased", cx + 120, cy + 60, button="left", clickCount=1)
+            seconds = time.time() - began
+            browser.settle()
+            longest, seen = browser.js("[window.longest, window.frames_seen]")
+            browser.js("window.counting = false")
+            # Half a second is a freeze; on a shared machine a frame may wait for its turn.
+            check(f"{name}: pans without a freeze", longest < 500, f"30 moves in {seconds:.2f} s, longest task {longest:.0f} ms")
+        stated = browser.js("document.getElementById('contents').textContent")
+        check("what is left out is stated", "means over" in stated and "together" in stated)
+        check("full values can be loaded", full_values(browser, run, height), browser.js("document.getElementById('loaded').textContent"))
+        check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
+        browser.js("scrollTo(0, 0)")
+        browser.settle()
+        browser.shot(work / "large.png", whole=True)
+    finally:
+        browser.close()
+
+
+def full_values(browser, run, height):
+    root = browser.call("DOM.getDocument")["root"]["nodeId"]
+    node = browser.call("DOM.querySelector", nodeId=root, selector="#npy")["nodeId"]
+    browser.call("DOM.setFileInputFiles", nodeId=node, files=[str((run / "surface/height_nm.npy").resolve())])
+    browser.js("new Promise((r) => setTimeout(r, 1500))")
+    at = browser.js("planish.valueAt(planish.ENTRIES[0].run.desired, 82.0, 82.0)")
+    return at["row"] == 820 and at["value"] == height[820, 820]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("first", type=pathlib.Path)
+    parser.add_argument("second", type=pathlib.Path, nargs="?")
+    parser.add_argument("--shots", type=pathlib.Path)
+    parser.add_argument("--large", action="store_true")
+    parser.add_argument("--docs", action="store_true")
+    parser.add_argument("--several", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.large:
+        large(arguments.first, arguments.second)
+    elif arguments.several:
+        several(arguments.first, arguments.shots)
+    elif arguments.docs:
+        docs(arguments.first, arguments.second)
+    else:
+        ordinary(arguments.first, arguments.second, arguments.shots)
+    print(f"{len(FAILED)} failed" if FAILED else "all passed")
+    sys.exit(1 if FAILED else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+//! The command line of every binary: its flags, and what else can be asked of them.
+//!
+//! `PROGRAM --completions SHELL` prints a completion script, `PROGRAM --man` a manual page in roff.
+//! Both are made from the same definition as `--help`, so they cannot drift from it.
+
+use std::{ffi::OsString, io::Write, process::exit};
+
+use clap::{CommandFactory, Parser, ValueEnum};
+use clap_complete::Shell;
+
+/// What stands at the end of every help page.
+const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a completion script, \
+                    --man a manual page.";
+
+/// The parsed command line; prints and ends the program for `--completions`, `--man`, `--help` and
+/// wrong usage.
+pub fn parse<C: Parser>() -> C {
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    if let Some(text) = generated::<C>(&arguments[1..]) {
+        match text {
+            Ok(bytes) => {
+                // A closed pipe is not an error.
+                let _ = std::io::stdout().write_all(&bytes);
+                exit(0)
+            }
+            Err(message) => {
+                let _ = writeln!(std::io::stderr(), "error: {message}");
+                exit(2)
+            }
+        }
+    }
+    let matches = C::command().after_help(after_help::<C>()).get_matches_from(arguments);
+    C::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut C::command()).exit())
+}
+
+/// The examples of the program, and [`ALSO`].
+fn after_help<C: CommandFactory>() -> String {
+    let examples = C::command().get_after_help().map(ToString::to_string);
+    examples.into_iter().chain([ALSO.to_string()]).collect::<Vec<_>>().join("\n\n")
+}
+
+/// What `arguments` ask to print, `None` when they are those of a stage.
+fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>, String>> {
+    let first = arguments.first()?.to_str()?;
+    let (flag, value) = first.split_once('=').map_or((first, None), |(f, v)| (f, Some(v)));
+    let value = value.or_else(|| arguments.get(1)?.to_str());
+    match flag {
+        "--completions" => {
+            let names = "bash, zsh, fish, elvish or powershell";
+            let Some(shell) = value.and_then(|name| Shell::from_str(name, true).ok()) else {
+                let given = value.unwrap_or_default();
+                return Some(Err(format!("--completions is '{given}'; give {names}")));
+            };
+            let mut command = C::command();
+            let name = command.get_name().to_string();
+            let mut bytes = Vec::new();
+            clap_complete::generate(shell, &mut command, name, &mut bytes);
+            Some(Ok(bytes))
+        }
+        "--man" => Some(man_page(C::command().after_help(after_help::<C>()))),
+        _ => None,
+    }
+}
+
+/// One page: the program, then each subcommand with its flags.
+fn man_page(mut command: clap::Command) -> Result<Vec<u8>, String> {
+    command.build();
+    let mut bytes = Vec::new();
+    let mut add = |command: &clap::Command| {
+        clap_mangen::Man::new(command.clone())
+            .source(format!("Planish {}", env!("CARGO_PKG_VERSION")))
+            .render(&mut bytes)
+            .map_err(|e| e.to_string())
+    };
+    add(&command)?;
+    for sub in command.get_subcommands().filter(|c| c.get_name() != "help") {
+        add(sub)?;
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Does this and that
+    #[derive(Parser)]
+    #[command(name = "planish-example", after_help = "Examples:\n  planish-example --pitch-mm 2")]
+    struct Cli {
+        /// Distance of the lines [mm]
+        #[arg(long)]
+        pitch_mm: f64,
+    }
+
+    fn ask(arguments: &[&str]) -> Option<Result<String, String>> {
+        let arguments: Vec<OsString> = arguments.iter().map(OsString::from).collect();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        generated::<Cli>(&arguments).map(|result| result.map(text))
+    }
+
+    #[test]
+    fn completions_know_the_flags() {
+        for shell in ["bash", "zsh", "fish"] {
+            let text = ask(&["--completions", shell]).unwrap().unwrap();
+            assert!(text.contains("planish-example") && text.contains("pitch-mm"), "{shell}");
+        }
+        assert_eq!(ask(&["--completions=bash"]), ask(&["--completions", "bash"]));
+        assert!(ask(&["--completions"]).unwrap().unwrap_err().contains("give bash, zsh"));
+        assert!(ask(&["--completions", "cmd"]).unwrap().unwrap_err().contains("is 'cmd'"));
+    }
+
+    #[test]
+    fn the_manual_page_has_flags_and_examples() {
+        let page = ask(&["--man"]).unwrap().unwrap();
+        for part in
+            [".TH planish", "pitch\\-mm", "Distance of the lines", "planish\\-example \\-\\-pitch"]
+        {
+            assert!(page.contains(part), "{part}: {page}");
+        }
+    }
+
+    #[test]
+    fn anything_else_is_for_the_stage() {
+        assert_eq!(ask(&[]), None);
+        assert_eq!(ask(&["--pitch-mm", "1"]), None);
+        assert_eq!(ask(&["raster", "--man"]), None);
+    }
+}
