@@ -201,6 +201,46 @@ pub const DWELL: Kind = Kind {
     files: &[],
 };
 
+/// Feed along a path.
+pub const FEED: Kind = Kind {
+    name: "feed",
+    version: 1,
+    doc: "Dwell-time density at m nodes along a path; the method in the manifest says what lies between them.",
+    frame: PATH_FRAME,
+    arrays: &[
+        array(
+            "arc_length_mm",
+            Dtype::F64,
+            &["m"],
+            &["node"],
+            "mm",
+            "Length along the path; ascending within a pass.",
+        ),
+        array(
+            "dwell_density_s_per_mm",
+            Dtype::F64,
+            &["m"],
+            &["node"],
+            "s/mm",
+            "Dwell-time density: the inverse of the feedrate.",
+        ),
+        array("point_mm", Dtype::F64, &["m", "2"], &["node", "x|y"], "mm", "Where the node is."),
+        or_default(array("pass_idx", Dtype::I64, &["m"], &["node"], "1", "Pass of the node."), 0),
+        or_default(
+            array(
+                "corner",
+                Dtype::U8,
+                &["m"],
+                &["node"],
+                "1",
+                "1 where the point is the control point of a parabolic blend between its neighbours.",
+            ),
+            0,
+        ),
+    ],
+    files: &[],
+};
+
 /// Motion.
 pub const TRAJECTORY: Kind = Kind {
     name: "trajectory",
@@ -326,8 +366,8 @@ pub const REPORT: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 9] =
-    [&SURFACE, &TIF, &TOOL_PATH, &DWELL, &TRAJECTORY, &REMOVAL, &ITERATIONS, &VERDICT, &REPORT];
+pub const ALL: [&Kind; 10] =
+    [&SURFACE, &TIF, &TOOL_PATH, &DWELL, &FEED, &TRAJECTORY, &REMOVAL, &ITERATIONS, &VERDICT, &REPORT];
 
 /// `docs/formats.md`.
 pub fn formats_markdown() -> String {
