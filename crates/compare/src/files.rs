@@ -17,7 +17,7 @@ use planish_handoff::{
     kind::{self, Dtype},
     npy::{self, ArrayData},
 };
-use planish_types::Surface;
+use planish_types::{DwellTime, Surface};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -44,7 +44,10 @@ pub fn read_run(
     let mut methods = Vec::new();
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
-        let method = read_method(stage, &format!("{number}/{scheduler}"), &dir, &surface)?;
+        // A refined plan has dwell times of its own.
+        let dwell = [dir.join("dwell"), run.join("dwell")].into_iter().find(|d| d.exists());
+        let role = format!("{number}/{scheduler}");
+        let method = read_method(stage, &role, &dir, dwell.as_deref(), &surface)?;
         methods.push((scheduler, method));
     }
     if methods.is_empty() {
@@ -58,8 +61,11 @@ fn read_method(
     stage: &mut Stage,
     role: &str,
     dir: &Path,
+    dwell: Option<&Path>,
     surface: &Surface,
 ) -> Result<Method, Failure> {
+    let dwell: Option<DwellTime> =
+        dwell.map(|d| stage.read(&format!("{role}/dwell"), d)).transpose()?;
     let trajectory = stage.read(&format!("{role}/trajectory"), &dir.join("trajectory"))?;
     let removal = stage.read(&format!("{role}/removal"), &dir.join("removal"))?;
     let outcome =
@@ -74,7 +80,7 @@ fn read_method(
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
     VerdictOutcome::from_json(&outcome)
-        .and_then(|verdict| Method::new(surface, &removal, &trajectory, &verdict, wall))
+        .and_then(|verdict| Method::new(surface, &removal, &trajectory, dwell.as_ref(), &verdict, wall))
         .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))
 }
 

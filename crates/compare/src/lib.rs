@@ -2,8 +2,10 @@
 //!
 //! * [`summary`]: the numbers of `summary.json`.
 //! * [`table`]: the same numbers as a table, methods side by side.
+//! * [`execution`]: dwell times kept, overshoot, jerk.
 //! * [`diff`]: how far two arrays are apart.
 
 pub mod diff;
+pub mod execution;
 pub mod summary;
 pub mod table;

@@ -7,6 +7,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Parser, Subcommand};
 use planish_compare::{
     diff::difference,
+    execution::execution_table,
     summary::{Summary, to_json},
     table::{table, table_of_runs},
 };
@@ -85,10 +86,12 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
         let beside = [("summary.json", bytes)];
         stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
     }
+    let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();
     say(match &summaries[..] {
         [one] => table(one),
-        _ => table_of_runs(&names.iter().map(String::as_str).zip(&summaries).collect::<Vec<_>>()),
+        _ => table_of_runs(&runs),
     });
+    say(execution_table(&runs));
     say(output.out.join("summary.json").display());
     Ok(Status::Done)
 }

@@ -789,6 +789,10 @@ impl Motion<'_> {
     }
 
     fn link(&mut self, duration_s: f64, c: [[f64; 4]; 2], dwell_index: i64) {
+        // A shorter one would vanish in the rounding of the break times.
+        if duration_s <= 64.0 * f64::EPSILON * self.dwell.total_s() {
+            return;
+        }
         self.push(duration_s, c, false, dwell_index);
         self.report.links += 1;
         self.report.link_s += duration_s;
