@@ -924,6 +924,10 @@ const MAX_HALVINGS: usize = 20;
 /// Inner points at which the error is looked at; that of Hermite interpolation has one hump.
 const FIT_POINTS: usize = 9;
 
+/// Part of the tolerance that the error at these points may take: between two of them the hump
+/// u^2 (1-u)^2 is higher by 2 % at most.
+const FIT_SAFETY: f64 = 0.95;
+
 impl Fit {
     /// Cubics from the part `from` to the part `to` of the length.
     fn cubics(&self, from: f64, to: f64) -> Vec<Cubic> {
@@ -957,7 +961,7 @@ impl Fit {
             })
             .fold(0.0, f64::max);
         let (start, end) = accelerations(dp, v0, v1, h);
-        let good = error_mm <= self.tolerance_mm
+        let good = error_mm <= FIT_SAFETY * self.tolerance_mm
             && start.abs().max(end.abs()) <= self.max_acceleration
             && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
         (Cubic { duration_s: h, coefficient_mm: c, error_mm }, good)
