@@ -117,7 +117,10 @@ const HEADINGS: [[&str; 2]; 8] = [
 /// newline.
 pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
     let pair = |[x, y]: [f64; 2], decimals: usize| format!("{x:.decimals$}, {y:.decimals$}");
-    let ms = |s: Option<f64>| s.map_or("-".into(), |s| format!("{:.4}", 1e3 * s));
+    // Rounding of 1e-16 s has no sign.
+    let ms = |s: Option<f64>| {
+        s.map_or("-".into(), |s| format!("{:.4}", if s.abs() < 1e-12 { 0.0 } else { 1e3 * s }))
+    };
     let mut rows: Vec<Vec<String>> = (0..2)
         .map(|line| {
             let first = ["", "run"][line].to_string();

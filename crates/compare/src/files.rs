@@ -80,7 +80,9 @@ fn read_method(
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
     VerdictOutcome::from_json(&outcome)
-        .and_then(|verdict| Method::new(surface, &removal, &trajectory, dwell.as_ref(), &verdict, wall))
+        .and_then(|verdict| {
+            Method::new(surface, &removal, &trajectory, dwell.as_ref(), &verdict, wall)
+        })
         .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))
 }
 

@@ -326,7 +326,8 @@ mod tests {
                 "max_acceleration_step_mm_per_s2",
                 "limits_respected",
                 "schedule_wall_s",
-                "simulate_wall_s"
+                "simulate_wall_s",
+                "execution",
             ]
         );
         for (key, expected) in [
@@ -365,7 +366,9 @@ mod tests {
         let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
         let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
             let wall = WallTimes::default();
-            Method::new(desired, removal, &trajectory(), None, verdict, wall).unwrap_err().to_string()
+            Method::new(desired, removal, &trajectory(), None, verdict, wall)
+                .unwrap_err()
+                .to_string()
         };
         let late = VerdictOutcome::from_json(&verdict(4.1)).unwrap();
         assert!(error(&desired(), &removal(), &late).contains("4.1 s of motion"));

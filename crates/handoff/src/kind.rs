@@ -366,8 +366,18 @@ pub const REPORT: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 10] =
-    [&SURFACE, &TIF, &TOOL_PATH, &DWELL, &FEED, &TRAJECTORY, &REMOVAL, &ITERATIONS, &VERDICT, &REPORT];
+pub const ALL: [&Kind; 10] = [
+    &SURFACE,
+    &TIF,
+    &TOOL_PATH,
+    &DWELL,
+    &FEED,
+    &TRAJECTORY,
+    &REMOVAL,
+    &ITERATIONS,
+    &VERDICT,
+    &REPORT,
+];
 
 /// `docs/formats.md`.
 pub fn formats_markdown() -> String {

@@ -1,7 +1,9 @@
 //! How the nouns become arrays and come back.
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
-use planish_types::{Axis, DwellTime, Feed, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{
+    Axis, DwellTime, Feed, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory,
+};
 
 use crate::{
     artifact::{Arrays, Artifact},

@@ -173,7 +173,7 @@ mod tests {
         let t = |c: Vec<[[f64; 4]; 2]>| {
             Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![0, 1]).unwrap()
         };
-        let free = limits(1e9, 1e9, None, 0.0);
+        let free = limits(1e3, 1e9, None, 0.0);
         let jump = Claim::of(&t(vec![at(0.0, 0.0), at(1.0, 0.0)]), &free);
         assert!(!jump.continuous_position && jump.continuous_velocity);
         let moving = Claim::of(&t(vec![at(0.0, 1.0), at(1.0, 1.0)]), &free);

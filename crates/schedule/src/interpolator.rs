@@ -126,7 +126,8 @@ impl Record {
             }
         }
         let get = |letter: char| words[letter as usize - 'A' as usize];
-        let need = |letter: char| get(letter).ok_or_else(|| format!("the word {letter} is missing"));
+        let need =
+            |letter: char| get(letter).ok_or_else(|| format!("the word {letter} is missing"));
         let end_mm = [need('X')?, need('Y')?];
         let s2 = need('S')?;
         if "PQRIJ".chars().all(|c| get(c).is_none()) {
@@ -213,8 +214,7 @@ impl Interpolator {
     fn run(&mut self, block: &Block, mut emit: impl FnMut(Reference)) -> Result<(), String> {
         let start = self.check(block)?;
         let [s1, s2] = block.arc_length_mm;
-        let piece =
-            Piece { density_s_per_mm: block.density_s_per_mm, length_mm: s2 - s1 };
+        let piece = Piece { density_s_per_mm: block.density_s_per_mm, length_mm: s2 - s1 };
         let duration_s = piece.duration_s();
         loop {
             let time_s = self.tick as f64 * self.tick_s;

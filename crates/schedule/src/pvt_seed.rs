@@ -240,10 +240,7 @@ impl Axis {
         // B'B = [2 h; h h^2+2]
         let (b0, b1) = (g[0] + g[1], h * g[1] + g[2] + g[3]);
         let determinant = h * h + 4.0;
-        [
-            -((h * h + 2.0) * b0 - h * b1) / determinant,
-            -(2.0 * b1 - h * b0) / determinant,
-        ]
+        [-((h * h + 2.0) * b0 - h * b1) / determinant, -(2.0 * b1 - h * b0) / determinant]
     }
 
     /// Q g.
@@ -270,7 +267,8 @@ impl Axis {
             let rows = self.rows(i);
             let column = |c: usize| rows.map(|row| row[c]);
             let projected: Vec<[f64; 4]> = (0..5).map(|c| self.project(i, column(c))).collect();
-            let dot = |a: [f64; 4], b: [f64; 4]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+            let dot =
+                |a: [f64; 4], b: [f64; 4]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
             let place = [0, 1, PER_NODE, PER_NODE + 1].map(|k| PER_NODE * i + k);
             for r in 0..4 {
                 for c in 0..=r {
@@ -455,8 +453,7 @@ impl Banded {
         let value: Vec<Option<f64>> = (0..n).map(fixed).collect();
         let known: Vec<f64> = value.iter().map(|v| v.unwrap_or(0.0)).collect();
         let moved = self.times(&known);
-        let mut x: Vec<f64> =
-            (0..n).map(|j| value[j].unwrap_or_else(|| b[j] - moved[j])).collect();
+        let mut x: Vec<f64> = (0..n).map(|j| value[j].unwrap_or_else(|| b[j] - moved[j])).collect();
         let mut l = self.clone();
         for i in 0..n {
             for d in 0..=BAND.min(i) {

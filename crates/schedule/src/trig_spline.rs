@@ -16,7 +16,7 @@
 //! 1. *Densities.* Segment `k` of length `l_k` keeps its dwell time `t_k`: by (2) its time is linear
 //!    in the densities of its own dwell point and its two neighbours, a tridiagonal system. (The
 //!    source takes `d_k = t_k / l_k`, which smooths the dwell times.) Where the solution falls below
-//!    half of that, half of it is taken.
+//!    half of that, half of it is held, and the others are solved again.
 //! 2. *Repair.* The smallest offset `delta >= 0`, added to every density, with which no feed exceeds
 //!    its limit (`delta >= 1/v_max - min d`) and no piece its acceleration, by (3). A constant is
 //!    added to the removal density, which is a piston wherever the path goes far enough beyond the
@@ -103,8 +103,10 @@ pub struct Report {
     pub offset_added_s: f64,
     /// Nodes that a local repair raised.
     pub raised_nodes: usize,
-    /// Dwell points whose density was held at half of its mean.
+    /// Dwell points whose density was held at half of its mean: their neighbours differ too much.
     pub held_densities: usize,
+    /// Time that holding them added, s.
+    pub held_added_s: f64,
     /// Changes of direction with the tool on, each rounded by a parabola.
     pub corners: usize,
     /// Corners at which the tool moves slower than the dwell times ask for.
@@ -175,6 +177,9 @@ pub fn schedule(
         .map(|run| Pass::new(path, dwell, limits, settings, run, &mut report))
         .collect();
     report.passes = passes.len();
+    let moving = passes.iter().filter(|p| !p.straights.is_empty());
+    report.held_added_s =
+        moving.map(|p| p.duration_s() - dwell.dwell_s()[p.run.clone()].iter().sum::<f64>()).sum();
     repair(&mut passes, settings.repair, &mut report);
     slow_at_corners(&mut passes, &mut report);
     for piece in passes.iter().flat_map(Pass::pieces) {
@@ -266,7 +271,11 @@ impl Piece {
             if f.abs() <= f64::EPSILON {
                 break;
             }
-            if f > 0.0 { high = x } else { low = x }
+            if f > 0.0 {
+                high = x
+            } else {
+                low = x
+            }
             let next = x - f / (1.0 - e * (PI * x).cos());
             x = if next > low && next < high { next } else { 0.5 * (low + high) };
         }
@@ -279,7 +288,8 @@ impl Piece {
         // c = (1 - sqrt(1 + 24 r^2)) / (4 r), without its cancellation
         let c = -6.0 * r / (1.0 + (1.0 + 24.0 * r * r).sqrt());
         let m2 = self.sum();
-        4.0 * PI * r * (1.0 - c * c).sqrt() / (self.length_mm * (m2 * (1.0 + r * c)).powi(2))
+        4.0 * PI * r * (1.0 - c * c).sqrt()
+            / (self.length_mm * (m2 * (1.0 + r * c)).powi(2))
             / (1.0 + r * c)
     }
 
@@ -452,7 +462,8 @@ impl Pass {
             }
         }
         let start_mm = path.point_mm()[run.start];
-        let mut pass = Self { run, start_mm, straights, nodes: Vec::new(), straight_of: Vec::new() };
+        let mut pass =
+            Self { run, start_mm, straights, nodes: Vec::new(), straight_of: Vec::new() };
         if pass.straights.is_empty() {
             return pass;
         }
@@ -469,9 +480,8 @@ impl Pass {
             let fastest = fastest.max(1.0 / along(next.direction, v_max));
             let b = corner.half_length_mm;
             // a = v^2 (u2 - u1) / (2 b)
-            let bend = |a: usize| {
-                (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt()
-            };
+            let bend =
+                |a: usize| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt();
             let least = (fastest / (1.0 - MARGIN)).max(bend(0)).max(bend(1));
             let share = share(s.length, next.length);
             let density = share[0] * density + share[1] * densities[k + 1];
@@ -543,27 +553,19 @@ impl Pass {
             rows[k + 1][0] += behind[0];
             rows[k + 1][1] += behind[1];
         }
-        // Elimination; every row is diagonally dominant at least weakly.
-        let mut upper = vec![0.0; n];
-        let mut d = vec![0.0; n];
-        for k in 0..n {
-            let (below, left, past) =
-                if k == 0 { (0.0, 0.0, 0.0) } else { (rows[k][0], upper[k - 1], d[k - 1]) };
-            let pivot = rows[k][1] - below * left;
-            upper[k] = rows[k][2] / pivot;
-            d[k] = (times[k] - below * past) / pivot;
-        }
-        for k in (0..n - 1).rev() {
-            d[k] -= upper[k] * d[k + 1];
-        }
-        for k in 0..n {
-            let least = 0.5 * times[k] / self.straights[k].length;
-            if d[k].is_nan() || d[k] < least {
-                d[k] = least;
-                report.held_densities += 1;
+        // A density that falls too low is held, and its row given up; the others stay exact.
+        let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
+        let mut held = vec![false; n];
+        loop {
+            let d = tridiagonal(&rows, times, &least, &held);
+            let low: Vec<usize> =
+                (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
+            if low.is_empty() {
+                report.held_densities += held.iter().filter(|h| **h).count();
+                return d;
             }
+            low.into_iter().for_each(|k| held[k] = true);
         }
-        d
     }
 
     /// The piece from node k to the next one.
@@ -573,8 +575,11 @@ impl Pass {
         let length_mm = to - b.half_length_mm - (from + a.half_length_mm);
         let straight = &self.straights[self.straight_of[k]];
         // Behind a corner the direction is that of the next straight.
-        let straight =
-            if a.half_length_mm > 0.0 { &self.straights[self.straight_of[k] + 1] } else { straight };
+        let straight = if a.half_length_mm > 0.0 {
+            &self.straights[self.straight_of[k] + 1]
+        } else {
+            straight
+        };
         Limited {
             shape: Piece { density_s_per_mm: [a.density, b.density], length_mm },
             max_acceleration: straight.max_acceleration,
@@ -598,18 +603,24 @@ impl Pass {
 
     fn start(&self) -> End {
         let s = self.straights.first().zip(self.nodes.first());
-        s.map_or_else(|| self.standing(), |(s, n)| End {
-            position_mm: s.start,
-            velocity_mm_per_s: s.direction.map(|u| u / n.density),
-        })
+        s.map_or_else(
+            || self.standing(),
+            |(s, n)| End {
+                position_mm: s.start,
+                velocity_mm_per_s: s.direction.map(|u| u / n.density),
+            },
+        )
     }
 
     fn end(&self) -> End {
         let s = self.straights.last().zip(self.nodes.last());
-        s.map_or_else(|| self.standing(), |(s, n)| End {
-            position_mm: [0, 1].map(|a| s.start[a] + s.direction[a] * s.length),
-            velocity_mm_per_s: s.direction.map(|u| u / n.density),
-        })
+        s.map_or_else(
+            || self.standing(),
+            |(s, n)| End {
+                position_mm: [0, 1].map(|a| s.start[a] + s.direction[a] * s.length),
+                velocity_mm_per_s: s.direction.map(|u| u / n.density),
+            },
+        )
     }
 
     /// Time of the pass, s.
@@ -622,6 +633,25 @@ impl Pass {
             + plateaus
             + self.pieces().map(|p| p.shape.duration_s()).sum::<f64>()
     }
+}
+
+/// Solves `rows d = right` by elimination, with `d = fixed` where `held`. Every row is diagonally
+/// dominant, at least weakly.
+fn tridiagonal(rows: &[[f64; 3]], right: &[f64], fixed: &[f64], held: &[bool]) -> Vec<f64> {
+    let n = rows.len();
+    let (mut upper, mut d) = (vec![0.0; n], vec![0.0; n]);
+    for k in 0..n {
+        let ([below, own, above], value) =
+            if held[k] { ([0.0, 1.0, 0.0], fixed[k]) } else { (rows[k], right[k]) };
+        let (left, past) = if k == 0 { (0.0, 0.0) } else { (upper[k - 1], d[k - 1]) };
+        let pivot = own - below * left;
+        upper[k] = above / pivot;
+        d[k] = (value - below * past) / pivot;
+    }
+    for k in (0..n - 1).rev() {
+        d[k] -= upper[k] * d[k + 1];
+    }
+    d
 }
 
 /// Weights of the dwell points before and behind in the density of a corner: the nearer has more.
@@ -762,7 +792,12 @@ impl Motion<'_> {
         if speed > 0.0 {
             let a = self.acceleration_along(direction);
             let c = [0, 1].map(|x| {
-                [self.now.position_mm[x], self.now.velocity_mm_per_s[x], -0.5 * direction[x] * a, 0.0]
+                [
+                    self.now.position_mm[x],
+                    self.now.velocity_mm_per_s[x],
+                    -0.5 * direction[x] * a,
+                    0.0,
+                ]
             });
             self.link(speed / a, c, -1);
         }
@@ -775,10 +810,8 @@ impl Motion<'_> {
     /// Segments with the tool off: a link each, at rest in between.
     fn lift(&mut self, run: std::ops::Range<usize>, end: End) {
         for i in run.clone() {
-            let rest = End {
-                position_mm: self.path.point_mm()[i + 1],
-                velocity_mm_per_s: [0.0; 2],
-            };
+            let rest =
+                End { position_mm: self.path.point_mm()[i + 1], velocity_mm_per_s: [0.0; 2] };
             let to = if i + 1 == run.end { end } else { rest };
             match link(self.now, to, self.limits, self.dwell.dwell_s()[i]) {
                 Some(link) => self.link(link.duration_s, link.coefficient_mm, i as i64),
@@ -828,9 +861,8 @@ impl Motion<'_> {
 
     /// Constant density from `from` to `to` along a straight.
     fn plateau(&mut self, s: &Straight, from: f64, to: f64, density: f64) {
-        let c = [0, 1].map(|a| {
-            [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]
-        });
+        let c = [0, 1]
+            .map(|a| [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]);
         self.push((to - from) * density, c, true, s.index as i64);
     }
 
@@ -892,7 +924,6 @@ impl Motion<'_> {
         }
     }
 }
-
 
 /// Magnitude and direction.
 fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {

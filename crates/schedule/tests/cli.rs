@@ -321,8 +321,7 @@ fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
     change(tmp.path());
-    for scheduler in
-        ["pvt", "constant-acceleration", "trig-spline", "average-velocity", "position"]
+    for scheduler in ["pvt", "constant-acceleration", "trig-spline", "average-velocity", "position"]
     {
         refused(tmp.path(), scheduler, &[], expected);
     }
@@ -584,7 +583,7 @@ fn a_feed_becomes_a_program_and_positions() {
     refuse(&with(&["--out", "c.csv", "--feed", "feed"]), "cannot be used with");
     refuse(&["interpolate", "--program", "no.nc", "--out", "c.csv"], "no.nc: cannot read");
     let program = text(&read("part.nc"));
-    fs::write(tmp.path().join("bad.nc"), program.replacen(" P", " W", 1)).unwrap();
+    fs::write(tmp.path().join("bad.nc"), program.replacen(" P0", " W0", 1)).unwrap();
     refuse(&["interpolate", "--program", "bad.nc", "--out", "c.csv"], "bad.nc: line 4: the word");
     fs::write(tmp.path().join("empty.nc"), "(nothing)\n").unwrap();
     refuse(&["interpolate", "--program", "empty.nc", "--out", "c.csv"], "moves nothing");

@@ -181,14 +181,16 @@ fn the_seed_formulation_and_its_defects() {
         assert!(largest.iter().all(|e| (0.2..0.5).contains(e)), "{largest:?}");
         assert!(seed.report.largest_resting_velocity_mm_per_s[1] > 1.0, "{name}");
         let hermite = smooth(&path, &dwell);
-        let step = |t: &Trajectory| judge(t).axes.each_ref().map(|a| {
-            let inner = t.segments().zip(t.segments().skip(1)).map(|(s, n)| {
-                let x = usize::from(a.name == "y");
-                let (c, d) = (s.coefficient_mm[x], n.coefficient_mm[x]);
-                (2.0 * d[2] - 2.0 * c[2] - 6.0 * c[3] * s.duration_s).abs()
-            });
-            inner.fold(0.0, f64::max)
-        });
+        let step = |t: &Trajectory| {
+            judge(t).axes.each_ref().map(|a| {
+                let inner = t.segments().zip(t.segments().skip(1)).map(|(s, n)| {
+                    let x = usize::from(a.name == "y");
+                    let (c, d) = (s.coefficient_mm[x], n.coefficient_mm[x]);
+                    (2.0 * d[2] - 2.0 * c[2] - 6.0 * c[3] * s.duration_s).abs()
+                });
+                inner.fold(0.0, f64::max)
+            })
+        };
         // The seed's acceleration steps by more than 100 mm/s^2, the spline's by rounding.
         assert!(step(&seed.trajectory).iter().all(|s| *s > 100.0));
         assert!(step(&hermite.trajectory).iter().all(|s| *s < 1e-6));
