@@ -389,7 +389,9 @@ fn interior_point(matrix: &Banded, b: &[f64], low: &[f64], high: &[f64]) -> Opti
     for i in 0..n {
         for j in i.saturating_sub(BAND)..=i {
             // Upper triangle.
-            (r.push(j), c.push(i), v.push(matrix.at(i, j)));
+            r.push(j);
+            c.push(i);
+            v.push(matrix.at(i, j));
         }
     }
     let p = CscMatrix::new_from_triplets(n, n, r, c, v);
@@ -398,7 +400,9 @@ fn interior_point(matrix: &Banded, b: &[f64], low: &[f64], high: &[f64]) -> Opti
     for j in 0..n {
         for (limit, sign) in [(high[j], 1.0), (low[j], -1.0)] {
             if limit.is_finite() {
-                (r.push(bound.len()), c.push(j), v.push(sign));
+                r.push(bound.len());
+                c.push(j);
+                v.push(sign);
                 bound.push(sign * limit);
             }
         }
