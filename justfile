@@ -12,6 +12,13 @@ run name *overrides: build
 compare-dwell fixture="coupon" *overrides: build
     @just --justfile pipelines/compare-dwell.just --working-directory . fixture={{ fixture }} {{ overrides }} run
 
+# Every scheduler on the same path and dwell times, along three paths: just compare coupon
+compare fixture="flat-92x16" *overrides: build
+    @for path in raster maze random-adaptive; do \
+        just --justfile "pipelines/$path.just" --working-directory . fixture={{ fixture }} out="out/compare/$path" {{ overrides }} compare || exit; \
+    done
+    @target/release/planish-compare report out/compare/raster out/compare/maze out/compare/random-adaptive --fixture {{ fixture }} --out out/compare/report --force
+
 # Show a pipeline with its settings and their defaults
 show name:
     @cat pipelines/{{ name }}.just pipelines/stages.just

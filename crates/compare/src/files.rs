@@ -143,9 +143,12 @@ fn read_method(
         Ok(Some(wall_s))
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
+    // A refined plan has dwell times of its own.
+    let dwell = own_plan.or_else(|| plan.cloned());
     let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", dir.display()));
     let outcome = VerdictOutcome::from_json(&verdict).map_err(of_dir)?;
-    let numbers = Method::new(desired, &removal, &trajectory, &outcome, wall).map_err(of_dir)?;
+    let numbers = Method::new(desired, &removal, &trajectory, dwell.as_ref(), &outcome, wall)
+        .map_err(of_dir)?;
     let best = provenance.iter().find(|(role, _)| role == "iterations");
     let best = best.and_then(|(_, manifest)| manifest["outcome"]["best_round"].as_u64());
     let method = RunMethod {
@@ -153,7 +156,7 @@ fn read_method(
         trajectory,
         removal,
         verdict,
-        dwell: own_plan.or_else(|| plan.cloned()),
+        dwell,
         frames: frames.map(|f| f.0),
         rounds: rounds.map(|r| Rounds { best, ..r.0 }),
         provenance,

@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use planish_compare::{
     diff::difference,
     dwell,
+    execution::execution_table,
     report::{figure::figures, page, sparkline, views},
     summary::{Summary, to_json},
     table::{table, table_of_runs},
@@ -141,10 +142,12 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
         beside.extend(figures(&views).into_iter().map(|(name, svg)| (name, svg.into_bytes())));
         stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
     }
+    let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();
     say(match &summaries[..] {
         [one] => table(one),
-        _ => table_of_runs(&names.iter().map(String::as_str).zip(&summaries).collect::<Vec<_>>()),
+        _ => table_of_runs(&runs),
     });
+    say(execution_table(&runs));
     if plotted {
         say(sparkline::plots(&views));
     }

@@ -12,9 +12,11 @@
 //! |---|---|---|---|
 //! | z | `residual` | (ny, nx) | nm |
 
-use planish_types::{Invalid, Removal, Surface, Trajectory};
+use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
+
+use crate::execution::Execution;
 
 /// The scheduler whose numbers are the ideal: dwell at the dwell points, no dynamics.
 const IDEAL: &str = "position";
@@ -92,6 +94,8 @@ pub struct Method {
     pub schedule_wall_s: Option<f64>,
     /// Seconds that the simulation took, `null` when not measured.
     pub simulate_wall_s: Option<f64>,
+    /// What the motion does with the plan.
+    pub execution: Execution,
 }
 
 /// What a verdict says, as far as the summary repeats it.
@@ -124,12 +128,13 @@ pub struct WallTimes {
 }
 
 impl Method {
-    /// The numbers of one method; refuses a removal of another surface and a verdict on another
-    /// trajectory.
+    /// The numbers of one method; refuses a removal of another surface, a verdict on another
+    /// trajectory and dwell times of another path.
     pub fn new(
         desired: &Surface,
         removal: &Removal,
         trajectory: &Trajectory,
+        dwell: Option<&DwellTime>,
         verdict: &VerdictOutcome,
         wall: WallTimes,
     ) -> Result<Self, Invalid> {
@@ -159,6 +164,7 @@ impl Method {
             limits_respected: verdict.limits_respected,
             schedule_wall_s: wall.schedule_s,
             simulate_wall_s: wall.simulate_s,
+            execution: Execution::of(trajectory, dwell)?,
         })
     }
 }
@@ -277,7 +283,7 @@ mod tests {
     fn method() -> Result<Method, Invalid> {
         let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
-        Method::new(&desired(), &removal(), &trajectory(), &verdict, wall)
+        Method::new(&desired(), &removal(), &trajectory(), None, &verdict, wall)
     }
 
     #[test]
@@ -320,7 +326,8 @@ mod tests {
                 "max_acceleration_step_mm_per_s2",
                 "limits_respected",
                 "schedule_wall_s",
-                "simulate_wall_s"
+                "simulate_wall_s",
+                "execution",
             ]
         );
         for (key, expected) in [
@@ -359,7 +366,9 @@ mod tests {
         let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
         let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
             let wall = WallTimes::default();
-            Method::new(desired, removal, &trajectory(), verdict, wall).unwrap_err().to_string()
+            Method::new(desired, removal, &trajectory(), None, verdict, wall)
+                .unwrap_err()
+                .to_string()
         };
         let late = VerdictOutcome::from_json(&verdict(4.1)).unwrap();
         assert!(error(&desired(), &removal(), &late).contains("4.1 s of motion"));

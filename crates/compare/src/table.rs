@@ -111,7 +111,7 @@ fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 13] {
 }
 
 /// Pads every column to its widest cell; the first `left` columns are aligned left.
-fn align(rows: &[Vec<String>], left: usize) -> String {
+pub(crate) fn align(rows: &[Vec<String>], left: usize) -> String {
     let width = |c: usize| rows.iter().map(|r| r[c].chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..rows[0].len()).map(width).collect();
     let mut text = String::new();
@@ -150,6 +150,7 @@ mod tests {
             limits_respected,
             schedule_wall_s: Some(0.1234),
             simulate_wall_s: None,
+            execution: Default::default(),
         }
     }
 

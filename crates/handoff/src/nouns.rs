@@ -1,7 +1,9 @@
 //! How the nouns become arrays and come back.
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
-use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{
+    Axis, DwellTime, Feed, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory,
+};
 
 use crate::{
     artifact::{Arrays, Artifact},
@@ -110,6 +112,30 @@ impl Artifact for DwellTime {
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
         Self::new(take_vec(arrays.take_f64("dwell_s")))
+    }
+}
+
+impl Artifact for Feed {
+    const KIND: &'static Kind = &kind::FEED;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        vec![
+            floats(self.arc_length_mm()),
+            floats(self.dwell_density_s_per_mm()),
+            points(self.point_mm()),
+            integers(self.pass_idx()),
+            flags(self.corner()),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        Self::new(
+            take_vec(arrays.take_f64("arc_length_mm")),
+            take_vec(arrays.take_f64("dwell_density_s_per_mm")),
+            take_points(&mut arrays, "point_mm"),
+            take_vec(arrays.take_i64("pass_idx")),
+            arrays.take_bool("corner"),
+        )
     }
 }
 

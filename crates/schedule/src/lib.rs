@@ -6,12 +6,24 @@
 //! | scheduler | motion |
 //! |---|---|
 //! | [`pvt`] | cubic Hermite segments through the control points at the dwell times |
+//! | [`pvt_seed`] | the same in the formulation of its source, whose defects it reports |
 //! | [`constant_acceleration`] | one constant acceleration, then constant velocity, per segment |
+//! | [`trig_spline`] | dwell-time density as a half-period trigonometric spline of arc length |
+//! | [`average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
 //! | [`position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
+//!
+//! [`claim`] is what every schedule says about the limits; [`interpolator`] turns the feed of
+//! `trig_spline` into reference positions, tick by tick.
 
+pub mod average_velocity;
+pub mod claim;
 pub mod constant_acceleration;
+pub mod interpolator;
+mod link;
 pub mod position;
 pub mod pvt;
+pub mod pvt_seed;
+pub mod trig_spline;
 
 use planish_types::{DwellTime, Invalid, ToolPath};
 

@@ -1,11 +1,20 @@
 //! `planish-schedule`: tool path and dwell times become a motion.
 
-use std::{path::PathBuf, process::ExitCode};
+mod program;
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
-use planish_schedule::{constant_acceleration, position, pvt};
-use planish_types::{DwellTime, ToolPath, Trajectory};
+use planish_handoff::{
+    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind::Kind, run, stage::say,
+};
+use planish_schedule::{
+    average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed, trig_spline,
+};
+use planish_types::{DwellTime, Feed, Limits, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
 const EXAMPLES: &str = "Examples:\n\
@@ -16,7 +25,17 @@ const EXAMPLES: &str = "Examples:\n\
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
-    scheduler: Scheduler,
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    #[command(flatten)]
+    Schedule(Scheduler),
+    /// Reference positions at every tick of a controller, from a feed or its NC program
+    Interpolate(program::Interpolate),
+    /// Write a feed as an NC program: blocks of end point, densities and arc lengths
+    Program(program::Program),
 }
 
 #[derive(Subcommand)]
@@ -25,15 +44,40 @@ enum Scheduler {
     Pvt {
         #[command(flatten)]
         common: Common,
-        /// What the motion shall be like
-        #[arg(long, value_enum, default_value = "smooth")]
-        mode: Mode,
-        /// Refuse dwell times that the machine cannot follow instead of stretching them
+        /// What is solved for
+        #[arg(long, value_enum, default_value = "hermite")]
+        formulation: Formulation,
+        /// What the motion shall be like (hermite) [default: smooth]
+        #[arg(long, value_enum)]
+        mode: Option<Mode>,
+        /// Refuse dwell times that the machine cannot follow instead of stretching them (hermite)
         #[arg(long)]
         no_stretch: bool,
     },
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ConstantAcceleration {
+        #[command(flatten)]
+        common: Common,
+    },
+    /// Dwell-time density as a trigonometric spline along the path, lifted to the limits
+    TrigSpline {
+        #[command(flatten)]
+        common: Common,
+        /// How densities that the machine cannot follow are repaired
+        #[arg(long, value_enum, default_value = "offset")]
+        repair: Repair,
+        /// Largest distance of the motion from a corner [mm]
+        #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
+        corner_deviation_mm: f64,
+        /// Largest error of the position where the motion is fitted by cubics [mm]
+        #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
+        fit_tolerance_mm: f64,
+        /// Also write the nodes of the spline, for `interpolate` and `program` [feed artifact]
+        #[arg(long, value_name = "DIR")]
+        feed: Option<PathBuf>,
+    },
+    /// Constant velocity per segment: what a dwell solver believes; its velocity steps
+    AverageVelocity {
         #[command(flatten)]
         common: Common,
     },
@@ -59,6 +103,14 @@ struct Common {
     output: OutputArgs,
 }
 
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Formulation {
+    /// Node velocities; positions and times exact, limits kept
+    Hermite,
+    /// The least squares of the source, with its defects reported; nothing is stretched
+    Seed,
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 enum Mode {
     /// Least acceleration energy; may overshoot corners
@@ -67,76 +119,229 @@ enum Mode {
     Monotone,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum Repair {
+    /// One offset for all densities: a piston where the path overscans far enough
+    Offset,
+    /// Only the densities that need it are raised
+    Local,
+}
+
+/// A scheduler with its resolved settings.
+enum Method {
+    Pvt(pvt::Settings),
+    PvtSeed,
+    ConstantAcceleration,
+    TrigSpline(trig_spline::Settings),
+    AverageVelocity,
+    Position,
+}
+
+/// What a scheduler made.
+struct Made {
+    trajectory: Trajectory,
+    feed: Option<Feed>,
+    report: Value,
+    /// For the line that the user reads.
+    remark: String,
+}
+
 fn main() -> ExitCode {
     let cli: Cli = planish_handoff::parse();
-    run(|| schedule(&cli.scheduler))
+    run(|| match &cli.command {
+        Command::Schedule(scheduler) => schedule(scheduler),
+        Command::Interpolate(arguments) => program::interpolate(arguments),
+        Command::Program(arguments) => program::write(arguments),
+    })
+}
+
+impl Scheduler {
+    fn common(&self) -> &Common {
+        match self {
+            Self::Pvt { common, .. }
+            | Self::ConstantAcceleration { common }
+            | Self::TrigSpline { common, .. }
+            | Self::AverageVelocity { common }
+            | Self::Position { common } => common,
+        }
+    }
+
+    fn method(&self) -> Result<Method, Failure> {
+        Ok(match self {
+            Self::Pvt { formulation: Formulation::Hermite, mode, no_stretch, .. } => {
+                let mode = match mode {
+                    None | Some(Mode::Smooth) => pvt::Mode::Smooth,
+                    Some(Mode::Monotone) => pvt::Mode::Monotone,
+                };
+                Method::Pvt(pvt::Settings { mode, stretch: !no_stretch })
+            }
+            Self::Pvt { mode: None, no_stretch: false, .. } => Method::PvtSeed,
+            Self::Pvt { .. } => {
+                let message = "--mode and --no-stretch belong to --formulation hermite; the seed \
+                               formulation has neither: leave them out";
+                return Err(Failure::new(message));
+            }
+            Self::ConstantAcceleration { .. } => Method::ConstantAcceleration,
+            Self::TrigSpline { repair, corner_deviation_mm, fit_tolerance_mm, .. } => {
+                let repair = match repair {
+                    Repair::Offset => trig_spline::Repair::Offset,
+                    Repair::Local => trig_spline::Repair::Local,
+                };
+                Method::TrigSpline(trig_spline::Settings {
+                    repair,
+                    corner_deviation_mm: *corner_deviation_mm,
+                    fit_tolerance_mm: *fit_tolerance_mm,
+                })
+            }
+            Self::AverageVelocity { .. } => Method::AverageVelocity,
+            Self::Position { .. } => Method::Position,
+        })
+    }
+}
+
+impl Method {
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Pvt(_) | Self::PvtSeed => "pvt",
+            Self::ConstantAcceleration => "constant-acceleration",
+            Self::TrigSpline(_) => "trig-spline",
+            Self::AverageVelocity => "average-velocity",
+            Self::Position => "position",
+        }
+    }
+
+    fn settings(&self) -> Value {
+        match self {
+            Self::Pvt(s) => {
+                json!({ "formulation": "hermite", "mode": s.mode, "stretch": s.stretch })
+            }
+            Self::PvtSeed => json!({ "formulation": "seed" }),
+            Self::TrigSpline(s) => json!(s),
+            Self::ConstantAcceleration | Self::AverageVelocity | Self::Position => json!({}),
+        }
+    }
+
+    fn run(&self, path: &ToolPath, dwell: &DwellTime, machine: &Limits) -> Result<Made, Failure> {
+        let micron = 1e3;
+        Ok(match self {
+            Self::Pvt(settings) => {
+                let s = pvt::schedule(path, dwell, machine, settings)?;
+                let remark = format!(
+                    "; {} segments stretched by {:.4} s with the tool on, {:.4} s lifted",
+                    s.report.stretched.len(),
+                    s.report.added_tool_on_s,
+                    s.report.added_tool_off_s
+                );
+                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+            }
+            Self::PvtSeed => {
+                let s = pvt_seed::schedule(path, dwell, machine)?;
+                let (r, [x, y]) = (&s.report, s.report.largest_position_error_mm);
+                let [vx, vy] = r.largest_resting_velocity_mm_per_s;
+                let remark = format!(
+                    "; its least squares miss positions by up to {:.1} and {:.1} um, its resting \
+                     axes move at up to {vx:.3} and {vy:.3} mm/s",
+                    x * micron,
+                    y * micron
+                );
+                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+            }
+            Self::ConstantAcceleration => {
+                let s = constant_acceleration::schedule(path, dwell, machine)?;
+                let r = &s.report;
+                let remark = format!(
+                    "; overshoot beyond 1 nm in {} x and {} y segments, up to {:.1} and {:.1} um; \
+                     {} segments late by {:.4} s",
+                    r.overshoot_segments[0],
+                    r.overshoot_segments[1],
+                    r.largest_overshoot_mm[0] * micron,
+                    r.largest_overshoot_mm[1] * micron,
+                    r.late_segments,
+                    r.added_s
+                );
+                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+            }
+            Self::TrigSpline(settings) => {
+                let s = trig_spline::schedule(path, dwell, machine, settings)?;
+                let r = &s.report;
+                let offset = r.feed_offset_s_per_mm + r.acceleration_offset_s_per_mm;
+                let remark = format!(
+                    "; offset {offset:.6} s/mm adds {:.3} s; {} of {} corners slowed, adding \
+                     {:.3} s; {} links take {:.3} s",
+                    r.offset_added_s,
+                    r.slowed_corners,
+                    r.corners,
+                    r.corner_added_s,
+                    r.links,
+                    r.link_s
+                );
+                Made { trajectory: s.trajectory, feed: s.feed, report: json!(s.report), remark }
+            }
+            Self::AverageVelocity => {
+                let s = average_velocity::schedule(path, dwell, machine)?;
+                let [x, y] = s.report.largest_velocity_step_mm_per_s;
+                let remark = format!("; velocity steps of up to {x:.3} and {y:.3} mm/s");
+                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+            }
+            Self::Position => {
+                let trajectory = position::schedule(path, dwell)?;
+                let remark = "; jumps between the points".into();
+                Made { trajectory, feed: None, report: json!({}), remark }
+            }
+        })
+    }
 }
 
 fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
-    let (method, common, settings) = match scheduler {
-        Scheduler::Pvt { common, mode, no_stretch } => {
-            let mode = match mode {
-                Mode::Smooth => pvt::Mode::Smooth,
-                Mode::Monotone => pvt::Mode::Monotone,
-            };
-            ("pvt", common, Some(pvt::Settings { mode, stretch: !no_stretch }))
-        }
-        Scheduler::ConstantAcceleration { common } => ("constant-acceleration", common, None),
-        Scheduler::Position { common } => ("position", common, None),
-    };
+    let (common, method) = (scheduler.common(), scheduler.method()?);
     let mut stage =
-        Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), method, &common.output);
-    stage.settings(settings.map_or(json!({}), |s| json!(s)));
+        Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), method.name(), &common.output);
+    stage.settings(method.settings());
     let path: ToolPath = stage.read("tool-path", &common.tool_path)?;
     let dwell: DwellTime = stage.read("dwell", &common.dwell)?;
     let machine = stage.read_machine(&common.machine)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], Trajectory::KIND)? {
+    // A part of the output by its absolute path stands there, not under --out.
+    let feed_part = match scheduler {
+        Scheduler::TrigSpline { feed: Some(dir), .. } => Some(absolute(dir)?),
+        _ => None,
+    };
+    let mut parts: Vec<(&str, &Kind)> = vec![("", Trajectory::KIND)];
+    parts.extend(feed_part.as_deref().map(|dir| (dir, Feed::KIND)));
+    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
         return Ok(status);
     }
 
-    let (trajectory, report, remark): (Trajectory, Value, String) = match scheduler {
-        Scheduler::Pvt { .. } => {
-            let settings = settings.expect("set above");
-            let s = pvt::schedule(&path, &dwell, &machine, &settings)?;
-            let remark = format!(
-                "; {} segments stretched by {:.4} s with the tool on, {:.4} s lifted",
-                s.report.stretched.len(),
-                s.report.added_tool_on_s,
-                s.report.added_tool_off_s
-            );
-            (s.trajectory, json!(s.report), remark)
-        }
-        Scheduler::ConstantAcceleration { .. } => {
-            let s = constant_acceleration::schedule(&path, &dwell, &machine)?;
-            let (r, micron) = (&s.report, 1e3);
-            let remark = format!(
-                "; overshoot in {} x and {} y segments, up to {:.1} and {:.1} um; {} segments late by {:.4} s",
-                r.overshoot_segments[0],
-                r.overshoot_segments[1],
-                r.largest_overshoot_mm[0] * micron,
-                r.largest_overshoot_mm[1] * micron,
-                r.late_segments,
-                r.added_s
-            );
-            (s.trajectory, json!(s.report), remark)
-        }
-        Scheduler::Position { .. } => {
-            (position::schedule(&path, &dwell)?, json!({}), "; jumps between the points".into())
-        }
-    };
-
+    let made = method.run(&path, &dwell, &machine)?;
+    let claim = Claim::of(&made.trajectory, &machine);
     let outcome = json!({
         "dwell_s": dwell.total_s(),
-        "total_time_s": trajectory.total_time_s(),
-        "report": report,
+        "total_time_s": made.trajectory.total_time_s(),
+        "claim": claim,
+        "report": made.report,
     });
-    stage.write("", &trajectory, outcome, &Status::Done)?;
+    if let Some(part) = &feed_part {
+        let feed = made.feed.as_ref().ok_or_else(|| {
+            Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
+        })?;
+        stage.write(part, feed, json!({ "report": made.report }), &Status::Done)?;
+    }
+    stage.write("", &made.trajectory, outcome, &Status::Done)?;
     say(format!(
-        "{method}: {} segments, {:.3} s (dwell {:.3} s){remark} -> {}",
-        trajectory.len(),
-        trajectory.total_time_s(),
+        "{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
+        method.name(),
+        made.trajectory.len(),
+        made.trajectory.total_time_s(),
         dwell.total_s(),
+        made.remark,
+        claim.remark(),
         common.output.out.display()
     ));
     Ok(Status::Done)
+}
+
+fn absolute(dir: &Path) -> Result<String, Failure> {
+    let path = std::path::absolute(dir)?;
+    path.into_os_string().into_string().map_err(|_| {
+        Failure::new(format!("--feed: {} is not readable text; give another name", dir.display()))
+    })
 }

@@ -280,14 +280,14 @@ impl Timing {
 }
 
 /// Least time of segment `i`: its mean velocity within the limits, and the controller's least.
-fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
+pub(crate) fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
     let axis = |a: usize| dp[a].abs() / v[a];
     axis(0).max(axis(1)).max(limits.min_segment_s)
 }
 
 /// Coefficients of (1).
-fn hermite(p: f64, dp: f64, v0: f64, v1: f64, h: f64) -> [f64; 4] {
+pub(crate) fn hermite(p: f64, dp: f64, v0: f64, v1: f64, h: f64) -> [f64; 4] {
     [p, v0, (3.0 * dp / h - 2.0 * v0 - v1) / h, (-2.0 * dp / h + v0 + v1) / (h * h)]
 }
 
@@ -547,13 +547,13 @@ impl AxisProblem {
 }
 
 /// (2): (a+, a-).
-fn accelerations(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
+pub(crate) fn accelerations(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
     let mean = 6.0 * dp / (h * h);
     (mean - (4.0 * v0 + 2.0 * v1) / h, -mean + (2.0 * v0 + 4.0 * v1) / h)
 }
 
 /// Largest |velocity| of a segment by (3), and the u in [0, 1] where it is.
-fn peak_velocity(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
+pub(crate) fn peak_velocity(dp: f64, v0: f64, v1: f64, h: f64) -> (f64, f64) {
     let middle = 3.0 * dp / h - v0 - v1;
     let mut peak = if v0.abs() >= v1.abs() { (v0.abs(), 0.0) } else { (v1.abs(), 1.0) };
     // v'(u) = 0 at u = (v0 - V) / (v0 - 2V + v1), where v = (v0 v1 - V^2) / (v0 - 2V + v1)

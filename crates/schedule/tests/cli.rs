@@ -321,9 +321,11 @@ fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
     change(tmp.path());
-    for scheduler in ["pvt", "constant-acceleration", "position"] {
+    for scheduler in ["pvt", "constant-acceleration", "trig-spline", "average-velocity", "position"]
+    {
         refused(tmp.path(), scheduler, &[], expected);
     }
+    refused(tmp.path(), "pvt", &["--formulation=seed"], expected);
 }
 
 /// Takes the manifest of an artifact away and puts `array` in.
@@ -426,7 +428,7 @@ fn bad_machines_end_with_2() {
 fn a_path_without_time_is_refused() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &[[1.0, 1.0]; 3], &[0.0; 2]);
-    for scheduler in ["constant-acceleration", "position"] {
+    for scheduler in ["constant-acceleration", "trig-spline", "average-velocity", "position"] {
         refused(tmp.path(), scheduler, &[], &["dwell_s: is zero everywhere; give a dwell time"]);
     }
 }
@@ -438,4 +440,155 @@ fn bad_flags_end_with_2() {
     refused(tmp.path(), "pvt", &["--mode=fast"], &["invalid value 'fast'"]);
     refused(tmp.path(), "position", &["--no-stretch"], &["unexpected argument '--no-stretch'"]);
     refused(tmp.path(), "spline", &[], &["unrecognized subcommand 'spline'"]);
+}
+
+#[test]
+fn bad_settings_of_the_new_schedulers_end_with_2() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    let belong = ["--mode and --no-stretch belong to --formulation hermite"];
+    refused(tmp.path(), "pvt", &["--formulation=seed", "--mode=smooth"], &belong);
+    refused(tmp.path(), "pvt", &["--formulation=seed", "--no-stretch"], &belong);
+    refused(tmp.path(), "pvt", &["--formulation=other"], &["invalid value 'other'"]);
+    for flag in ["corner-deviation-mm", "fit-tolerance-mm"] {
+        for value in ["0", "-1", "nan", "inf"] {
+            let name = format!("{}: is ", flag.replace('-', "_"));
+            refused(tmp.path(), "trig-spline", &[&format!("--{flag}={value}")], &[&name]);
+        }
+    }
+    // No time on a segment with a length: the seed formulation has no polynomial for it.
+    prepare(tmp.path(), &STEP, &[0.5, 0.0, 0.1, 0.5, 0.5]);
+    let expected = ["dwell_s[1]: is 0 s on a segment of 1 mm", "use the hermite formulation"];
+    refused(tmp.path(), "pvt", &["--formulation=seed"], &expected);
+    // A path without a length has a motion, but no feed.
+    prepare(tmp.path(), &[[1.0, 1.0]; 3], &[0.5; 2]);
+    refused(tmp.path(), "trig-spline", &["--feed", "feed"], &["the path has no length"]);
+    assert!(!tmp.path().join("feed").exists());
+    let (t, _) = scheduled(tmp.path(), "trig-spline", &[]);
+    assert_eq!((t.len(), t.total_time_s()), (2, 1.0));
+}
+
+#[test]
+fn the_manifest_says_which_limits_are_kept() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &[0.5, 0.5, 2.0, 0.5, 0.5]);
+    for (scheduler, kept) in [
+        ("pvt", true),
+        ("trig-spline", true),
+        ("constant-acceleration", true),
+        ("average-velocity", false),
+        ("position", false),
+    ] {
+        let (_, outcome) = scheduled(tmp.path(), scheduler, &["--force"]);
+        assert_eq!(outcome["claim"]["limits_respected"], kept, "{scheduler}: {outcome}");
+        assert_eq!(outcome["claim"]["jerk"], Value::Null, "{scheduler}");
+    }
+    // PVT starts with a step in the acceleration: a limit on jerk is not kept, and it is said.
+    let mut machine = ion_beam();
+    machine["axes"][0]["max_jerk_mm_per_s3"] = json!(1e6);
+    fs::write(tmp.path().join("machine.json"), machine.to_string()).unwrap();
+    let output = schedule(tmp.path(), "pvt", &["--force"]);
+    assert!(text(&output.stdout).contains("; the jerk exceeds its limit"), "{output:?}");
+    let manifest = artifact::read::<Trajectory>(&tmp.path().join("trajectory")).unwrap().manifest;
+    assert_eq!(manifest.unwrap().outcome["claim"]["jerk"], false);
+}
+
+#[test]
+fn a_lift_is_a_link_of_the_path_speed_methods() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    let on = vec![true, true, false, true, true];
+    let path = ToolPath::through(STEP.to_vec(), on, vec![0, 0, 0, 1, 1]).unwrap();
+    write(tmp.path(), "tool_path", &path);
+    // 60 mm from rest to rest by one cubic: 6 d / T^2 = 2000 mm/s^2.
+    let least = (6.0_f64 * 60.0 / 2000.0).sqrt();
+    for scheduler in ["trig-spline", "constant-acceleration"] {
+        let (t, outcome) = scheduled(tmp.path(), scheduler, &["--force"]);
+        assert_eq!(outcome["claim"]["limits_respected"], true, "{scheduler}: {outcome}");
+        let lifts: Vec<Segment> = t.segments().filter(|s| s.dwell_index == 2).collect();
+        assert_eq!((lifts.len(), lifts[0].tool_on), (1, false), "{scheduler}");
+        // From 2 mm/s the link is a little shorter or longer.
+        let h = lifts[0].duration_s;
+        assert!((h - least).abs() < 0.05 * least, "{scheduler}: {h} {least}");
+    }
+}
+
+fn planish(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-schedule"))
+        .current_dir(dir)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_feed_becomes_a_program_and_positions() {
+    let tmp = tempfile::tempdir().unwrap();
+    let points = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0]];
+    prepare(tmp.path(), &points, &[0.5, 0.3, 0.4, 0.5]);
+    let (t, outcome) = scheduled(tmp.path(), "trig-spline", &["--feed", "feed"]);
+    assert!(number(&outcome["report"]["fit_error_mm"]) <= 1e-6);
+    let feed = artifact::read::<planish_types::Feed>(&tmp.path().join("feed")).unwrap();
+    assert_eq!(feed.manifest.unwrap().method, "trig-spline");
+    assert_eq!(feed.value.corner().iter().filter(|c| **c).count(), 1);
+    // Again, nothing to do; a lost feed comes back.
+    let again = schedule(tmp.path(), "trig-spline", &["--feed", "feed"]);
+    assert!(text(&again.stdout).contains("unchanged"), "{again:?}");
+    fs::remove_dir_all(tmp.path().join("feed")).unwrap();
+    schedule(tmp.path(), "trig-spline", &["--feed", "feed"]);
+    assert!(tmp.path().join("feed/manifest.json").exists());
+
+    let ok = |arguments: &[&str]| {
+        let output = planish(tmp.path(), arguments);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        text(&output.stdout)
+    };
+    ok(&["program", "--feed", "feed", "--out", "part.nc"]);
+    ok(&["interpolate", "--program", "part.nc", "--tick-s", "0.01", "--out", "a.csv"]);
+    ok(&["interpolate", "--feed", "feed", "--tick-s", "0.01", "--out", "b.csv"]);
+    let read = |name: &str| fs::read(tmp.path().join(name)).unwrap();
+    assert_eq!(read("a.csv"), read("b.csv"));
+    ok(&["interpolate", "--feed", "feed", "--tick-s", "0.01", "--out", "a.npy"]);
+    let table: Array2<f64> = ndarray_npy::read_npy(tmp.path().join("a.npy")).unwrap();
+    // 1.7 s in ticks of 0.01 s; the first and the last one are the ends.
+    assert_eq!(table.shape(), [171, 5]);
+    assert_eq!([table[[0, 1]], table[[0, 2]]], [0.0, 0.0]);
+    assert_eq!([table[[170, 1]], table[[170, 2]]], [2.0, 2.0]);
+    let csv = text(&read("a.csv"));
+    assert_eq!(csv.lines().next(), Some("time_s,x_mm,y_mm,feed_mm_per_s,pass_idx"));
+    for (line, row) in csv.lines().skip(1).zip(table.outer_iter()) {
+        let values: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
+        assert_eq!(values, row.to_vec());
+    }
+    // The motion is there at the same time, after its run-up.
+    let run_up_s = t.break_time_s()[1];
+    assert_eq!(t.dwell_index()[0], -1);
+    for row in table.outer_iter() {
+        let at = t.break_time_s().partition_point(|b| *b <= row[0] + run_up_s).min(t.len()) - 1;
+        let p = t.segment(at).position_mm(row[0] + run_up_s - t.break_time_s()[at]);
+        assert!((p[0] - row[1]).abs().max((p[1] - row[2]).abs()) < 2e-6, "{row} {p:?}");
+    }
+
+    let refuse = |arguments: &[&str], expected: &str| {
+        let output = planish(tmp.path(), arguments);
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(expected), "no {expected:?} in: {message}");
+    };
+    let from = ["interpolate", "--program", "part.nc"];
+    let with = |more: &[&'static str]| [&from[..], more].concat();
+    refuse(&with(&["--out", "a.csv"]), "a.csv: exists; give --force");
+    refuse(&with(&["--out", "c.txt"]), "c.txt is neither .csv nor .npy");
+    refuse(&with(&["--out", "c.csv", "--tick-s", "0"]), "--tick-s: the tick is 0 s");
+    refuse(&with(&["--out", "c.csv", "--feed", "feed"]), "cannot be used with");
+    refuse(&["interpolate", "--program", "no.nc", "--out", "c.csv"], "no.nc: cannot read");
+    let program = text(&read("part.nc"));
+    fs::write(tmp.path().join("bad.nc"), program.replacen(" P0", " W0", 1)).unwrap();
+    refuse(&["interpolate", "--program", "bad.nc", "--out", "c.csv"], "bad.nc: line 4: the word");
+    fs::write(tmp.path().join("empty.nc"), "(nothing)\n").unwrap();
+    refuse(&["interpolate", "--program", "empty.nc", "--out", "c.csv"], "moves nothing");
+    // Nothing is left behind.
+    let left = |name: &str| name.starts_with("c.") || name.contains("tmp");
+    let names = fs::read_dir(tmp.path()).unwrap().map(|e| e.unwrap().file_name());
+    assert!(!names.into_iter().any(|n| left(&n.to_string_lossy())));
 }

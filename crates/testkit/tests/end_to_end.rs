@@ -195,7 +195,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     line.whole();
     let summary = line.json("run/report/summary.json");
 
-    // Exactly the keys that DESIGN promises to other programs.
+    // Exactly the keys that DESIGN promises to other programs, and `execution`.
     assert_eq!(keys(&summary), ["pipeline", "fixture", "initial", "ideal", "methods"]);
     assert_eq!([&summary["pipeline"], &summary["fixture"]], ["raster", "coupon"]);
     assert_eq!(keys(&summary["initial"]), ["rms_nm", "pv_nm"]);
@@ -217,6 +217,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "limits_respected",
                 "schedule_wall_s",
                 "simulate_wall_s",
+                "execution",
             ]
         );
     }

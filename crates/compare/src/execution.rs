@@ -1,0 +1,183 @@
+//! How a motion executes a plan: dwell time kept, overshoot, jerk.
+//!
+//! ```text
+//! dwell error of point i = time with the tool on in its segments - dwell_i
+//! overshoot of point i   = how far its segments leave the interval between their first and last end
+//! jerk                   = |6 c3|
+//! ```
+//!
+//! A point whose segments all have the tool off has no dwell error. An overshoot counts above 1 nm.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | dwell | `dwell_s` | (n) | s |
+//! | c | `coefficient_mm` | (k, 2, 4) | mm/s^order |
+
+use planish_numerics::polynomial::{evaluate, range};
+use planish_types::{DwellTime, Invalid, Trajectory};
+use serde::Serialize;
+
+use crate::{summary::Summary, table::align};
+
+/// An excursion counts above this, mm: what `planish-verify` takes for the tolerance of a position.
+const OVERSHOOT_MM: f64 = 1e-6;
+
+/// What the motion does with the plan.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Execution {
+    /// RMS of the dwell error over the points, s; `null` when the run has no dwell times.
+    pub dwell_error_rms_s: Option<f64>,
+    /// Dwell error of the largest magnitude, s; `null` when the run has no dwell times.
+    pub dwell_error_worst_s: Option<f64>,
+    /// Dwell points whose segments overshoot by more than 1 nm along [x, y].
+    pub overshoot_points: [usize; 2],
+    /// Largest overshoot along [x, y], mm.
+    pub max_overshoot_mm: [f64; 2],
+    /// Largest |jerk| inside segments of [x, y], mm/s^3.
+    pub max_jerk_mm_per_s3: [f64; 2],
+}
+
+impl Execution {
+    /// Of `trajectory`, which serves the points of `dwell`; refuses a dwell index beyond them.
+    pub fn of(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
+        let mut execution = Self::default();
+        if let Some(dwell) = dwell {
+            let errors = dwell_errors(trajectory, dwell)?;
+            let squares: f64 = errors.iter().map(|e| e * e).sum();
+            let worst = errors.iter().fold(0.0, |m: f64, e| if e.abs() > m.abs() { *e } else { m });
+            execution.dwell_error_rms_s = Some((squares / errors.len().max(1) as f64).sqrt());
+            execution.dwell_error_worst_s = Some(worst);
+        }
+        let index = trajectory.dwell_index();
+        let mut first = 0;
+        while first < trajectory.len() {
+            let own = |k: &usize| index[*k] != index[first] || index[first] < 0;
+            let behind = (first + 1..trajectory.len()).find(own).unwrap_or(trajectory.len());
+            execution.add_overshoot(trajectory, first, behind);
+            first = behind;
+        }
+        for (c, axis) in trajectory.coefficient_mm().iter().flat_map(|c| [(c[0], 0), (c[1], 1)]) {
+            let jerk = &mut execution.max_jerk_mm_per_s3[axis];
+            *jerk = jerk.max(6.0 * c[3].abs());
+        }
+        Ok(execution)
+    }
+
+    /// Of the segments [first, behind), which serve one point.
+    fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, behind: usize) {
+        for axis in 0..2 {
+            let last = trajectory.segment(behind - 1);
+            let from = trajectory.coefficient_mm()[first][axis][0];
+            let to = evaluate(&last.coefficient_mm[axis], last.duration_s);
+            let beyond = (first..behind).map(|k| {
+                let segment = trajectory.segment(k);
+                let r = range(&segment.coefficient_mm[axis], segment.duration_s);
+                (r.max - from.max(to)).max(from.min(to) - r.min)
+            });
+            let beyond = beyond.fold(0.0, f64::max);
+            self.overshoot_points[axis] += usize::from(beyond > OVERSHOOT_MM);
+            self.max_overshoot_mm[axis] = self.max_overshoot_mm[axis].max(beyond);
+        }
+    }
+}
+
+/// Dwell errors of the points that are served with the tool on, or not at all.
+fn dwell_errors(trajectory: &Trajectory, dwell: &DwellTime) -> Result<Vec<f64>, Invalid> {
+    let n = dwell.dwell_s().len();
+    let (mut time, mut lifted) = (vec![0.0; n], vec![false; n]);
+    for (k, s) in trajectory.segments().enumerate() {
+        let Ok(i) = usize::try_from(s.dwell_index) else { continue };
+        if i >= n {
+            let problem = format!("is {i}, the dwell times are {n}");
+            return Err(Invalid::at("dwell_index", k, problem, "give the dwell times of this run"));
+        }
+        if s.tool_on {
+            time[i] += s.duration_s;
+        } else {
+            lifted[i] = true;
+        }
+    }
+    let served = |i: &usize| !(lifted[*i] && time[*i] == 0.0);
+    Ok((0..n).filter(served).map(|i| time[i] - dwell.dwell_s()[i]).collect())
+}
+
+/// Columns of the table: two lines of heading.
+const HEADINGS: [[&str; 2]; 8] = [
+    ["", "method"],
+    ["dwell error RMS", "ms"],
+    ["worst", "ms"],
+    ["overshoot x, y", "points"],
+    ["largest x, y", "um"],
+    ["a step x, y", "mm/s^2"],
+    ["jerk x, y", "mm/s^3"],
+    ["limits", "kept"],
+];
+
+/// How the methods of one or several runs, each with its name, execute their plans; ends with a
+/// newline.
+pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
+    let pair = |[x, y]: [f64; 2], decimals: usize| format!("{x:.decimals$}, {y:.decimals$}");
+    // Rounding of 1e-16 s has no sign.
+    let ms = |s: Option<f64>| {
+        s.map_or("-".into(), |s| format!("{:.4}", if s.abs() < 1e-12 { 0.0 } else { 1e3 * s }))
+    };
+    let mut rows: Vec<Vec<String>> = (0..2)
+        .map(|line| {
+            let first = ["", "run"][line].to_string();
+            std::iter::once(first).chain(HEADINGS.iter().map(|h| h[line].to_string())).collect()
+        })
+        .collect();
+    for (name, summary) in runs {
+        for (scheduler, m) in &summary.methods {
+            let e = &m.execution;
+            rows.push(vec![
+                name.to_string(),
+                scheduler.clone(),
+                ms(e.dwell_error_rms_s),
+                ms(e.dwell_error_worst_s),
+                format!("{}, {}", e.overshoot_points[0], e.overshoot_points[1]),
+                pair(e.max_overshoot_mm.map(|mm| 1e3 * mm), 2),
+                pair(m.max_acceleration_step_mm_per_s2, 1),
+                pair(e.max_jerk_mm_per_s3, 0),
+                if m.limits_respected { "yes" } else { "no" }.into(),
+            ]);
+        }
+    }
+    align(&rows, 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_overshoot_and_jerk_by_hand() {
+        let x = |c: [f64; 4]| [c, [0.0; 4]];
+        // Point 0: 0 to 1 in two pieces, by 0.25 too far in between. Point 1: a lift. Point 2: not
+        // served. Then a brake.
+        let t = Trajectory::new(
+            vec![0.0, 1.0, 2.0, 3.0, 4.0],
+            vec![
+                x([0.0, 1.25, 0.0, 0.0]),
+                x([1.25, -0.25, 0.0, 0.0]),
+                x([1.0, 0.0, 0.0, 2.0]),
+                x([3.0, 0.0, 0.0, 0.0]),
+            ],
+            vec![true, true, false, false],
+            vec![0, 0, 1, -1],
+        )
+        .unwrap();
+        let dwell = DwellTime::new(vec![1.5, 9.0, 0.25]).unwrap();
+        let e = Execution::of(&t, Some(&dwell)).unwrap();
+        assert_eq!(e.dwell_error_worst_s, Some(0.5));
+        // Two points count: 0.5 s and -0.25 s.
+        let rms = ((0.25 + 0.0625) / 2.0_f64).sqrt();
+        assert!((e.dwell_error_rms_s.unwrap() - rms).abs() < 1e-15);
+        assert_eq!((e.overshoot_points, e.max_overshoot_mm), ([1, 0], [0.25, 0.0]));
+        assert_eq!(e.max_jerk_mm_per_s3, [12.0, 0.0]);
+        assert_eq!(Execution::of(&t, None).unwrap().dwell_error_rms_s, None);
+        let other = DwellTime::new(vec![1.0]).unwrap();
+        let message = Execution::of(&t, Some(&other)).unwrap_err().to_string();
+        assert!(message.contains("dwell_index[2]: is 1, the dwell times are 1"), "{message}");
+    }
+}

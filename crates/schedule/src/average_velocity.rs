@@ -1,0 +1,128 @@
+//! Average velocity: every segment at the constant velocity that its dwell time asks for.
+//!
+//! ```text
+//! h = max(dwell, |dp_x| / v_max_x, |dp_y| / v_max_y, least segment)      v = dp / h
+//! ```
+//!
+//! The velocity steps at every control point: no machine can do it, and the report says by how
+//! much. It is what a dwell solver with segment columns believes, so the residual is that of the
+//! solver wherever no segment was stretched.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | h | `duration_s` | (n) | s |
+//! | dp | `displacement_mm` | (n) | mm |
+//! | v | `coefficient_mm[.., 1]` | (n) | mm/s |
+
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{
+    ScheduleError, break_times, check_lengths,
+    pvt::{Stretched, least_time},
+};
+
+/// What was done.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Segments that were given more time, in order.
+    pub stretched: Vec<Stretched>,
+    /// Time that the stretching added, s.
+    pub added_s: f64,
+    /// Largest step in velocity of [x, y], start and end included, mm/s.
+    pub largest_velocity_step_mm_per_s: [f64; 2],
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+}
+
+/// The motion and what was done to get it.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What was done.
+    pub report: Report,
+}
+
+/// Schedules `path` with the times `dwell`, or longer where the largest velocity of `limits` or
+/// its shortest segment asks for it.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    let mut report = Report::default();
+    let (mut durations, mut coefficients, mut kept) = (Vec::new(), Vec::new(), Vec::new());
+    let mut before = [0.0; 2];
+    for (i, &dwell_s) in dwell.dwell_s().iter().enumerate() {
+        let h = dwell_s.max(least_time(path, limits, i));
+        if h == 0.0 {
+            report.dropped.push(i);
+            continue;
+        }
+        if h > dwell_s {
+            let tool_on = path.tool_on()[i];
+            report.stretched.push(Stretched { segment: i, tool_on, dwell_s, scheduled_s: h });
+            report.added_s += h - dwell_s;
+        }
+        let v = path.displacement_mm(i).map(|dp| dp / h);
+        report.step(before, v);
+        before = v;
+        let start = path.point_mm()[i];
+        durations.push(h);
+        coefficients.push([0, 1].map(|a| [start[a], v[a], 0.0, 0.0]));
+        kept.push(i);
+    }
+    report.step(before, [0.0; 2]);
+    if kept.is_empty() {
+        return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    let trajectory = Trajectory::new(
+        break_times(&durations),
+        coefficients,
+        kept.iter().map(|i| path.tool_on()[*i]).collect(),
+        kept.iter().map(|i| *i as i64).collect(),
+    )?;
+    Ok(Schedule { trajectory, report })
+}
+
+impl Report {
+    fn step(&mut self, before: [f64; 2], after: [f64; 2]) {
+        for axis in 0..2 {
+            let largest = &mut self.largest_velocity_step_mm_per_s[axis];
+            *largest = largest.max((after[axis] - before[axis]).abs());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::AxisLimits;
+
+    #[test]
+    fn velocity_is_length_over_time_and_steps_are_reported() {
+        let points = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 3.0], [1.0, 3.0]];
+        let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
+        let dwell = DwellTime::new(vec![0.5, 0.25, 0.1, 0.0]).unwrap();
+        let axis = |name: &str| AxisLimits {
+            name: name.into(),
+            max_velocity_mm_per_s: 10.0,
+            max_acceleration_mm_per_s2: 1.0,
+            max_jerk_mm_per_s3: None,
+        };
+        let axes = vec![axis("x"), axis("y")];
+        let limits = Limits { name: "m".into(), axes, min_segment_s: 0.0 };
+        let s = schedule(&path, &dwell, &limits).unwrap();
+        // 3 mm at 10 mm/s need 0.3 s.
+        assert_eq!(s.trajectory.break_time_s(), [0.0, 0.5, 0.75, 1.05]);
+        assert_eq!(s.trajectory.coefficient_mm()[0], [[0.0, 2.0, 0.0, 0.0], [0.0; 4]]);
+        assert_eq!(s.trajectory.coefficient_mm()[1], [[1.0, 0.0, 0.0, 0.0], [0.0; 4]]);
+        assert_eq!(s.trajectory.coefficient_mm()[2][1], [0.0, 10.0, 0.0, 0.0]);
+        assert_eq!(s.report.largest_velocity_step_mm_per_s, [2.0, 10.0]);
+        assert_eq!((s.report.stretched.len(), s.report.stretched[0].segment), (1, 2));
+        assert!((s.report.added_s - 0.2).abs() < 1e-15);
+        assert_eq!(s.report.dropped, [3]);
+    }
+}

@@ -1,0 +1,182 @@
+//! Which limits of the machine a schedule says it keeps, measured on its own polynomials.
+//!
+//! ```text
+//! v(u) = c1 + 2 c2 u + 3 c3 u^2      largest at an end or at u = -c2 / (3 c3)
+//! a(u) = 2 c2 + 6 c3 u               largest at an end
+//! j    = 6 c3
+//! ```
+//!
+//! It goes into the manifest of every schedule, and `planish-verify`, which shares no code with
+//! this file, must come to the same result. A step below the tolerances is rounding: the motion is
+//! then continuous.
+
+use planish_types::{Limits, Trajectory};
+use serde::Serialize;
+
+/// Steps in position up to this are rounding or the tolerance of a fit, mm.
+const POSITION_STEP_MM: f64 = 1e-6;
+
+/// Steps in velocity up to this are rounding of break times, mm/s; 1e-9 of the limit is added.
+const VELOCITY_STEP_MM_PER_S: f64 = 1e-6;
+
+/// Part of a limit that is taken for rounding.
+const ROUNDING: f64 = 1e-9;
+
+/// Part of the largest acceleration up to which a step in it is rounding.
+const ACCELERATION_STEP: f64 = 1e-6;
+
+/// What a schedule says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Claim {
+    /// Whether every limit is kept: all of the following.
+    pub limits_respected: bool,
+    /// Whether the position is continuous.
+    pub continuous_position: bool,
+    /// Whether the velocity is continuous, from rest at the start to rest at the end.
+    pub continuous_velocity: bool,
+    /// Whether the largest velocity is kept on both axes.
+    pub velocity: bool,
+    /// Whether the largest acceleration is kept on both axes.
+    pub acceleration: bool,
+    /// Whether the largest jerk is kept, steps of the acceleration included; `null` when the
+    /// machine does not limit it.
+    pub jerk: Option<bool>,
+    /// Whether no segment is shorter than the controller accepts.
+    pub min_segment: bool,
+    /// Largest |jerk| inside segments of [x, y], mm/s^3.
+    pub max_jerk_mm_per_s3: [f64; 2],
+    /// Largest step in acceleration of [x, y], start and end included, mm/s^2.
+    pub max_acceleration_step_mm_per_s2: [f64; 2],
+}
+
+impl Claim {
+    /// Measures `trajectory` against `limits`.
+    pub fn of(trajectory: &Trajectory, limits: &Limits) -> Self {
+        let mut claim = Self {
+            limits_respected: false,
+            continuous_position: true,
+            continuous_velocity: true,
+            velocity: true,
+            acceleration: true,
+            jerk: None,
+            min_segment: true,
+            max_jerk_mm_per_s3: [0.0; 2],
+            max_acceleration_step_mm_per_s2: [0.0; 2],
+        };
+        for s in trajectory.segments() {
+            // The duration is the difference of two sums up to the end of the segment.
+            let rounding_s = 2.0 * f64::EPSILON * (s.start_s.abs() + s.duration_s);
+            let least_s = limits.min_segment_s * (1.0 - ROUNDING) - rounding_s;
+            claim.min_segment &= s.duration_s >= least_s;
+        }
+        for axis in 0..2 {
+            claim.measure(trajectory, limits, axis);
+        }
+        claim.limits_respected = claim.continuous_position
+            && claim.continuous_velocity
+            && claim.velocity
+            && claim.acceleration
+            && claim.jerk.unwrap_or(true)
+            && claim.min_segment;
+        claim
+    }
+
+    fn measure(&mut self, trajectory: &Trajectory, limits: &Limits, axis: usize) {
+        let limit = &limits.axes[axis];
+        let (v_max, a_max) = (limit.max_velocity_mm_per_s, limit.max_acceleration_mm_per_s2);
+        let velocity_step = VELOCITY_STEP_MM_PER_S + ROUNDING * v_max;
+        let within = |value: f64, limit: f64| value.abs() <= limit * (1.0 + ROUNDING);
+        // Position, velocity and acceleration before the next break; rest before the first one.
+        let mut before: Option<[f64; 3]> = None;
+        let steps = |claim: &mut Self, before: [f64; 3], after: [f64; 3]| {
+            claim.continuous_position &= (after[0] - before[0]).abs() <= POSITION_STEP_MM;
+            claim.continuous_velocity &= (after[1] - before[1]).abs() <= velocity_step;
+            let largest = &mut claim.max_acceleration_step_mm_per_s2[axis];
+            *largest = largest.max((after[2] - before[2]).abs());
+        };
+        for s in trajectory.segments() {
+            let (c, h) = (&s.coefficient_mm[axis], s.duration_s);
+            let v = |u: f64| c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u);
+            let a = |u: f64| 2.0 * c[2] + 6.0 * c[3] * u;
+            let vertex = -c[2] / (3.0 * c[3]);
+            let inner = if vertex > 0.0 && vertex < h { v(vertex) } else { 0.0 };
+            self.velocity &= [v(0.0), inner, v(h)].iter().all(|v| within(*v, v_max));
+            self.acceleration &= within(a(0.0), a_max) && within(a(h), a_max);
+            self.max_jerk_mm_per_s3[axis] = self.max_jerk_mm_per_s3[axis].max(6.0 * c[3].abs());
+            let start = [c[0], v(0.0), a(0.0)];
+            steps(self, before.unwrap_or([c[0], 0.0, 0.0]), start);
+            before = Some([c[0] + h * (c[1] + h * (c[2] + h * c[3])), v(h), a(h)]);
+        }
+        let end = before.unwrap_or_default();
+        steps(self, end, [end[0], 0.0, 0.0]);
+        if let Some(j_max) = limit.max_jerk_mm_per_s3 {
+            let kept = within(self.max_jerk_mm_per_s3[axis], j_max)
+                && self.max_acceleration_step_mm_per_s2[axis] <= ACCELERATION_STEP * a_max;
+            self.jerk = Some(self.jerk.unwrap_or(true) && kept);
+        }
+    }
+
+    /// What the user should know besides the numbers; empty when every limit is kept.
+    pub fn remark(&self) -> String {
+        let broken = [
+            ("the position jumps", self.continuous_position),
+            ("the velocity steps", self.continuous_velocity),
+            ("the velocity exceeds its limit", self.velocity),
+            ("the acceleration exceeds its limit", self.acceleration),
+            ("the jerk exceeds its limit", self.jerk.unwrap_or(true)),
+            ("segments are shorter than the controller accepts", self.min_segment),
+        ];
+        let broken: Vec<&str> = broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect();
+        if broken.is_empty() { String::new() } else { format!("; {}", broken.join(", ")) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::AxisLimits;
+
+    fn limits(v: f64, a: f64, j: Option<f64>, min_segment_s: f64) -> Limits {
+        let axis = |name: &str| AxisLimits {
+            name: name.into(),
+            max_velocity_mm_per_s: v,
+            max_acceleration_mm_per_s2: a,
+            max_jerk_mm_per_s3: j,
+        };
+        Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+    }
+
+    /// From rest to rest by 1 mm in 1 s: v(1/2) = 1.5, |a| <= 6, j = -12.
+    fn rest_to_rest() -> Trajectory {
+        let c = [[0.0, 0.0, 3.0, -2.0], [0.0; 4]];
+        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap()
+    }
+
+    #[test]
+    fn every_limit_is_found_at_its_value() {
+        let t = rest_to_rest();
+        assert!(Claim::of(&t, &limits(1.5, 6.0, None, 1.0)).limits_respected);
+        assert!(!Claim::of(&t, &limits(1.499, 6.0, None, 1.0)).velocity);
+        assert!(!Claim::of(&t, &limits(1.5, 5.999, None, 1.0)).acceleration);
+        assert!(!Claim::of(&t, &limits(1.5, 6.0, None, 1.001)).min_segment);
+        // The acceleration starts with a step, which no limit on jerk allows.
+        let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(13.0), 0.0));
+        assert_eq!((jerk.jerk, jerk.limits_respected), (Some(false), false));
+        assert_eq!(jerk.max_jerk_mm_per_s3, [12.0, 0.0]);
+        assert_eq!(jerk.max_acceleration_step_mm_per_s2, [6.0, 0.0]);
+        assert!(jerk.remark().contains("the jerk exceeds"));
+    }
+
+    #[test]
+    fn jumps_and_a_moving_start_are_steps() {
+        let at = |x: f64, v: f64| [[x, v, 0.0, 0.0], [0.0; 4]];
+        let t = |c: Vec<[[f64; 4]; 2]>| {
+            Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![0, 1]).unwrap()
+        };
+        let free = limits(1e3, 1e9, None, 0.0);
+        let jump = Claim::of(&t(vec![at(0.0, 0.0), at(1.0, 0.0)]), &free);
+        assert!(!jump.continuous_position && jump.continuous_velocity);
+        let moving = Claim::of(&t(vec![at(0.0, 1.0), at(1.0, 1.0)]), &free);
+        assert!(moving.continuous_position && !moving.continuous_velocity);
+    }
+}

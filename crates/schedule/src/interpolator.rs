@@ -1,0 +1,376 @@
+//! The real-time interpolator: reference positions, tick by tick, from the nodes of a feed.
+//!
+//! A controller is given one block after the other, as a numerical control (NC) program: where the
+//! block ends, the dwell-time densities `tau1`, `tau2` (s/mm) at its ends, and their arc lengths
+//! `s1`, `s2` (mm). At tick `k`, with `T_k` the sum of the times of the blocks before,
+//!
+//! ```text
+//! t = k t_tick - T_k,  T = (s2 - s1)(tau1 + tau2)/2,  e = (tau2 - tau1)/(tau1 + tau2)
+//! x - e/pi sin(pi x) = t/T                      solved for x, the part of the length
+//! P = P1 + (P2 - P1) x                          on a line
+//! P = (1-x)^2 P1 + 2 x (1-x) C + x^2 P2,  x = t/T      on a blend of constant tau with corner C
+//! ```
+//!
+//! Nothing but the block at hand is kept. The last tick is the end of the program.
+//!
+//! A program is text, one record per line, the words in any order, lengths in mm, densities in s/mm:
+//!
+//! ```text
+//! (comment)
+//! N00000 X1.5 Y2 Z0 S0                                   a pass starts here, at this arc length
+//! N00001 X2.5 Y2 Z0 P0.1 Q0.12 R0 S1                     line: tau1 P, tau2 Q, s1 R, s2 S
+//! N00002 X3 Y2.5 Z0 I3 J2 P0.12 Q0.12 R1 S2              blend: corner I, J
+//! ```
+//!
+//! What lies between two passes (run-up, lift, brake) is left to the controller.
+//!
+//! Source: the real-time interpolation of Opt. Express 32 (2024) 9255 (blocks of end point, tau1,
+//! tau2, s1, s2); the record for blends is ours.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | tau | `density_s_per_mm` | (2) | s/mm |
+//! | s | `arc_length_mm` | (2) | mm |
+//! | P2, C | `end_mm`, `corner_mm` | (2) | mm |
+//! | t_tick | `tick_s` | - | s |
+
+use planish_types::Feed;
+
+use crate::trig_spline::Piece;
+
+/// Lengths of a program agree with the distances of its points to this, mm.
+const SAME_LENGTH_MM: f64 = 1e-6;
+
+/// A block: a line, or a blend when it has a corner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Block {
+    /// Where it ends [x, y], mm.
+    pub end_mm: [f64; 2],
+    /// Control point of a blend [x, y], mm.
+    pub corner_mm: Option<[f64; 2]>,
+    /// Dwell-time densities at its ends, s/mm.
+    pub density_s_per_mm: [f64; 2],
+    /// Arc lengths of its ends, mm.
+    pub arc_length_mm: [f64; 2],
+}
+
+/// A line of a program.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Record {
+    /// A pass starts.
+    Start {
+        /// Where [x, y], mm.
+        point_mm: [f64; 2],
+        /// At this arc length, mm.
+        arc_length_mm: f64,
+    },
+    /// The tool moves.
+    Block(Block),
+}
+
+/// The records of `feed`, in order.
+pub fn records(feed: &Feed) -> impl Iterator<Item = Record> + '_ {
+    let (s, d, p) = (feed.arc_length_mm(), feed.dwell_density_s_per_mm(), feed.point_mm());
+    let starts = |i: usize| i == 0 || feed.pass_idx()[i] != feed.pass_idx()[i - 1];
+    // A corner is part of the block that ends at the node behind it.
+    (0..feed.len()).filter(|i| !feed.corner()[*i]).map(move |i| {
+        if starts(i) {
+            return Record::Start { point_mm: p[i], arc_length_mm: s[i] };
+        }
+        let corner = feed.corner()[i - 1];
+        let from = if corner { i - 2 } else { i - 1 };
+        Record::Block(Block {
+            end_mm: p[i],
+            corner_mm: corner.then(|| p[i - 1]),
+            density_s_per_mm: [d[from], d[i]],
+            arc_length_mm: [s[from], s[i]],
+        })
+    })
+}
+
+impl Record {
+    /// The line of a program, without a line break; numbers keep every digit.
+    pub fn to_line(&self, number: usize) -> String {
+        match self {
+            Self::Start { point_mm: [x, y], arc_length_mm } => {
+                format!("N{number:05} X{x} Y{y} Z0 S{arc_length_mm}")
+            }
+            Self::Block(b) => {
+                let ([x, y], [p, q], [r, s]) = (b.end_mm, b.density_s_per_mm, b.arc_length_mm);
+                let corner = b.corner_mm.map_or(String::new(), |[i, j]| format!(" I{i} J{j}"));
+                format!("N{number:05} X{x} Y{y} Z0{corner} P{p} Q{q} R{r} S{s}")
+            }
+        }
+    }
+
+    /// Reads a line; `None` for an empty line or a comment. The error says what is wrong and what
+    /// to do.
+    pub fn parse(line: &str) -> Result<Option<Self>, String> {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('(') {
+            return Ok(None);
+        }
+        let mut words: [Option<f64>; 26] = [None; 26];
+        for word in line.split_whitespace() {
+            let (letter, number) = word.split_at(word.chars().next().map_or(0, char::len_utf8));
+            let value: Option<f64> = number.parse().ok().filter(|v: &f64| v.is_finite());
+            let known = letter.chars().all(|c| "NXYZIJPQRS".contains(c));
+            let (Some(value), true) = (value, known) else {
+                return Err(format!(
+                    "the word {word:?} is not one of N X Y Z I J P Q R S with a finite number"
+                ));
+            };
+            let place = &mut words[usize::from(letter.as_bytes()[0] - b'A')];
+            if place.replace(value).is_some() {
+                return Err(format!("the word {letter} stands twice"));
+            }
+        }
+        let get = |letter: char| words[letter as usize - 'A' as usize];
+        let need =
+            |letter: char| get(letter).ok_or_else(|| format!("the word {letter} is missing"));
+        let end_mm = [need('X')?, need('Y')?];
+        let s2 = need('S')?;
+        if "PQRIJ".chars().all(|c| get(c).is_none()) {
+            return Ok(Some(Self::Start { point_mm: end_mm, arc_length_mm: s2 }));
+        }
+        let corner_mm = match (get('I'), get('J')) {
+            (Some(i), Some(j)) => Some([i, j]),
+            (None, None) => None,
+            _ => return Err("I and J stand together: the corner of a blend".into()),
+        };
+        Ok(Some(Self::Block(Block {
+            end_mm,
+            corner_mm,
+            density_s_per_mm: [need('P')?, need('Q')?],
+            arc_length_mm: [need('R')?, s2],
+        })))
+    }
+}
+
+/// A reference for the position loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reference {
+    /// Time since the start of the program, s.
+    pub time_s: f64,
+    /// [x, y], mm.
+    pub position_mm: [f64; 2],
+    /// Feedrate, mm/s.
+    pub feed_mm_per_s: f64,
+    /// Number of the pass, from 0.
+    pub pass_idx: i64,
+}
+
+/// Where the interpolator is.
+#[derive(Clone, Debug)]
+pub struct Interpolator {
+    tick_s: f64,
+    /// Number of the next tick.
+    tick: u64,
+    /// Sum of the times of the blocks before, s, and its compensation (Kahan).
+    start_s: f64,
+    lost_s: f64,
+    pass_idx: i64,
+    /// End of the block before: point, arc length, density.
+    before: Option<([f64; 2], f64, f64)>,
+}
+
+impl Interpolator {
+    /// At the start of a program; `tick_s` is positive and finite.
+    pub fn new(tick_s: f64) -> Result<Self, String> {
+        if !(tick_s.is_finite() && tick_s > 0.0) {
+            return Err(format!("the tick is {tick_s} s; give a positive time"));
+        }
+        let (start_s, lost_s) = (0.0, 0.0);
+        Ok(Self { tick_s, tick: 0, start_s, lost_s, pass_idx: -1, before: None })
+    }
+
+    /// Takes in one record and gives the references of its ticks to `emit`, in order.
+    ///
+    /// Refuses a block that does not continue the one before.
+    pub fn push(&mut self, record: &Record, emit: impl FnMut(Reference)) -> Result<(), String> {
+        match record {
+            Record::Start { point_mm, arc_length_mm } => {
+                self.before = Some((*point_mm, *arc_length_mm, f64::NAN));
+                self.pass_idx += 1;
+                Ok(())
+            }
+            Record::Block(block) => self.run(block, emit),
+        }
+    }
+
+    /// The last reference, at the end of the program; `None` when a tick has just been there or
+    /// nothing has moved.
+    pub fn finish(self) -> Option<Reference> {
+        let (position_mm, _, density) = self.before.filter(|(_, _, density)| *density > 0.0)?;
+        let last_tick_s = (self.tick.max(1) - 1) as f64 * self.tick_s;
+        (last_tick_s < self.start_s).then_some(Reference {
+            time_s: self.start_s,
+            position_mm,
+            feed_mm_per_s: 1.0 / density,
+            pass_idx: self.pass_idx,
+        })
+    }
+
+    fn run(&mut self, block: &Block, mut emit: impl FnMut(Reference)) -> Result<(), String> {
+        let start = self.check(block)?;
+        let [s1, s2] = block.arc_length_mm;
+        let piece = Piece { density_s_per_mm: block.density_s_per_mm, length_mm: s2 - s1 };
+        let duration_s = piece.duration_s();
+        loop {
+            let time_s = self.tick as f64 * self.tick_s;
+            let t = time_s - self.start_s;
+            if t >= duration_s {
+                break;
+            }
+            let m = (t / duration_s).max(0.0);
+            // x - e/pi sin(pi x) = t/T
+            let x = piece.progress(m);
+            let position_mm = match block.corner_mm {
+                None => [0, 1].map(|a| start[a] + (block.end_mm[a] - start[a]) * x),
+                Some(corner) => [0, 1].map(|a| {
+                    let y = 1.0 - m;
+                    y * y * start[a] + 2.0 * m * y * corner[a] + m * m * block.end_mm[a]
+                }),
+            };
+            let feed_mm_per_s = 1.0 / piece.density_s_per_mm_at(x);
+            emit(Reference { time_s, position_mm, feed_mm_per_s, pass_idx: self.pass_idx });
+            self.tick += 1;
+        }
+        let add = duration_s - self.lost_s;
+        let sum = self.start_s + add;
+        self.lost_s = (sum - self.start_s) - add;
+        self.start_s = sum;
+        self.before = Some((block.end_mm, s2, block.density_s_per_mm[1]));
+        Ok(())
+    }
+
+    /// The start of the block, when everything agrees.
+    fn check(&self, block: &Block) -> Result<[f64; 2], String> {
+        let Some((start, s, _)) = self.before else {
+            return Err("a block stands before the start of a pass; begin with N X Y Z S".into());
+        };
+        let [s1, s2] = block.arc_length_mm;
+        if (s1 - s).abs() > SAME_LENGTH_MM {
+            return Err(format!("the block starts at {s1} mm, the one before ended at {s} mm"));
+        }
+        if s2 <= s1 {
+            return Err(format!("the block goes from {s1} to {s2} mm; arc lengths ascend"));
+        }
+        if let Some(d) = block.density_s_per_mm.iter().find(|d| **d <= 0.0) {
+            return Err(format!("a density is {d} s/mm; give the inverse of a feedrate"));
+        }
+        let distance = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
+        let length = match block.corner_mm {
+            None => distance(start, block.end_mm),
+            Some(corner) => {
+                if block.density_s_per_mm[0] != block.density_s_per_mm[1] {
+                    return Err("a blend has two densities; it is run at a constant one".into());
+                }
+                distance(start, corner) + distance(corner, block.end_mm)
+            }
+        };
+        if (length - (s2 - s1)).abs() > SAME_LENGTH_MM {
+            return Err(format!(
+                "the block is {} mm long by its arc lengths, {length} mm by its points",
+                s2 - s1
+            ));
+        }
+        Ok(start)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn feed() -> Feed {
+        let s = vec![0.0, 1.0, 1.9, 2.0, 2.1, 3.0, 8.0, 9.0];
+        let d = vec![0.1, 0.1, 0.3, 0.3, 0.3, 0.2, 0.5, 0.4];
+        let p = vec![
+            [0.0, 0.0],
+            [1.0, 0.0],
+            [1.9, 0.0],
+            [2.0, 0.0],
+            [2.0, 0.1],
+            [2.0, 1.0],
+            [5.0, 5.0],
+            [5.0, 6.0],
+        ];
+        let corner = (0..8).map(|i| i == 3).collect();
+        Feed::new(s, d, p, vec![0, 0, 0, 0, 0, 0, 1, 1], corner).unwrap()
+    }
+
+    #[test]
+    fn a_program_is_read_as_it_was_written() {
+        let records: Vec<Record> = records(&feed()).collect();
+        assert_eq!(records.len(), 7);
+        for (i, record) in records.iter().enumerate() {
+            assert_eq!(Record::parse(&record.to_line(i)).unwrap(), Some(*record));
+        }
+        assert_eq!(records[0].to_line(0), "N00000 X0 Y0 Z0 S0");
+        assert_eq!(records[1].to_line(1), "N00001 X1 Y0 Z0 P0.1 Q0.1 R0 S1");
+        assert_eq!(records[3].to_line(3), "N00003 X2 Y0.1 Z0 I2 J0 P0.3 Q0.3 R1.9 S2.1");
+        let third = Record::Start { point_mm: [1.0 / 3.0, -2e-7], arc_length_mm: 1e6 / 7.0 };
+        assert_eq!(Record::parse(&third.to_line(2)).unwrap(), Some(third));
+        assert_eq!(Record::parse("  ").unwrap(), None);
+        assert_eq!(Record::parse("(units: mm)").unwrap(), None);
+    }
+
+    #[test]
+    fn bad_lines_are_refused() {
+        let error = |line: &str| Record::parse(line).unwrap_err();
+        assert!(error("N1 Xone Y2 S3").contains("\"Xone\""));
+        assert!(error("N1 X1 Y2 F3 S3").contains("\"F3\""));
+        assert!(error("N1 X1 YNaN S3").contains("\"YNaN\""));
+        assert!(error("N1 X1 X2 Y2 S3").contains("X stands twice"));
+        assert!(error("N1 X1 S3").contains("Y is missing"));
+        assert!(error("N1 X1 Y1 P1 R0 S3").contains("Q is missing"));
+        assert!(error("N1 X1 Y1 I1 P1 Q1 R0 S3").contains("I and J"));
+        assert!(error("\u{3c0}1").contains("not one of"));
+    }
+
+    #[test]
+    fn blocks_that_do_not_join_are_refused() {
+        let block = |line: &str| {
+            let mut i = Interpolator::new(1e-3).unwrap();
+            let start = Record::Start { point_mm: [0.0; 2], arc_length_mm: 5.0 };
+            i.push(&start, |_| {}).unwrap();
+            i.push(&Record::parse(line).unwrap().unwrap(), |_| {}).unwrap_err()
+        };
+        assert!(block("X1 Y0 P1 Q1 R4 S5").contains("the one before ended at 5 mm"));
+        assert!(block("X1 Y0 P1 Q1 R5 S5").contains("ascend"));
+        assert!(block("X1 Y0 P1 Q0 R5 S6").contains("0 s/mm"));
+        assert!(block("X1 Y1 P1 Q1 R5 S6").contains("by its points"));
+        assert!(block("X1 Y1 I1 J0 P1 Q2 R5 S7").contains("constant"));
+        let mut i = Interpolator::new(1e-3).unwrap();
+        let first = Record::parse("X1 Y1 P1 Q1 R5 S6").unwrap().unwrap();
+        assert!(i.push(&first, |_| {}).unwrap_err().contains("before the start"));
+        assert!(Interpolator::new(0.0).is_err() && Interpolator::new(f64::NAN).is_err());
+    }
+
+    #[test]
+    fn ticks_are_equal_in_time_and_the_last_is_the_end() {
+        let tick_s = 0.01;
+        let mut i = Interpolator::new(tick_s).unwrap();
+        let mut found = Vec::new();
+        for record in records(&feed()) {
+            i.push(&record, |r| found.push(r)).unwrap();
+        }
+        found.extend(i.finish());
+        // 0.1 + 0.9 * 0.2 + 0.2 * 0.3 + 0.9 * 0.25 + 0.45 s
+        let total = 1.015;
+        let last = found.last().unwrap();
+        assert!((last.time_s - total).abs() < 1e-12 && last.position_mm == [5.0, 6.0], "{last:?}");
+        assert_eq!(found.len(), 103);
+        for (k, r) in found[..102].iter().enumerate() {
+            assert!((r.time_s - tick_s * k as f64).abs() < 1e-15);
+        }
+        // Constant density: 10 mm/s.
+        assert!((found[5].position_mm[0] - 0.5).abs() < 1e-12);
+        assert_eq!(found[5].pass_idx, 0);
+        assert_eq!(found[102].pass_idx, 1);
+        // Middle of the blend, from 0.28 s to 0.34 s: (P1 + 2 C + P2) / 4.
+        let middle = found[31].position_mm;
+        assert!((middle[0] - 1.975).abs() + (middle[1] - 0.025).abs() < 1e-12, "{middle:?}");
+    }
+}

@@ -1,0 +1,225 @@
+//! `planish-schedule program` and `interpolate`: a feed as an NC program, and as positions.
+
+use std::{
+    ffi::OsStr,
+    fs::{self, File},
+    io::{BufRead, BufReader, BufWriter, Seek, SeekFrom, Write},
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use planish_handoff::{Failure, Status, artifact, stage::say};
+use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
+use planish_types::Feed;
+
+#[derive(Args)]
+pub struct Program {
+    /// Feed [feed artifact]
+    #[arg(long, value_name = "DIR")]
+    feed: PathBuf,
+    /// Program to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Replace an existing file
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Args)]
+pub struct Interpolate {
+    /// Feed [feed artifact]
+    #[arg(long, value_name = "DIR", required_unless_present = "program")]
+    feed: Option<PathBuf>,
+    /// NC program, read block by block, in place of a feed
+    #[arg(long, value_name = "FILE", conflicts_with = "feed")]
+    program: Option<PathBuf>,
+    /// Time between two positions [s]
+    #[arg(long, value_name = "S", default_value_t = 0.001)]
+    tick_s: f64,
+    /// File to write, .csv or .npy: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx per tick
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Replace an existing file
+    #[arg(long)]
+    force: bool,
+}
+
+/// First lines of a program.
+const PROGRAM_HEAD: &str = "\
+(Feed of planish-schedule: trigonometric spline of the dwell-time density along the path)
+(X Y end point mm, I J corner of a blend mm, P Q densities at both ends s/mm, R S arc lengths mm)
+";
+
+pub fn write(arguments: &Program) -> Result<Status, Failure> {
+    let feed = read_feed(&arguments.feed)?;
+    let mut count = 0;
+    replace_file(&arguments.out, arguments.force, |file| {
+        let mut to = BufWriter::new(file);
+        to.write_all(PROGRAM_HEAD.as_bytes())?;
+        for (number, record) in records(&feed).enumerate() {
+            writeln!(to, "{}", record.to_line(number))?;
+            count += 1;
+        }
+        Ok(to.flush()?)
+    })?;
+    say(format!("program: {count} records -> {}", arguments.out.display()));
+    Ok(Status::Done)
+}
+
+pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
+    let tick = |e| Failure::new(format!("--tick-s: {e}"));
+    let mut interpolator = Interpolator::new(arguments.tick_s).map_err(tick)?;
+    let table = Table::of(&arguments.out)?;
+    let (mut count, mut end_s) = (0_u64, 0.0);
+    replace_file(&arguments.out, arguments.force, |file| {
+        let mut to = BufWriter::new(file);
+        table.begin(&mut to)?;
+        let mut failed = None;
+        let mut emit = |r: Reference| {
+            count += 1;
+            end_s = r.time_s;
+            failed = failed.take().or(table.row(&mut to, &r).err());
+        };
+        let mut push = |record: &Record| interpolator.push(record, &mut emit);
+        match (&arguments.program, &arguments.feed) {
+            (Some(program), _) => for_each_record(program, push)?,
+            (None, Some(dir)) => {
+                let feed = read_feed(dir)?;
+                for record in records(&feed) {
+                    let at = |e| Failure::new(format!("{}: {e}", dir.display()));
+                    push(&record).map_err(at)?;
+                }
+            }
+            (None, None) => unreachable!("clap asks for one of them"),
+        }
+        interpolator.finish().into_iter().for_each(&mut emit);
+        if let Some(e) = failed {
+            return Err(e.into());
+        }
+        if count == 0 {
+            return Err(Failure::new("the program moves nothing; give one with blocks"));
+        }
+        table.end(to, count)
+    })?;
+    say(format!("interpolate: {count} positions, {end_s:.6} s -> {}", arguments.out.display()));
+    Ok(Status::Done)
+}
+
+fn read_feed(dir: &Path) -> Result<Feed, Failure> {
+    Ok(artifact::read::<Feed>(dir)?.value)
+}
+
+/// Reads a program line by line.
+fn for_each_record(
+    path: &Path,
+    mut push: impl FnMut(&Record) -> Result<(), String>,
+) -> Result<(), Failure> {
+    let unreadable =
+        |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", path.display()));
+    let file = File::open(path).map_err(unreadable)?;
+    for (i, line) in BufReader::new(file).lines().enumerate() {
+        let line = line.map_err(unreadable)?;
+        let parsed = Record::parse(&line).and_then(|record| match record {
+            Some(record) => push(&record),
+            None => Ok(()),
+        });
+        parsed.map_err(|e| {
+            Failure::new(format!("{}: line {}: {e}; write it again", path.display(), i + 1))
+        })?;
+    }
+    Ok(())
+}
+
+/// Columns of a reference.
+const COLUMNS: [&str; 5] = ["time_s", "x_mm", "y_mm", "feed_mm_per_s", "pass_idx"];
+
+/// How references are written.
+#[derive(Clone, Copy)]
+enum Table {
+    Csv,
+    Npy,
+}
+
+/// Bytes of the head of an `.npy` file that leaves room for any number of rows.
+const NPY_HEAD_BYTES: usize = 128;
+
+impl Table {
+    fn of(path: &Path) -> Result<Self, Failure> {
+        match path.extension().and_then(OsStr::to_str) {
+            Some("csv") => Ok(Self::Csv),
+            Some("npy") => Ok(Self::Npy),
+            _ => {
+                let message = "is neither .csv nor .npy; give a file with one of these endings";
+                Err(Failure::new(format!("--out: {} {message}", path.display())))
+            }
+        }
+    }
+
+    fn begin(self, to: &mut impl Write) -> Result<(), Failure> {
+        match self {
+            Self::Csv => writeln!(to, "{}", COLUMNS.join(","))?,
+            Self::Npy => to.write_all(&npy_head(0))?,
+        }
+        Ok(())
+    }
+
+    fn row(self, to: &mut impl Write, r: &Reference) -> std::io::Result<()> {
+        let [x, y] = r.position_mm;
+        match self {
+            Self::Csv => {
+                writeln!(to, "{},{x},{y},{},{}", r.time_s, r.feed_mm_per_s, r.pass_idx)
+            }
+            Self::Npy => {
+                let row = [r.time_s, x, y, r.feed_mm_per_s, r.pass_idx as f64];
+                row.iter().try_for_each(|v| to.write_all(&v.to_le_bytes()))
+            }
+        }
+    }
+
+    /// The number of rows is known now.
+    fn end(self, mut to: BufWriter<&mut File>, rows: u64) -> Result<(), Failure> {
+        to.flush()?;
+        if let Self::Npy = self {
+            to.seek(SeekFrom::Start(0))?;
+            to.write_all(&npy_head(rows))?;
+            to.flush()?;
+        }
+        Ok(())
+    }
+}
+
+/// Format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
+fn npy_head(rows: u64) -> Vec<u8> {
+    let columns = COLUMNS.len();
+    let header =
+        format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
+    let length = NPY_HEAD_BYTES - 10;
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((length as u16).to_le_bytes());
+    bytes.extend(format!("{header:<width$}\n", width = length - 1).into_bytes());
+    bytes
+}
+
+/// Writes `path` through a temporary sibling: a run that fails or is killed leaves the old file.
+fn replace_file(
+    path: &Path,
+    force: bool,
+    write: impl FnOnce(&mut File) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let at = |e: std::io::Error| Failure::new(format!("{}: cannot write: {e}", path.display()));
+    if path.exists() && !force {
+        let message = "exists; give --force to replace it, or another --out";
+        return Err(Failure::new(format!("{}: {message}", path.display())));
+    }
+    if path.is_dir() {
+        return Err(Failure::new(format!("{}: is a directory; give a file", path.display())));
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let sibling = path.with_file_name(format!(".{name}.planish-{}.tmp", std::process::id()));
+    let mut file = File::create(&sibling).map_err(at)?;
+    let written = write(&mut file).and_then(|()| fs::rename(&sibling, path).map_err(at));
+    if written.is_err() {
+        let _ = fs::remove_file(&sibling);
+    }
+    written
+}

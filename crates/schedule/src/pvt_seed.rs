@@ -1,0 +1,650 @@
+//! PVT as its source states it: least squares in the coefficients, for comparison with [`crate::pvt`].
+//!
+//! Per axis, six unknowns per segment: the four coefficients of its cubic and the velocity `v` and
+//! the acceleration `a` of its end node. In segment-local time the rows of the least squares are
+//!
+//! ```text
+//! p(0) = P0     p(h) = P1     p'(0) = v0     p'(h) = v1     p''(0) = a0     p''(h) = a1      (1)
+//! ```
+//!
+//! all of weight 1 in mm, mm/s and mm/s^2, with the hard rows `p''_i(h) = p''_{i+1}(0)` at the
+//! inner nodes (Eq. 13), `v = a = 0` at both ends (Eq. 16), `|a| <= a_max` (Eq. 17), and
+//! `0 <= v_i <= v_max` where `P_{i+1} >= P_i`, else `-v_max <= v_i <= 0` (Eq. 18). Of the solution
+//! only the velocities are kept: the cubics are those of Eq. 8 through the exact positions.
+//!
+//! Solved without loss in fewer unknowns. The accelerations `A` of the cubics at the nodes, shared
+//! by Eq. 13, and the start `(p, w)` give a segment's cubic, so that
+//!
+//! ```text
+//! p(h) = p + h w + h^2 (A0/3 + A1/6),   p'(h) = w + h (A0 + A1)/2                             (2)
+//! ```
+//!
+//! and `(p, w)` is eliminated from the four first rows of (1): with `B` their columns, what is
+//! left are the rows times `Q = I - B (B'B)^-1 B'`. The unknowns `(v, A, a)` of the nodes make a
+//! banded positive definite system; the bounds are met by active sets.
+//!
+//! What the report shows and nothing repairs: the squares of unlike units are added, so the
+//! positions, cheapest to violate, are missed by up to 0.5 mm on the reference mirror before Eq. 8
+//! puts them right, which breaks the continuity of the acceleration; an axis at rest is asked for
+//! `v_i >= 0` and moves; neither the inside of a segment nor the limits after Eq. 8 are looked at.
+//!
+//! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18.
+//! Corrected: Eq. 16 pins the end of the first segment where it means its start (the `v = a = 0`
+//! here is that of node 0); Eq. 18 is not defined for the last node, which rests. The time of the
+//! source is absolute, whose t^3 leaves no digit at 30 s; the local one is the same least squares
+//! in other variables.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | h | `duration_s` | (N) | s |
+//! | P1 - P0 | `displacement_mm` | (N) | mm |
+//! | v, A, a | `Nodes::value` | (N+1) | mm/s, mm/s^2, mm/s^2 |
+
+use clarabel::{
+    algebra::CscMatrix,
+    solver::{
+        DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus,
+        SupportedConeT::NonnegativeConeT,
+    },
+};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{ScheduleError, break_times, check_lengths, pvt::accelerations, pvt::hermite};
+
+/// What came of it, per axis [x, y].
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Largest distance of the least-squares cubics from their control points, mm.
+    pub largest_position_error_mm: [f64; 2],
+    /// RMS of that distance over both ends of every segment, mm.
+    pub rms_position_error_mm: [f64; 2],
+    /// Segments along which the axis rests (no displacement).
+    pub resting_segments: [usize; 2],
+    /// Largest |velocity| at a node between two such segments, mm/s.
+    pub largest_resting_velocity_mm_per_s: [f64; 2],
+    /// Largest |velocity| against the displacement of its segment at one of its nodes, mm/s.
+    pub largest_reverse_velocity_mm_per_s: [f64; 2],
+    /// Largest step of the acceleration at an inner node after Eq. 8, mm/s^2.
+    pub largest_acceleration_step_mm_per_s2: [f64; 2],
+    /// Nodes whose velocity is at a bound of Eq. 18.
+    pub velocities_at_a_bound: [usize; 2],
+    /// Factorisations of the active set method; 0 where it did not end and the interior point
+    /// method has the last word.
+    pub factorisations: [usize; 2],
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+}
+
+/// The motion and what came of it.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What came of it.
+    pub report: Report,
+}
+
+/// Schedules `path` with the times `dwell`; nothing is stretched.
+///
+/// Refuses a dwell time of zero on a segment with a length: the cubic has no time.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    let mut report = Report::default();
+    let mut kept = Vec::new();
+    for (i, &t) in dwell.dwell_s().iter().enumerate() {
+        if t > 0.0 {
+            kept.push(i);
+        } else if path.segment_length_mm(i) == 0.0 {
+            report.dropped.push(i);
+        } else {
+            let length = path.segment_length_mm(i);
+            let problem = format!("is 0 s on a segment of {length} mm");
+            let remedy = "the seed formulation stretches nothing; give it time, or use the hermite \
+                          formulation";
+            return Err(Invalid::at("dwell_s", i, problem, remedy).into());
+        }
+    }
+    if kept.is_empty() {
+        return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    let durations: Vec<f64> = kept.iter().map(|i| dwell.dwell_s()[*i]).collect();
+    let break_time_s = break_times(&durations);
+    let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
+    let axes = [0, 1].map(|axis| Axis {
+        displacement_mm: kept.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
+        duration_s: h.clone(),
+        max_velocity: limits.max_velocity_mm_per_s()[axis],
+        max_acceleration: limits.max_acceleration_mm_per_s2()[axis],
+    });
+    let (x, y) = rayon::join(|| axes[0].solve(), || axes[1].solve());
+    let nodes = [x.ok_or_else(failed)?, y.ok_or_else(failed)?];
+    for axis in 0..2 {
+        report.measure(axis, &axes[axis], &nodes[axis]);
+    }
+    // Eq. 8 with the velocities of the solution.
+    let segments = (0..h.len()).map(|k| {
+        [0, 1].map(|a| {
+            let (v0, v1) = (nodes[a].velocity(k), nodes[a].velocity(k + 1));
+            let start = path.point_mm()[kept[k]][a];
+            hermite(start, axes[a].displacement_mm[k], v0, v1, h[k])
+        })
+    });
+    let trajectory = Trajectory::new(
+        break_time_s,
+        segments.collect(),
+        kept.iter().map(|i| path.tool_on()[*i]).collect(),
+        kept.iter().map(|i| *i as i64).collect(),
+    )?;
+    Ok(Schedule { trajectory, report })
+}
+
+fn failed() -> ScheduleError {
+    Invalid::whole(
+        "dwell_s",
+        "the least squares of the seed formulation cannot be solved to rounding",
+        "its times differ by too many orders of magnitude; use the hermite formulation",
+    )
+    .into()
+}
+
+impl Report {
+    fn measure(&mut self, axis: usize, problem: &Axis, nodes: &Nodes) {
+        let n = problem.duration_s.len();
+        let (mut largest, mut sum) = (0.0_f64, 0.0);
+        for i in 0..n {
+            for error in problem.position_errors(nodes, i) {
+                largest = largest.max(error.abs());
+                sum += error * error;
+            }
+        }
+        self.largest_position_error_mm[axis] = largest;
+        self.rms_position_error_mm[axis] = (sum / (2 * n) as f64).sqrt();
+        let (dp, h) = (&problem.displacement_mm, &problem.duration_s);
+        self.resting_segments[axis] = dp.iter().filter(|d| **d == 0.0).count();
+        for i in 1..n {
+            let v = nodes.velocity(i);
+            if dp[i - 1] == 0.0 && dp[i] == 0.0 {
+                let largest = &mut self.largest_resting_velocity_mm_per_s[axis];
+                *largest = largest.max(v.abs());
+            }
+            let end = accelerations(dp[i - 1], nodes.velocity(i - 1), v, h[i - 1]).1;
+            let start = accelerations(dp[i], v, nodes.velocity(i + 1), h[i]).0;
+            let largest = &mut self.largest_acceleration_step_mm_per_s2[axis];
+            *largest = largest.max((start - end).abs());
+        }
+        for i in 0..n {
+            let against = |v: f64| if v * dp[i] < 0.0 { v.abs() } else { 0.0 };
+            let largest = &mut self.largest_reverse_velocity_mm_per_s[axis];
+            *largest = largest.max(against(nodes.velocity(i)).max(against(nodes.velocity(i + 1))));
+        }
+        self.velocities_at_a_bound[axis] = nodes.velocities_at_a_bound;
+        self.factorisations[axis] = nodes.factorisations;
+    }
+}
+
+/// The problem of one axis; N segments.
+#[derive(Debug)]
+struct Axis {
+    displacement_mm: Vec<f64>,
+    duration_s: Vec<f64>,
+    max_velocity: f64,
+    max_acceleration: f64,
+}
+
+/// The solution of one axis.
+#[derive(Debug)]
+struct Nodes {
+    /// v, A, a of node 0, of node 1, ...
+    value: Vec<f64>,
+    velocities_at_a_bound: usize,
+    factorisations: usize,
+}
+
+impl Nodes {
+    fn velocity(&self, node: usize) -> f64 {
+        self.value[3 * node]
+    }
+}
+
+/// Unknowns per node: v, A, a.
+const PER_NODE: usize = 3;
+
+/// Half bandwidth: an unknown of a node meets those of the next one.
+const BAND: usize = 5;
+
+/// Most rounds of the active set method: it ends after 4 to 12 on real paths, and where it has
+/// not ended after 60 it repeats itself.
+const MAX_ROUNDS: usize = 60;
+
+impl Axis {
+    /// Rows of (1) with (2) for segment i as functions of (v0, A0, v1, A1), P0 = 0:
+    /// columns, then the constant.
+    fn rows(&self, i: usize) -> [[f64; 5]; 4] {
+        let (h, dp) = (self.duration_s[i], self.displacement_mm[i]);
+        [
+            [0.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, h * h / 3.0, 0.0, h * h / 6.0, -dp],
+            [-1.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, 0.5 * h, -1.0, 0.5 * h, 0.0],
+        ]
+    }
+
+    /// (p, w) = -(B'B)^-1 B' g of segment i, B = [1 0; 1 h; 0 1; 0 1].
+    fn start(&self, i: usize, g: [f64; 4]) -> [f64; 2] {
+        let h = self.duration_s[i];
+        // B'B = [2 h; h h^2+2]
+        let (b0, b1) = (g[0] + g[1], h * g[1] + g[2] + g[3]);
+        let determinant = h * h + 4.0;
+        [-((h * h + 2.0) * b0 - h * b1) / determinant, -(2.0 * b1 - h * b0) / determinant]
+    }
+
+    /// Q g.
+    fn project(&self, i: usize, g: [f64; 4]) -> [f64; 4] {
+        let (h, [p, w]) = (self.duration_s[i], self.start(i, g));
+        [g[0] + p, g[1] + p + h * w, g[2] + w, g[3] + w]
+    }
+
+    /// Distances p(0) - P0, p(h) - P1 of the least-squares cubic.
+    fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
+        let z = |node: usize, k: usize| nodes.value[PER_NODE * node + k];
+        let x = [z(i, 0), z(i, 1), z(i + 1, 0), z(i + 1, 1), 1.0];
+        let g = self.rows(i).map(|row| row.iter().zip(x).map(|(r, x)| r * x).sum());
+        let r = self.project(i, g);
+        [r[0], r[1]]
+    }
+
+    /// min sum |Q g|^2 + (A - a)^2 per end of every segment: H x = b without the bounds.
+    fn normal_equations(&self) -> (Banded, Vec<f64>) {
+        let n = self.duration_s.len();
+        let mut matrix = Banded::zeros(PER_NODE * (n + 1));
+        let mut b = vec![0.0; PER_NODE * (n + 1)];
+        for i in 0..n {
+            let rows = self.rows(i);
+            let column = |c: usize| rows.map(|row| row[c]);
+            let projected: Vec<[f64; 4]> = (0..5).map(|c| self.project(i, column(c))).collect();
+            let dot =
+                |a: [f64; 4], b: [f64; 4]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+            let place = [0, 1, PER_NODE, PER_NODE + 1].map(|k| PER_NODE * i + k);
+            for r in 0..4 {
+                for c in 0..=r {
+                    matrix.add(place[r], place[c], dot(column(r), projected[c]));
+                }
+                b[place[r]] -= dot(column(r), projected[4]);
+            }
+            for node in [i, i + 1] {
+                let (cubic, wanted) = (PER_NODE * node + 1, PER_NODE * node + 2);
+                matrix.add(cubic, cubic, 1.0);
+                matrix.add(wanted, wanted, 1.0);
+                matrix.add(wanted, cubic, -1.0);
+            }
+        }
+        (matrix, b)
+    }
+
+    /// Bounds of the unknowns: Eqs 16-18.
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
+        let n = self.duration_s.len();
+        let (mut low, mut high) = (Vec::new(), Vec::new());
+        for i in 0..=n {
+            let velocity = match i {
+                0 => [0.0, 0.0],
+                i if i == n => [0.0, 0.0],
+                i if self.displacement_mm[i] >= 0.0 => [0.0, self.max_velocity],
+                _ => [-self.max_velocity, 0.0],
+            };
+            let a = if i == 0 || i == n { 0.0 } else { self.max_acceleration };
+            low.extend([velocity[0], f64::NEG_INFINITY, -a]);
+            high.extend([velocity[1], f64::INFINITY, a]);
+        }
+        (low, high)
+    }
+
+    /// Active sets from the free solution; where they repeat, from the interior point method's.
+    fn solve(&self) -> Option<Nodes> {
+        let (matrix, b) = self.normal_equations();
+        let (low, high) = self.bounds();
+        let free = vec![Side::Free; b.len()];
+        let (value, factorisations) = match active_set(&matrix, &b, &low, &high, free) {
+            Some(found) => found,
+            None => {
+                let near = interior_point(&matrix, &b, &low, &high)?;
+                let sides = sides_of(&matrix, &b, &low, &high, &near);
+                active_set(&matrix, &b, &low, &high, sides).unwrap_or((near, 0))
+            }
+        };
+        let inner = 1..self.duration_s.len();
+        let at_a_bound = |i: &usize| {
+            let v = value[PER_NODE * i];
+            v == low[PER_NODE * i] || v == high[PER_NODE * i]
+        };
+        let velocities_at_a_bound = inner.filter(at_a_bound).count();
+        Some(Nodes { value, velocities_at_a_bound, factorisations })
+    }
+}
+
+/// Where an unknown is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Side {
+    Low,
+    Free,
+    High,
+}
+
+/// The side to which x - gradient / H_jj points: lambda = H x - b.
+fn sides_of(matrix: &Banded, b: &[f64], low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
+    let product = matrix.times(x);
+    (0..b.len())
+        .map(|j| {
+            let wanted = x[j] - (product[j] - b[j]) / matrix.at(j, j);
+            if low[j] == high[j] || wanted < low[j] {
+                Side::Low
+            } else if wanted > high[j] {
+                Side::High
+            } else {
+                Side::Free
+            }
+        })
+        .collect()
+}
+
+/// Primal-dual active sets: solve with the unknowns on their sides, choose the sides anew, until
+/// they stay. `None` when they do not, or the matrix is not positive definite to rounding.
+fn active_set(
+    matrix: &Banded,
+    b: &[f64],
+    low: &[f64],
+    high: &[f64],
+    mut side: Vec<Side>,
+) -> Option<(Vec<f64>, usize)> {
+    for j in 0..b.len() {
+        if low[j] == high[j] {
+            side[j] = Side::Low;
+        }
+    }
+    for round in 1..=MAX_ROUNDS {
+        let fixed = |j: usize| match side[j] {
+            Side::Low => Some(low[j]),
+            Side::High => Some(high[j]),
+            Side::Free => None,
+        };
+        let x = matrix.solve_with_fixed(b, fixed)?;
+        let next = sides_of(matrix, b, low, high, &x);
+        if next == side {
+            return Some((x, round));
+        }
+        side = next;
+    }
+    None
+}
+
+/// The same problem by clarabel, to its tolerance of 1e-8.
+fn interior_point(matrix: &Banded, b: &[f64], low: &[f64], high: &[f64]) -> Option<Vec<f64>> {
+    let n = b.len();
+    let (mut r, mut c, mut v) = (Vec::new(), Vec::new(), Vec::new());
+    for i in 0..n {
+        for j in i.saturating_sub(BAND)..=i {
+            // Upper triangle.
+            r.push(j);
+            c.push(i);
+            v.push(matrix.at(i, j));
+        }
+    }
+    let p = CscMatrix::new_from_triplets(n, n, r, c, v);
+    let q: Vec<f64> = b.iter().map(|b| -b).collect();
+    let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for j in 0..n {
+        for (limit, sign) in [(high[j], 1.0), (low[j], -1.0)] {
+            if limit.is_finite() {
+                r.push(bound.len());
+                c.push(j);
+                v.push(sign);
+                bound.push(sign * limit);
+            }
+        }
+    }
+    let rows = bound.len();
+    let a = CscMatrix::new_from_triplets(rows, n, r, c, v);
+    let settings = DefaultSettingsBuilder::default().verbose(false).build().expect("valid");
+    let cones = [NonnegativeConeT(rows)];
+    let mut solver = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings).ok()?;
+    solver.solve();
+    let solved =
+        matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
+    let clamped = |j: usize| solver.solution.x[j].clamp(low[j], high[j]);
+    solved.then(|| (0..n).map(clamped).collect())
+}
+
+/// A symmetric matrix of half bandwidth [`BAND`]: the lower triangle by rows.
+#[derive(Clone, Debug)]
+struct Banded(Vec<[f64; BAND + 1]>);
+
+impl Banded {
+    fn zeros(n: usize) -> Self {
+        Self(vec![[0.0; BAND + 1]; n])
+    }
+
+    /// Adds to the element (r, c), r >= c.
+    fn add(&mut self, r: usize, c: usize, value: f64) {
+        self.0[r][r - c] += value;
+    }
+
+    fn at(&self, r: usize, c: usize) -> f64 {
+        let (r, c) = (r.max(c), r.min(c));
+        if r - c > BAND { 0.0 } else { self.0[r][r - c] }
+    }
+
+    fn times(&self, x: &[f64]) -> Vec<f64> {
+        let n = x.len();
+        let row = |i: usize| {
+            let columns = i.saturating_sub(BAND)..(i + BAND + 1).min(n);
+            columns.map(|j| self.at(i, j) * x[j]).sum()
+        };
+        (0..n).map(row).collect()
+    }
+
+    /// Solves for the unknowns that `fixed` leaves free, by a banded Cholesky factorisation.
+    fn solve_with_fixed(
+        &self,
+        b: &[f64],
+        fixed: impl Fn(usize) -> Option<f64>,
+    ) -> Option<Vec<f64>> {
+        let n = b.len();
+        let value: Vec<Option<f64>> = (0..n).map(fixed).collect();
+        let known: Vec<f64> = value.iter().map(|v| v.unwrap_or(0.0)).collect();
+        let moved = self.times(&known);
+        let mut x: Vec<f64> = (0..n).map(|j| value[j].unwrap_or_else(|| b[j] - moved[j])).collect();
+        let mut l = self.clone();
+        for i in 0..n {
+            for d in 0..=BAND.min(i) {
+                if value[i].is_some() || value[i - d].is_some() {
+                    l.0[i][d] = if d == 0 { 1.0 } else { 0.0 };
+                }
+            }
+        }
+        // H = L L'
+        for i in 0..n {
+            let first = i.saturating_sub(BAND);
+            for j in first..=i {
+                let common = first.max(j.saturating_sub(BAND))..j;
+                let sum: f64 = common.map(|k| l.0[i][i - k] * l.0[j][j - k]).sum();
+                let rest = l.0[i][i - j] - sum;
+                if i == j {
+                    if rest.is_nan() || rest <= 0.0 {
+                        return None;
+                    }
+                    l.0[i][0] = rest.sqrt();
+                } else {
+                    l.0[i][i - j] = rest / l.0[j][0];
+                }
+            }
+        }
+        for i in 0..n {
+            let sum: f64 = (i.saturating_sub(BAND)..i).map(|k| l.0[i][i - k] * x[k]).sum();
+            x[i] = (x[i] - sum) / l.0[i][0];
+        }
+        for i in (0..n).rev() {
+            let later = i + 1..(i + BAND + 1).min(n);
+            let sum: f64 = later.map(|k| l.0[k][k - i] * x[k]).sum();
+            x[i] = (x[i] - sum) / l.0[i][0];
+        }
+        Some(x)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, DVector};
+
+    fn axis(dp: &[f64], h: &[f64], max_velocity: f64, max_acceleration: f64) -> Axis {
+        Axis {
+            displacement_mm: dp.to_vec(),
+            duration_s: h.to_vec(),
+            max_velocity,
+            max_acceleration,
+        }
+    }
+
+    /// Eqs 9-16 as printed: six unknowns (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the
+    /// absolute time `t` of the source, dense, the hard rows by their null space. No bounds; they
+    /// must not be active. Returns (v, a) of the nodes 1 .. N-1.
+    fn as_printed(problem: &Axis) -> Vec<[f64; 2]> {
+        let n = problem.duration_s.len();
+        let t = break_times(&problem.duration_s);
+        let p: Vec<f64> = break_times(&problem.displacement_mm);
+        let unknowns = 6 * n;
+        let (mut rows, mut right): (Vec<Vec<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
+        let (mut hard, mut row) = (Vec::new(), vec![0.0; unknowns]);
+        let position = |t: f64| [t * t * t, t * t, t, 1.0];
+        let velocity = |t: f64| [3.0 * t * t, 2.0 * t, 1.0, 0.0];
+        let acceleration = |t: f64| [6.0 * t, 2.0, 0.0, 0.0];
+        for i in 0..n {
+            let mut add = |c: [f64; 4], node: Option<(usize, usize)>, value: f64| {
+                row.fill(0.0);
+                row[6 * i..6 * i + 4].copy_from_slice(&c);
+                // The unknowns of segment k belong to node k + 1; node 0 is at rest.
+                if let Some((node, which)) = node.filter(|(node, _)| *node > 0) {
+                    row[6 * (node - 1) + 4 + which] = -1.0;
+                }
+                rows.push(row.clone());
+                right.push(value);
+            };
+            add(position(t[i]), None, p[i]);
+            add(position(t[i + 1]), None, p[i + 1]);
+            add(velocity(t[i]), Some((i, 0)), 0.0);
+            add(velocity(t[i + 1]), Some((i + 1, 0)), 0.0);
+            add(acceleration(t[i]), Some((i, 1)), 0.0);
+            add(acceleration(t[i + 1]), Some((i + 1, 1)), 0.0);
+            if i + 1 < n {
+                let mut row = vec![0.0; unknowns];
+                row[6 * i..6 * i + 4].copy_from_slice(&acceleration(t[i + 1]));
+                let next: Vec<f64> = acceleration(t[i + 1]).iter().map(|c| -c).collect();
+                row[6 * i + 6..6 * i + 10].copy_from_slice(&next);
+                hard.push(row);
+            }
+        }
+        for which in [4, 5] {
+            let mut row = vec![0.0; unknowns];
+            row[6 * (n - 1) + which] = 1.0;
+            hard.push(row);
+        }
+        let c = DMatrix::from_fn(rows.len(), unknowns, |r, k| rows[r][k]);
+        let d = DVector::from_vec(right);
+        // The null space of the hard rows: the columns of the orthogonal factor of their transpose
+        // beyond their number.
+        let m = hard.len();
+        let a = DMatrix::from_fn(unknowns, unknowns, |r, k| if k < m { hard[k][r] } else { 0.0 });
+        let svd = a.svd(true, false);
+        let u = svd.u.unwrap();
+        let zero = svd.singular_values.iter().enumerate().filter(|(_, s)| **s < 1e-9);
+        let null: Vec<usize> = zero.map(|(k, _)| k).collect();
+        assert_eq!(null.len(), unknowns - m);
+        let z = DMatrix::from_fn(unknowns, null.len(), |r, k| u[(r, null[k])]);
+        let qr = (&c * &z).qr();
+        let y = qr.r().solve_upper_triangular(&(qr.q().transpose() * d)).unwrap();
+        let x = z * y;
+        (1..n).map(|node| [x[6 * (node - 1) + 4], x[6 * (node - 1) + 5]]).collect()
+    }
+
+    #[test]
+    fn local_and_absolute_time_are_the_same_least_squares() {
+        // Twelve segments whose velocities are not at a bound: Eq. 18 does not interfere.
+        let dp = [0.5, 1.0, 0.9, 1.1, 1.0, 0.95, 1.05, 1.0, 0.9, 1.1, 1.0, 0.5];
+        let h = [0.25, 0.22, 0.2, 0.21, 0.2, 0.19, 0.2, 0.22, 0.2, 0.21, 0.23, 0.25];
+        let problem = axis(&dp, &h, 1e6, 1e6);
+        let nodes = problem.solve().unwrap();
+        assert_eq!((nodes.velocities_at_a_bound, nodes.factorisations), (0, 1));
+        let printed = as_printed(&problem);
+        for (i, [v, a]) in printed.iter().enumerate() {
+            let node = i + 1;
+            let found = [nodes.value[PER_NODE * node], nodes.value[PER_NODE * node + 2]];
+            // 1e-12 of the velocities of 5 mm/s, the rounding of the absolute time: t^3 up to 17 s^3
+            // where the local one has h^3 = 0.008. The accelerations are larger by 1/h.
+            assert!((found[0] - v).abs() < 5e-12, "node {node}: v {} {v}", found[0]);
+            assert!((found[1] - a).abs() < 1e-10, "node {node}: a {} {a}", found[1]);
+        }
+        // The positions are soft: the least squares does miss them.
+        let missed = (0..12).flat_map(|i| problem.position_errors(&nodes, i));
+        assert!(missed.fold(0.0, |m: f64, e| m.max(e.abs())) > 1e-6);
+    }
+
+    #[test]
+    fn active_sets_end_at_the_optimum_of_the_interior_point_method() {
+        let dp = [1.0, 0.0, 0.0, 2.0, -1.0, -1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 3.0];
+        let h = [0.2, 0.3, 0.2, 0.1, 0.4, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.5];
+        let problem = axis(&dp, &h, 12.0, 80.0);
+        let (matrix, b) = problem.normal_equations();
+        let (low, high) = problem.bounds();
+        let free = vec![Side::Free; b.len()];
+        let (x, rounds) = active_set(&matrix, &b, &low, &high, free).unwrap();
+        assert!(rounds > 1, "no bound is active");
+        let y = interior_point(&matrix, &b, &low, &high).unwrap();
+        let gradient = matrix.times(&x);
+        for j in 0..x.len() {
+            // 1e-8 of the objective is some 1e-4 of an unknown.
+            assert!((x[j] - y[j]).abs() < 1e-2 * (1.0 + x[j].abs()), "{j}: {} {}", x[j], y[j]);
+            // Optimality: the gradient vanishes or points out of the bounds.
+            let g = gradient[j] - b[j];
+            let scale = 1e-9 * matrix.at(j, j) * (1.0 + x[j].abs());
+            let optimal = g.abs() < scale
+                || (x[j] == low[j] && (g > 0.0 || low[j] == high[j]))
+                || (x[j] == high[j] && g < 0.0);
+            assert!(optimal, "{j}: x {} in [{}, {}], gradient {g}", x[j], low[j], high[j]);
+        }
+    }
+
+    #[test]
+    fn a_resting_axis_is_asked_to_move_and_the_report_says_so() {
+        // A move and then rest: without reverse motion the spline would swing back; Eq. 18 forbids
+        // that, and the soft positions pay.
+        let points = vec![[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0], [2.0, 3.0]];
+        let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
+        let dwell = DwellTime::new(vec![0.3, 0.25, 0.3, 0.25, 0.3]).unwrap();
+        let axis = |name: &str| planish_types::AxisLimits {
+            name: name.into(),
+            max_velocity_mm_per_s: 100.0,
+            max_acceleration_mm_per_s2: 1000.0,
+            max_jerk_mm_per_s3: None,
+        };
+        let axes = vec![axis("x"), axis("y")];
+        let limits = Limits { name: "m".into(), axes, min_segment_s: 0.0 };
+        let s = schedule(&path, &dwell, &limits).unwrap();
+        assert_eq!(s.report.resting_segments, [3, 2]);
+        assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);
+        assert!(s.report.largest_resting_velocity_mm_per_s[0] >= 0.0);
+        // Eq. 8 passes the control points.
+        for (i, segment) in s.trajectory.segments().enumerate() {
+            let end = segment.position_mm(segment.duration_s);
+            let p = path.point_mm()[i + 1];
+            assert!((end[0] - p[0]).abs() + (end[1] - p[1]).abs() < 1e-14, "{i}: {end:?} {p:?}");
+        }
+        let never = DwellTime::new(vec![0.3, 0.0, 0.3, 0.25, 0.3]).unwrap();
+        let message = schedule(&path, &never, &limits).unwrap_err().to_string();
+        assert!(message.contains("dwell_s[1]: is 0 s on a segment of 1 mm"), "{message}");
+    }
+}

@@ -1,0 +1,1196 @@
+//! Dwell-time density as a trigonometric spline of arc length, lifted until the machine can follow.
+//!
+//! The tool moves along the path at the feedrate `1/D`; the dwell-time density `D` (s/mm) joins the
+//! densities `d` of the dwell points by half a period of a cosine. On a piece of length `L` from
+//! density `d1` to `d2`, with `x = (s - s1)/L`, `M1 = d2 - d1`, `M2 = d1 + d2`, `e = M1/M2`:
+//!
+//! ```text
+//! D(x) = M2/2 - M1/2 cos(pi x)                                                               (1)
+//! t(x) = T (x - e/pi sin(pi x)),    T = L M2/2                      Kepler's equation        (2)
+//! a    = -D'/D^3,  |a| <= 4 pi |M1| sqrt(1 - c^2) / (L M2^3 (1 + r c)^3)                     (3)
+//!        r = |M1|/M2,  c = (1 - sqrt(1 + 24 r^2)) / (4 r)           exact peak
+//! ```
+//!
+//! The acceleration is zero at every node, so it is continuous along the path.
+//!
+//! 1. *Densities.* Segment `k` of length `l_k` keeps its dwell time `t_k`: by (2) its time is linear
+//!    in the densities of its own dwell point and its two neighbours, a tridiagonal system. (The
+//!    source takes `d_k = t_k / l_k`, which smooths the dwell times.) Where the solution falls below
+//!    half of that, half of it is held, and the others are solved again.
+//! 2. *Repair.* The smallest offset `delta >= 0`, added to every density, with which no feed exceeds
+//!    its limit (`delta >= 1/v_max - min d`) and no piece its acceleration, by (3). A constant is
+//!    added to the removal density, which is a piston wherever the path goes far enough beyond the
+//!    aperture. [`Repair::Local`] raises only the nodes that need it instead.
+//! 3. *Corners.* Where the direction changes from `u1` to `u2` the tool leaves the path `b` before
+//!    the corner and joins it `b` behind it on a parabola of constant acceleration, at a density
+//!    that the axes can follow:
+//!
+//! ```text
+//! a = v^2 (u2 - u1) / (2 b)     d >= sqrt(|u2 - u1| / (2 b a_max)) per axis     deviation b |u2 - u1| / 4
+//! ```
+//!
+//!    The nodes before and behind are raised as far as the acceleration along the path needs it.
+//! 4. *Links.* A pass starts and ends at its feed. The tool, off, runs up to it and brakes behind it
+//!    on the extended line at constant acceleration; lifts are links within all limits.
+//! 5. *Fit.* (2) is inverted and fitted by cubic Hermite polynomials in time, with exact velocities
+//!    at their ends, cut until they are within the tolerance of the position and within the limits.
+//!
+//! Zero-length segments have no density: their time goes to the neighbours in the pass.
+//!
+//! Source: the trigonometric-spline scheduler of Opt. Express 32 (2024) 9255, Eqs 3-17. Corrected:
+//! its Eq. 5 has the factor 8 L for 4/L and the wrong sign, and Eqs 9-16 follow it; the peak (3)
+//! replaces its bound `|M1| pi / (2 L min(d)^3)`. Corners, links and axis limits are ours.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | s | `arc_length_mm` | (m) | mm |
+//! | d | `density` | (m) | s/mm |
+//! | L | `length_mm` | - | mm |
+//! | delta | `offset_s_per_mm` | - | s/mm |
+//! | b | `half_length_mm` | - | mm |
+
+use std::f64::consts::PI;
+
+use planish_types::{DwellTime, Feed, Invalid, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{
+    ScheduleError, break_times, check_lengths,
+    link::{End, link},
+    pvt::{accelerations, hermite, peak_velocity},
+};
+
+/// How densities that the machine cannot follow are repaired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Repair {
+    /// One offset for all densities.
+    Offset,
+    /// Only the densities that need it are raised.
+    Local,
+}
+
+/// How to schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// How densities that the machine cannot follow are repaired.
+    pub repair: Repair,
+    /// Largest distance of the motion from a corner, mm; > 0. Default 0.02 mm: a hundredth of the
+    /// smallest tools, and 90 degrees at 10 mm/s need no more at 1000 mm/s^2.
+    pub corner_deviation_mm: f64,
+    /// Largest error of the position where it is fitted by cubics, mm; > 0. Default 1e-6 mm.
+    pub fit_tolerance_mm: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { repair: Repair::Offset, corner_deviation_mm: 0.02, fit_tolerance_mm: 1e-6 }
+    }
+}
+
+/// What was done.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Passes: maximal runs of segments with the tool on.
+    pub passes: usize,
+    /// Smallest density before the repair, s/mm.
+    pub smallest_density_s_per_mm: f64,
+    /// Offset that the largest velocity asks for, s/mm.
+    pub feed_offset_s_per_mm: f64,
+    /// What the largest acceleration asks for in addition, s/mm.
+    pub acceleration_offset_s_per_mm: f64,
+    /// Time that the offset added, s.
+    pub offset_added_s: f64,
+    /// Nodes that a local repair raised.
+    pub raised_nodes: usize,
+    /// Dwell points whose density was held at half of its mean: their neighbours differ too much.
+    pub held_densities: usize,
+    /// Time that holding them added, s.
+    pub held_added_s: f64,
+    /// Changes of direction with the tool on, each rounded by a parabola.
+    pub corners: usize,
+    /// Corners at which the tool moves slower than the dwell times ask for.
+    pub slowed_corners: usize,
+    /// Time that slowing at corners added, braking and accelerating included, s.
+    pub corner_added_s: f64,
+    /// Largest distance of the motion from a corner, mm.
+    pub largest_corner_deviation_mm: f64,
+    /// Links with the tool off: lifts, run-ups and the last brake.
+    pub links: usize,
+    /// Time of the links, s.
+    pub link_s: f64,
+    /// Zero-length segments whose time went to their neighbours, in order.
+    pub moved_dwell: Vec<usize>,
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+    /// Largest feedrate over its limit along the path, exact.
+    pub feed_use: f64,
+    /// Largest acceleration along the path over its limit, exact, by (3).
+    pub acceleration_use: f64,
+    /// Largest error of the fitted position at 9 points of every cubic, mm.
+    pub fit_error_mm: f64,
+}
+
+/// The motion, its feed, and what was done to get them.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// Native parameters: the nodes of the spline. `None` when no pass has a length.
+    pub feed: Option<Feed>,
+    /// What was done.
+    pub report: Report,
+}
+
+/// Part of the limits that the repair leaves free: the fitted cubics, whose acceleration swings
+/// about that of the spline, then need no more than a few cuts near its peak.
+const MARGIN: f64 = 1e-4;
+
+/// Directions closer than this are the same: it makes a velocity step of 1e-7 mm/s at 100 mm/s.
+const SAME_DIRECTION: f64 = 1e-9;
+
+/// A blend takes at most this part of the shorter of its two segments.
+const LARGEST_BLEND: f64 = 0.25;
+
+/// Bisections of a density: 2^-60 of the interval is its rounding.
+const BISECTIONS: usize = 60;
+
+/// Schedules `path` with the times `dwell` within `limits`.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    for (name, value) in [
+        ("corner_deviation_mm", settings.corner_deviation_mm),
+        ("fit_tolerance_mm", settings.fit_tolerance_mm),
+    ] {
+        if !(value.is_finite() && value > 0.0) {
+            let problem = format!("is {value}");
+            return Err(Invalid::whole(name, problem, "a tolerance is positive and finite").into());
+        }
+    }
+    let mut report = Report::default();
+    let mut passes: Vec<Pass> = runs_with_tool_on(path)
+        .map(|run| Pass::new(path, dwell, limits, settings, run, &mut report))
+        .collect();
+    report.passes = passes.len();
+    let moving = passes.iter().filter(|p| !p.straights.is_empty());
+    report.held_added_s =
+        moving.map(|p| p.duration_s() - dwell.dwell_s()[p.run.clone()].iter().sum::<f64>()).sum();
+    repair(&mut passes, settings.repair, &mut report);
+    slow_at_corners(&mut passes, &mut report);
+    for piece in passes.iter().flat_map(Pass::pieces) {
+        let acceleration = piece.shape.peak_acceleration() / piece.max_acceleration;
+        report.acceleration_use = report.acceleration_use.max(acceleration);
+    }
+    for node in passes.iter().flat_map(|p| &p.nodes) {
+        report.feed_use = report.feed_use.max(node.fastest / node.density);
+    }
+
+    let mut motion = Motion {
+        path,
+        dwell,
+        limits,
+        tolerance_mm: settings.fit_tolerance_mm,
+        report,
+        duration_s: Vec::new(),
+        coefficient_mm: Vec::new(),
+        tool_on: Vec::new(),
+        dwell_index: Vec::new(),
+        now: End { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] },
+    };
+    motion.walk(&passes);
+    if motion.duration_s.is_empty() {
+        return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    let trajectory = Trajectory::new(
+        break_times(&motion.duration_s),
+        motion.coefficient_mm,
+        motion.tool_on,
+        motion.dwell_index,
+    )?;
+    Ok(Schedule { trajectory, feed: feed_of(path, &passes)?, report: motion.report })
+}
+
+// ---------------------------------------------------------------------------------------------
+// The spline
+
+/// One piece of the spline, (1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece {
+    /// Densities at its ends, s/mm; > 0.
+    pub density_s_per_mm: [f64; 2],
+    /// Length, mm; > 0.
+    pub length_mm: f64,
+}
+
+impl Piece {
+    fn sum(&self) -> f64 {
+        self.density_s_per_mm[0] + self.density_s_per_mm[1]
+    }
+
+    fn difference(&self) -> f64 {
+        self.density_s_per_mm[1] - self.density_s_per_mm[0]
+    }
+
+    /// e = M1/M2, in (-1, 1).
+    pub fn eccentricity(&self) -> f64 {
+        self.difference() / self.sum()
+    }
+
+    /// T = L M2/2, s.
+    pub fn duration_s(&self) -> f64 {
+        0.5 * self.length_mm * self.sum()
+    }
+
+    /// (1) at the part `x` of the length, s/mm.
+    pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
+        // Half-angle form: no density below the smaller of the two by rounding.
+        let [d1, d2] = self.density_s_per_mm;
+        let (sine, cosine) = (0.5 * PI * x).sin_cos();
+        d1 * cosine * cosine + d2 * sine * sine
+    }
+
+    /// (2): the time at the part `x` of the length, s.
+    pub fn elapsed_s(&self, x: f64) -> f64 {
+        self.duration_s() * (x - self.eccentricity() / PI * (PI * x).sin())
+    }
+
+    /// (2) inverted: the part of the length at the part `m` of the time, by Newton's method kept in
+    /// a bracket by bisection.
+    pub fn progress(&self, m: f64) -> f64 {
+        let e = self.eccentricity();
+        let (mut low, mut high) = (0.0, 1.0);
+        let mut x = m.clamp(0.0, 1.0);
+        for _ in 0..60 {
+            // f = x - e/pi sin(pi x) - m,  f' = 1 - e cos(pi x) > 0
+            let f = x - e / PI * (PI * x).sin() - m;
+            if f.abs() <= f64::EPSILON {
+                break;
+            }
+            if f > 0.0 {
+                high = x
+            } else {
+                low = x
+            }
+            let next = x - f / (1.0 - e * (PI * x).cos());
+            x = if next > low && next < high { next } else { 0.5 * (low + high) };
+        }
+        x
+    }
+
+    /// (3), mm/s^2.
+    pub fn peak_acceleration(&self) -> f64 {
+        let r = self.eccentricity().abs();
+        // c = (1 - sqrt(1 + 24 r^2)) / (4 r), without its cancellation
+        let c = -6.0 * r / (1.0 + (1.0 + 24.0 * r * r).sqrt());
+        let m2 = self.sum();
+        4.0 * PI * r * (1.0 - c * c).sqrt()
+            / (self.length_mm * (m2 * (1.0 + r * c)).powi(2))
+            / (1.0 + r * c)
+    }
+
+    fn raised(&self, by: [f64; 2]) -> Self {
+        let [d1, d2] = self.density_s_per_mm;
+        Self { density_s_per_mm: [d1 + by[0], d2 + by[1]], ..*self }
+    }
+}
+
+/// A piece with what the machine allows along it.
+#[derive(Clone, Copy, Debug)]
+struct Limited {
+    shape: Piece,
+    /// Along the path, mm/s^2; the margin is taken off.
+    max_acceleration: f64,
+}
+
+impl Limited {
+    fn is_too_fast(&self, by: [f64; 2]) -> bool {
+        self.shape.raised(by).peak_acceleration() > self.max_acceleration
+    }
+
+    /// The smallest offset >= `offset` that keeps the acceleration. Raising both densities by the
+    /// same amount leaves D' and raises D: |D'|/D^3 falls.
+    fn offset(&self, offset: f64) -> f64 {
+        if !self.is_too_fast([offset; 2]) {
+            return offset;
+        }
+        // min(d) + delta >= (pi |M1| / (2 L a))^(1/3) is sufficient: |D'| <= pi |M1| / (2 L).
+        let slope = 0.5 * PI * self.shape.difference().abs() / self.shape.length_mm;
+        let bound = (slope / self.max_acceleration).cbrt();
+        bisect(offset, offset.max(bound), |by| !self.is_too_fast([by; 2]))
+    }
+
+    /// How much the smaller density at the end `which` must grow at least. It lowers |D'| and
+    /// raises D everywhere; at equal densities there is no acceleration.
+    fn raise(&self, which: usize) -> f64 {
+        let by = |amount: f64| if which == 0 { [amount, 0.0] } else { [0.0, amount] };
+        let all = self.shape.difference().abs();
+        if !self.is_too_fast([0.0; 2]) {
+            return 0.0;
+        }
+        bisect(0.0, all, |amount| !self.is_too_fast(by(amount)))
+    }
+}
+
+/// The smallest value in (low, high] that is `good`; `high` is, and everything above a good value.
+fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if good(middle) { high = middle } else { low = middle }
+    }
+    high
+}
+
+// ---------------------------------------------------------------------------------------------
+// Passes
+
+/// A blend at the end of a segment.
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    /// b.
+    half_length_mm: f64,
+    /// u2 - u1.
+    turn: [f64; 2],
+}
+
+/// A dwell point or a corner.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    density: f64,
+    /// Smallest density that its velocity, and the acceleration of a corner, allow.
+    least: f64,
+    /// Smallest density that the velocity alone allows, without the margin.
+    fastest: f64,
+    /// Length on which the density is constant before and behind it; b of a corner, else 0.
+    half_length_mm: f64,
+}
+
+/// A straight segment of a pass.
+#[derive(Clone, Copy, Debug)]
+struct Straight {
+    /// Index in the path.
+    index: usize,
+    start: [f64; 2],
+    direction: [f64; 2],
+    length: f64,
+    /// Of the whole path up to here, mm.
+    arc_length: f64,
+    /// Along its direction, mm/s^2; the margin is taken off.
+    max_acceleration: f64,
+    /// Corner at its end.
+    corner: Option<Corner>,
+}
+
+/// A run of segments with the tool on.
+#[derive(Clone, Debug)]
+struct Pass {
+    /// Segments [first, behind) of the path.
+    run: std::ops::Range<usize>,
+    /// Where it starts.
+    start_mm: [f64; 2],
+    /// Those with a length; none when the tool stands.
+    straights: Vec<Straight>,
+    /// Dwell points, and the corners between them.
+    nodes: Vec<Node>,
+    /// For each node the straight it is the middle of, or at the end of.
+    straight_of: Vec<usize>,
+}
+
+/// Maximal runs of segments with the tool on.
+fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
+    let on = path.tool_on();
+    let mut next = 0;
+    std::iter::from_fn(move || {
+        let first = (next..on.len()).find(|i| on[*i])?;
+        let behind = (first..on.len()).find(|i| !on[*i]).unwrap_or(on.len());
+        next = behind;
+        Some(first..behind)
+    })
+}
+
+/// Largest magnitude along `direction` that keeps `max` on both axes.
+fn along(direction: [f64; 2], max: [f64; 2]) -> f64 {
+    let axis = |a: usize| max[a] / direction[a].abs(); // infinite across
+    axis(0).min(axis(1))
+}
+
+impl Pass {
+    fn new(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+        settings: &Settings,
+        run: std::ops::Range<usize>,
+        report: &mut Report,
+    ) -> Self {
+        let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+        let mut arc_length: f64 = (0..run.start).map(|i| path.segment_length_mm(i)).sum();
+        let mut straights: Vec<Straight> = Vec::new();
+        for index in run.clone() {
+            let length = path.segment_length_mm(index);
+            if length > 0.0 {
+                let direction = path.displacement_mm(index).map(|d| d / length);
+                straights.push(Straight {
+                    index,
+                    start: path.point_mm()[index],
+                    direction,
+                    length,
+                    arc_length,
+                    max_acceleration: (1.0 - MARGIN) * along(direction, a_max),
+                    corner: None,
+                });
+            }
+            arc_length += length;
+        }
+        for k in 1..straights.len() {
+            let (before, behind) = (straights[k - 1], straights[k]);
+            let turn = [0, 1].map(|a| behind.direction[a] - before.direction[a]);
+            let size = turn[0].hypot(turn[1]);
+            if size > SAME_DIRECTION {
+                // deviation = b |u2 - u1| / 4
+                let half_length_mm = (4.0 * settings.corner_deviation_mm / size)
+                    .min(LARGEST_BLEND * before.length.min(behind.length));
+                straights[k - 1].corner = Some(Corner { half_length_mm, turn });
+                report.corners += 1;
+                let deviation = 0.25 * half_length_mm * size;
+                report.largest_corner_deviation_mm =
+                    report.largest_corner_deviation_mm.max(deviation);
+            }
+        }
+        let start_mm = path.point_mm()[run.start];
+        let mut pass =
+            Self { run, start_mm, straights, nodes: Vec::new(), straight_of: Vec::new() };
+        if pass.straights.is_empty() {
+            return pass;
+        }
+        let times = pass.times(dwell, report);
+        let densities = pass.densities(&times, report);
+        for (k, s) in pass.straights.iter().enumerate() {
+            let fastest = 1.0 / along(s.direction, v_max);
+            let least = fastest / (1.0 - MARGIN);
+            let density = densities[k];
+            pass.nodes.push(Node { density, least, fastest, half_length_mm: 0.0 });
+            pass.straight_of.push(k);
+            let Some(corner) = s.corner else { continue };
+            let next = &pass.straights[k + 1];
+            let fastest = fastest.max(1.0 / along(next.direction, v_max));
+            let b = corner.half_length_mm;
+            // a = v^2 (u2 - u1) / (2 b)
+            let bend =
+                |a: usize| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt();
+            let least = (fastest / (1.0 - MARGIN)).max(bend(0)).max(bend(1));
+            let share = share(s.length, next.length);
+            let density = share[0] * density + share[1] * densities[k + 1];
+            pass.nodes.push(Node { density, least, fastest, half_length_mm: b });
+            pass.straight_of.push(k);
+        }
+        pass
+    }
+
+    /// Dwell time of every straight; a segment without length gives its time to the straights
+    /// before and behind it.
+    fn times(&self, dwell: &DwellTime, report: &mut Report) -> Vec<f64> {
+        let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
+        let has_length = |i: &usize| self.straights.binary_search_by_key(i, |s| s.index).is_ok();
+        for i in self.run.clone().filter(|i| !has_length(i)) {
+            let t = dwell.dwell_s()[i];
+            if t == 0.0 {
+                report.dropped.push(i);
+                continue;
+            }
+            let behind = self.straights.partition_point(|s| s.index < i);
+            let takers = behind.saturating_sub(1)..(behind + 1).min(times.len());
+            let part = t / takers.len() as f64;
+            times[takers].iter_mut().for_each(|time| *time += part);
+            report.moved_dwell.push(i);
+        }
+        times
+    }
+
+    /// Densities of the dwell points that give every straight its time: row k holds the time that
+    /// a density of 1 at the dwell points k-1, k, k+1 gives straight k.
+    fn densities(&self, times: &[f64], report: &mut Report) -> Vec<f64> {
+        let n = self.straights.len();
+        let mut rows = vec![[0.0; 3]; n];
+        for k in 0..n {
+            rows[k][1] += match (k == 0, k + 1 == n) {
+                (true, true) => self.straights[k].length,
+                (true, false) | (false, true) => 0.5 * self.straights[k].length,
+                (false, false) => 0.0,
+            };
+        }
+        for k in 0..n - 1 {
+            let (s, next) = (&self.straights[k], &self.straights[k + 1]);
+            let [before, behind] = match s.corner {
+                Some(corner) => {
+                    // Dwell point, cosine to the corner, plateau b | b, cosine, dwell point:
+                    // (l/2 - b) (d + d_c)/2 + b d_c
+                    let share = share(s.length, next.length);
+                    let half = |length: f64, own: usize| {
+                        let rest = 0.5 * length - corner.half_length_mm;
+                        let at_corner = 0.5 * rest + corner.half_length_mm;
+                        let mut weight = share.map(|w| w * at_corner);
+                        weight[own] += 0.5 * rest;
+                        weight
+                    };
+                    [half(s.length, 0), half(next.length, 1)]
+                }
+                None => {
+                    // Cut at x = l/2 / L: integral of (1) to x, L (M2 x/2 - M1/(2 pi) sin(pi x))
+                    let length = 0.5 * (s.length + next.length);
+                    let x = 0.5 * s.length / length;
+                    let swing = (PI * x).sin() / PI;
+                    let first = [0.5 * length * (x + swing), 0.5 * length * (x - swing)];
+                    [first, [0.5 * length - first[0], 0.5 * length - first[1]]]
+                }
+            };
+            rows[k][1] += before[0];
+            rows[k][2] += before[1];
+            rows[k + 1][0] += behind[0];
+            rows[k + 1][1] += behind[1];
+        }
+        // A density that falls too low is held, and its row given up; the others stay exact.
+        let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
+        let mut held = vec![false; n];
+        loop {
+            let d = tridiagonal(&rows, times, &least, &held);
+            let low: Vec<usize> =
+                (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
+            if low.is_empty() {
+                report.held_densities += held.iter().filter(|h| **h).count();
+                return d;
+            }
+            low.into_iter().for_each(|k| held[k] = true);
+        }
+    }
+
+    /// The piece from node k to the next one.
+    fn piece(&self, k: usize) -> Limited {
+        let (a, b) = (&self.nodes[k], &self.nodes[k + 1]);
+        let (from, to) = (self.arc_length(k), self.arc_length(k + 1));
+        let length_mm = to - b.half_length_mm - (from + a.half_length_mm);
+        let straight = &self.straights[self.straight_of[k]];
+        // Behind a corner the direction is that of the next straight.
+        let straight = if a.half_length_mm > 0.0 {
+            &self.straights[self.straight_of[k] + 1]
+        } else {
+            straight
+        };
+        Limited {
+            shape: Piece { density_s_per_mm: [a.density, b.density], length_mm },
+            max_acceleration: straight.max_acceleration,
+        }
+    }
+
+    fn pieces(&self) -> impl Iterator<Item = Limited> + '_ {
+        (1..self.nodes.len()).map(|k| self.piece(k - 1))
+    }
+
+    /// Arc length of node k from the start of the pass; that of a corner is its middle.
+    fn arc_length(&self, k: usize) -> f64 {
+        let s = &self.straights[self.straight_of[k]];
+        let part = if self.nodes[k].half_length_mm > 0.0 { s.length } else { 0.5 * s.length };
+        s.arc_length - self.straights[0].arc_length + part
+    }
+
+    fn standing(&self) -> End {
+        End { position_mm: self.start_mm, velocity_mm_per_s: [0.0; 2] }
+    }
+
+    fn start(&self) -> End {
+        let s = self.straights.first().zip(self.nodes.first());
+        s.map_or_else(
+            || self.standing(),
+            |(s, n)| End {
+                position_mm: s.start,
+                velocity_mm_per_s: s.direction.map(|u| u / n.density),
+            },
+        )
+    }
+
+    fn end(&self) -> End {
+        let s = self.straights.last().zip(self.nodes.last());
+        s.map_or_else(
+            || self.standing(),
+            |(s, n)| End {
+                position_mm: [0, 1].map(|a| s.start[a] + s.direction[a] * s.length),
+                velocity_mm_per_s: s.direction.map(|u| u / n.density),
+            },
+        )
+    }
+
+    /// Time of the pass, s.
+    fn duration_s(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else { return 0.0 };
+        let half = |s: &Straight| 0.5 * s.length;
+        let plateaus: f64 = self.nodes.iter().map(|n| 2.0 * n.half_length_mm * n.density).sum();
+        half(&self.straights[0]) * first.density
+            + half(&self.straights[self.straights.len() - 1]) * last.density
+            + plateaus
+            + self.pieces().map(|p| p.shape.duration_s()).sum::<f64>()
+    }
+}
+
+/// Solves `rows d = right` by elimination, with `d = fixed` where `held`. Every row is diagonally
+/// dominant, at least weakly.
+fn tridiagonal(rows: &[[f64; 3]], right: &[f64], fixed: &[f64], held: &[bool]) -> Vec<f64> {
+    let n = rows.len();
+    let (mut upper, mut d) = (vec![0.0; n], vec![0.0; n]);
+    for k in 0..n {
+        let ([below, own, above], value) =
+            if held[k] { ([0.0, 1.0, 0.0], fixed[k]) } else { (rows[k], right[k]) };
+        let (left, past) = if k == 0 { (0.0, 0.0) } else { (upper[k - 1], d[k - 1]) };
+        let pivot = own - below * left;
+        upper[k] = above / pivot;
+        d[k] = (value - below * past) / pivot;
+    }
+    for k in (0..n - 1).rev() {
+        d[k] -= upper[k] * d[k + 1];
+    }
+    d
+}
+
+/// Weights of the dwell points before and behind in the density of a corner: the nearer has more.
+fn share(before: f64, behind: f64) -> [f64; 2] {
+    [behind / (before + behind), before / (before + behind)]
+}
+
+// ---------------------------------------------------------------------------------------------
+// Repair
+
+/// Step 2; O(N): the offset grows piece by piece, and no piece is visited twice.
+fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
+    let before: f64 = passes.iter().map(Pass::duration_s).sum();
+    let all = || passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0);
+    let smallest = all().map(|n| n.density).fold(f64::INFINITY, f64::min);
+    report.smallest_density_s_per_mm = if smallest.is_finite() { smallest } else { 0.0 };
+    match how {
+        Repair::Offset => {
+            // delta >= 1/v_max - min d
+            let feed = all().map(|n| n.least - n.density).fold(0.0, f64::max);
+            let pieces = passes.iter().flat_map(Pass::pieces);
+            let offset = pieces.fold(feed, |offset, piece| piece.offset(offset));
+            report.feed_offset_s_per_mm = feed;
+            report.acceleration_offset_s_per_mm = offset - feed;
+            let nodes = passes.iter_mut().flat_map(|p| &mut p.nodes);
+            nodes.for_each(|n| n.density += offset);
+        }
+        Repair::Local => {
+            for pass in passes.iter_mut() {
+                for n in pass.nodes.iter_mut().filter(|n| n.density < n.least) {
+                    n.density = n.least;
+                    report.raised_nodes += 1;
+                }
+                report.raised_nodes += sweep(pass);
+            }
+        }
+    }
+    report.offset_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
+}
+
+/// Step 3.
+fn slow_at_corners(passes: &mut [Pass], report: &mut Report) {
+    let before: f64 = passes.iter().map(Pass::duration_s).sum();
+    for pass in passes.iter_mut() {
+        for n in pass.nodes.iter_mut().filter(|n| n.density < n.least) {
+            n.density = n.least;
+            report.slowed_corners += 1;
+        }
+        sweep(pass);
+    }
+    report.corner_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
+}
+
+/// Raises the smaller density of every piece until its acceleration is kept, along the path and
+/// back; returns how many nodes were raised. Raising the smaller end of a piece keeps a piece that
+/// was kept, so one sweep each way is enough.
+fn sweep(pass: &mut Pass) -> usize {
+    let n = pass.nodes.len();
+    let mut raised = 0;
+    let forth = (1..n).map(|k| (k - 1, 1));
+    let back = (1..n).rev().map(|k| (k - 1, 0));
+    for (k, which) in forth.chain(back) {
+        let piece = pass.piece(k);
+        let [d1, d2] = piece.shape.density_s_per_mm;
+        if (which == 1) == (d2 < d1) {
+            let by = piece.raise(which);
+            raised += usize::from(by > 0.0);
+            pass.nodes[k + which].density += by;
+        }
+    }
+    raised
+}
+
+// ---------------------------------------------------------------------------------------------
+// Motion
+
+/// The trajectory so far.
+struct Motion<'a> {
+    path: &'a ToolPath,
+    dwell: &'a DwellTime,
+    limits: &'a Limits,
+    tolerance_mm: f64,
+    report: Report,
+    duration_s: Vec<f64>,
+    coefficient_mm: Vec<[[f64; 4]; 2]>,
+    tool_on: Vec<bool>,
+    dwell_index: Vec<i64>,
+    /// Where the motion is, and how fast.
+    now: End,
+}
+
+impl Motion<'_> {
+    fn walk(&mut self, passes: &[Pass]) {
+        let mut next = 0;
+        for pass in passes {
+            let start = pass.start();
+            if next == pass.run.start {
+                self.run_up(start);
+            } else {
+                self.lift(next..pass.run.start, start);
+            }
+            self.pass(pass);
+            next = pass.run.end;
+        }
+        let rest = |p: [f64; 2]| End { position_mm: p, velocity_mm_per_s: [0.0; 2] };
+        if next < self.path.len() {
+            self.lift(next..self.path.len(), rest(self.path.point_mm()[self.path.len()]));
+        } else {
+            self.brake();
+        }
+    }
+
+    fn push(&mut self, duration_s: f64, c: [[f64; 4]; 2], tool_on: bool, dwell_index: i64) {
+        self.duration_s.push(duration_s);
+        self.coefficient_mm.push(c);
+        self.tool_on.push(tool_on);
+        self.dwell_index.push(dwell_index);
+    }
+
+    /// From rest to the start of the first pass, along its extension backwards.
+    fn run_up(&mut self, start: End) {
+        let (speed, direction) = polar(start.velocity_mm_per_s);
+        if speed > 0.0 {
+            let a = self.acceleration_along(direction);
+            let (t, distance) = (speed / a, 0.5 * speed * speed / a);
+            let c = [0, 1].map(|x| {
+                let u = direction[x];
+                [start.position_mm[x] - u * distance, 0.0, 0.5 * u * a, 0.0]
+            });
+            self.link(t, c, -1);
+        }
+        self.now = start;
+    }
+
+    /// To rest behind the end of the last pass.
+    fn brake(&mut self) {
+        let (speed, direction) = polar(self.now.velocity_mm_per_s);
+        if speed > 0.0 {
+            let a = self.acceleration_along(direction);
+            let c = [0, 1].map(|x| {
+                [
+                    self.now.position_mm[x],
+                    self.now.velocity_mm_per_s[x],
+                    -0.5 * direction[x] * a,
+                    0.0,
+                ]
+            });
+            self.link(speed / a, c, -1);
+        }
+    }
+
+    fn acceleration_along(&self, direction: [f64; 2]) -> f64 {
+        (1.0 - MARGIN) * along(direction, self.limits.max_acceleration_mm_per_s2())
+    }
+
+    /// Segments with the tool off: a link each, at rest in between.
+    fn lift(&mut self, run: std::ops::Range<usize>, end: End) {
+        for i in run.clone() {
+            let rest =
+                End { position_mm: self.path.point_mm()[i + 1], velocity_mm_per_s: [0.0; 2] };
+            let to = if i + 1 == run.end { end } else { rest };
+            match link(self.now, to, self.limits, self.dwell.dwell_s()[i]) {
+                Some(link) => self.link(link.duration_s, link.coefficient_mm, i as i64),
+                None => self.report.dropped.push(i),
+            }
+            self.now = to;
+        }
+    }
+
+    fn link(&mut self, duration_s: f64, c: [[f64; 4]; 2], dwell_index: i64) {
+        // A shorter one would vanish in the rounding of the break times.
+        if duration_s <= 64.0 * f64::EPSILON * self.dwell.total_s() {
+            return;
+        }
+        self.push(duration_s, c, false, dwell_index);
+        self.report.links += 1;
+        self.report.link_s += duration_s;
+    }
+
+    fn pass(&mut self, pass: &Pass) {
+        if pass.straights.is_empty() {
+            // Nothing but standing.
+            for i in pass.run.clone() {
+                let t = self.dwell.dwell_s()[i];
+                let p = self.path.point_mm()[i];
+                if t > 0.0 {
+                    self.push(t, p.map(|p| [p, 0.0, 0.0, 0.0]), true, i as i64);
+                } else {
+                    self.report.dropped.push(i);
+                }
+            }
+            return;
+        }
+        let last = pass.nodes.len() - 1;
+        let (first_straight, last_straight) = (&pass.straights[0], pass.straights.len() - 1);
+        self.plateau(first_straight, 0.0, 0.5 * first_straight.length, pass.nodes[0].density);
+        for k in 0..last {
+            self.piece(pass, k);
+            if pass.nodes[k + 1].half_length_mm > 0.0 {
+                self.blend(pass, k + 1);
+            }
+        }
+        let s = &pass.straights[last_straight];
+        self.plateau(s, 0.5 * s.length, s.length, pass.nodes[last].density);
+        self.now = pass.end();
+    }
+
+    /// Constant density from `from` to `to` along a straight.
+    fn plateau(&mut self, s: &Straight, from: f64, to: f64, density: f64) {
+        let c = [0, 1]
+            .map(|a| [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]);
+        self.push((to - from) * density, c, true, s.index as i64);
+    }
+
+    /// The parabola at corner node k, in two halves.
+    fn blend(&mut self, pass: &Pass, k: usize) {
+        let (node, s) = (&pass.nodes[k], &pass.straights[pass.straight_of[k]]);
+        let next = &pass.straights[pass.straight_of[k] + 1];
+        let (b, v) = (node.half_length_mm, 1.0 / node.density);
+        let half_s = b * node.density;
+        // p(u) = corner - b u1 + v u1 u + (u2 - u1) v^2/(4 b) u^2
+        let c = [0, 1].map(|a| {
+            let (u1, u2) = (s.direction[a], next.direction[a]);
+            [next.start[a] - b * u1, v * u1, (u2 - u1) * v * v / (4.0 * b), 0.0]
+        });
+        let middle = c.map(|c| {
+            [c[0] + half_s * (c[1] + half_s * c[2]), c[1] + 2.0 * c[2] * half_s, c[2], 0.0]
+        });
+        self.push(half_s, c, true, s.index as i64);
+        self.push(half_s, middle, true, next.index as i64);
+    }
+
+    /// Step 5 for the piece from node k to the next one.
+    fn piece(&mut self, pass: &Pass, k: usize) {
+        let (a, b) = (&pass.nodes[k], &pass.nodes[k + 1]);
+        let own = &pass.straights[pass.straight_of[k]];
+        // Where the piece starts and along what; a piece between two dwell points is cut where the
+        // first segment ends.
+        let next = pass.straights.get(pass.straight_of[k] + 1);
+        let (straight, offset) = match next {
+            Some(next) if a.half_length_mm > 0.0 => (next, a.half_length_mm),
+            _ => (own, 0.5 * own.length),
+        };
+        let limited = pass.piece(k);
+        let fit = Fit {
+            shape: limited.shape,
+            // A corner's is that of two directions.
+            max_velocity: 1.0 / if a.half_length_mm > 0.0 { b.fastest } else { a.fastest },
+            max_acceleration: limited.max_acceleration / (1.0 - MARGIN),
+            tolerance_mm: self.tolerance_mm,
+        };
+        let parts = match next {
+            Some(next) if a.half_length_mm == 0.0 && b.half_length_mm == 0.0 => {
+                let cut = 0.5 * own.length / fit.shape.length_mm;
+                vec![(0.0, cut, own.index), (cut, 1.0, next.index)]
+            }
+            _ => vec![(0.0, 1.0, straight.index)],
+        };
+        for (from, to, index) in parts {
+            for cubic in fit.cubics(from, to) {
+                let error_mm = &mut self.report.fit_error_mm;
+                *error_mm = error_mm.max(cubic.error_mm);
+                let c = [0, 1].map(|x| {
+                    let u = straight.direction[x];
+                    let [c0, c1, c2, c3] = cubic.coefficient_mm;
+                    [straight.start[x] + u * (offset + c0), u * c1, u * c2, u * c3]
+                });
+                self.push(cubic.duration_s, c, true, index as i64);
+            }
+        }
+    }
+}
+
+/// Magnitude and direction.
+fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
+    let speed = v[0].hypot(v[1]);
+    (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
+}
+
+/// How a piece is fitted.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    shape: Piece,
+    max_velocity: f64,
+    max_acceleration: f64,
+    tolerance_mm: f64,
+}
+
+/// A cubic in local time for a part of a piece.
+#[derive(Clone, Copy, Debug)]
+struct Cubic {
+    duration_s: f64,
+    /// Distance from the start of the piece.
+    coefficient_mm: [f64; 4],
+    error_mm: f64,
+}
+
+/// Most halvings of a piece: the error falls by 16 with each, the swing of the acceleration by 4.
+const MAX_HALVINGS: usize = 20;
+
+/// Inner points at which the error is looked at; that of Hermite interpolation has one hump.
+const FIT_POINTS: usize = 9;
+
+/// Part of the tolerance that the error at these points may take: between two of them the hump
+/// u^2 (1-u)^2 is higher by 2 % at most.
+const FIT_SAFETY: f64 = 0.95;
+
+impl Fit {
+    /// Cubics from the part `from` to the part `to` of the length.
+    fn cubics(&self, from: f64, to: f64) -> Vec<Cubic> {
+        let (mut done, mut open) = (Vec::new(), vec![(from, to, 0)]);
+        while let Some((from, to, halvings)) = open.pop() {
+            let (cubic, good) = self.cubic(from, to);
+            if good || halvings == MAX_HALVINGS {
+                done.push(cubic);
+            } else {
+                let middle = 0.5 * (from + to);
+                open.push((middle, to, halvings + 1));
+                open.push((from, middle, halvings + 1));
+            }
+        }
+        done
+    }
+
+    /// The Hermite cubic, and whether it is within the tolerance and the limits.
+    fn cubic(&self, from: f64, to: f64) -> (Cubic, bool) {
+        let piece = &self.shape;
+        let [v0, v1] = [from, to].map(|x| 1.0 / piece.density_s_per_mm_at(x));
+        let start_s = piece.elapsed_s(from);
+        let h = piece.elapsed_s(to) - start_s;
+        let dp = piece.length_mm * (to - from);
+        let c = hermite(piece.length_mm * from, dp, v0, v1, h);
+        let error_mm = (1..=FIT_POINTS)
+            .map(|i| {
+                let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
+                let u = piece.elapsed_s(x) - start_s;
+                (c[0] + u * (c[1] + u * (c[2] + u * c[3])) - piece.length_mm * x).abs()
+            })
+            .fold(0.0, f64::max);
+        let (start, end) = accelerations(dp, v0, v1, h);
+        let good = error_mm <= FIT_SAFETY * self.tolerance_mm
+            && start.abs().max(end.abs()) <= self.max_acceleration
+            && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
+        (Cubic { duration_s: h, coefficient_mm: c, error_mm }, good)
+    }
+}
+
+/// Nodes of all passes that have a length: start, dwell points, three for every corner, end.
+fn feed_of(path: &ToolPath, passes: &[Pass]) -> Result<Option<Feed>, Invalid> {
+    let (mut s, mut d, mut p) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut pass_idx, mut corner) = (Vec::new(), Vec::new());
+    for (number, pass) in passes.iter().filter(|p| !p.straights.is_empty()).enumerate() {
+        let mut push = |straight: &Straight, along: f64, density: f64, is_corner: bool| {
+            s.push(straight.arc_length + along);
+            d.push(density);
+            p.push([0, 1].map(|a| straight.start[a] + straight.direction[a] * along));
+            pass_idx.push(number as i64);
+            corner.push(is_corner);
+        };
+        let (first, last) = (&pass.straights[0], &pass.straights[pass.straights.len() - 1]);
+        push(first, 0.0, pass.nodes[0].density, false);
+        for (node, k) in pass.nodes.iter().zip(&pass.straight_of) {
+            let (straight, b) = (&pass.straights[*k], node.half_length_mm);
+            if b == 0.0 {
+                push(straight, 0.5 * straight.length, node.density, false);
+            } else {
+                push(straight, straight.length - b, node.density, false);
+                push(straight, straight.length, node.density, true);
+                push(&pass.straights[*k + 1], b, node.density, false);
+            }
+        }
+        push(last, last.length, pass.nodes[pass.nodes.len() - 1].density, false);
+    }
+    debug_assert!(s.len() <= 6 * path.len());
+    if s.is_empty() { Ok(None) } else { Feed::new(s, d, p, pass_idx, corner).map(Some) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::AxisLimits;
+
+    fn machine(v: [f64; 2], a: [f64; 2]) -> Limits {
+        let axis = |i: usize| AxisLimits {
+            name: ["x", "y"][i].into(),
+            max_velocity_mm_per_s: v[i],
+            max_acceleration_mm_per_s2: a[i],
+            max_jerk_mm_per_s3: None,
+        };
+        Limits { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+    }
+
+    fn piece(d1: f64, d2: f64, length_mm: f64) -> Piece {
+        Piece { density_s_per_mm: [d1, d2], length_mm }
+    }
+
+    #[test]
+    fn the_peak_of_the_acceleration_is_exact() {
+        let p = piece(0.02, 0.05, 0.2);
+        assert!((p.peak_acceleration() - 11_658.766).abs() < 5e-4, "{}", p.peak_acceleration());
+        // a = d(1/D)/dt = -D'/D^3 from differences of (1); the largest of 1e5 samples.
+        let (n, step) = (100_000, 1e-6);
+        let v = |x: f64| 1.0 / p.density_s_per_mm_at(x);
+        let largest = (1..n)
+            .map(|i| {
+                let x = f64::from(i) / f64::from(n);
+                // a = v dv/ds
+                v(x) * (v(x + step) - v(x - step)) / (2.0 * step * p.length_mm)
+            })
+            .fold(0.0, |m: f64, a| m.max(a.abs()));
+        assert!((largest / p.peak_acceleration() - 1.0).abs() < 1e-7, "{largest}");
+        assert_eq!(piece(0.3, 0.3, 1.0).peak_acceleration(), 0.0);
+        // The same backwards; (3) depends on |M1|.
+        assert_eq!(piece(0.05, 0.02, 0.2).peak_acceleration(), p.peak_acceleration());
+    }
+
+    #[test]
+    fn time_is_the_integral_of_the_density_and_is_inverted() {
+        // Kepler's equation at M/pi = 0.3.
+        assert!((piece(0.02, 0.05, 0.2).eccentricity() - 3.0 / 7.0).abs() < 1e-15);
+        assert!((piece(0.02, 0.05, 0.2).progress(0.3) - 0.433_447_626_1).abs() < 1e-10);
+        assert!((piece(0.3, 0.1, 1.0).progress(0.3) - 0.204_600_118_2).abs() < 1e-10);
+        for (d1, d2) in [(1.0, 1.0), (1.0, 3.0), (5.0, 1e-3), (1e-3, 1.999), (1.999, 1e-3)] {
+            let p = piece(d1, d2, 0.7);
+            let n = 1000;
+            // Simpson's rule, exact to rounding for a cosine at this step.
+            let mut t = 0.0;
+            for i in 0..n {
+                let x = |k: f64| (f64::from(i) + k) / f64::from(n);
+                let d = |k: f64| p.density_s_per_mm_at(x(k));
+                t += 0.7 / f64::from(n) * (d(0.0) + 4.0 * d(0.5) + d(1.0)) / 6.0;
+                assert!((t - p.elapsed_s(x(1.0))).abs() < 1e-12 * p.duration_s(), "{d1} {d2} {i}");
+                // The residual of the equation; its inverse may be ill-conditioned.
+                let m = p.progress(x(1.0));
+                let found = p.elapsed_s(m) / p.duration_s();
+                assert!((found - x(1.0)).abs() < 1e-15, "{d1} {d2}: {found} {}", x(1.0));
+            }
+        }
+    }
+
+    #[test]
+    fn the_repair_is_the_smallest_and_idempotent() {
+        let p = Limited { shape: piece(0.02, 0.05, 0.2), max_acceleration: 2000.0 };
+        let offset = p.offset(0.0);
+        // The bound of the source with its corrected coefficient: min(d) >= 0.0490223.
+        assert!(offset > 0.0 && offset <= 0.049_022_3 - 0.02, "{offset}");
+        let peak = |by: f64| p.shape.raised([by; 2]).peak_acceleration();
+        assert!(peak(offset) <= 2000.0 && peak(offset - 1e-12) > 2000.0);
+        let repaired = Limited { shape: p.shape.raised([offset; 2]), ..p };
+        assert_eq!(repaired.offset(0.0), 0.0);
+        let raise = p.raise(0);
+        assert!(p.shape.raised([raise, 0.0]).peak_acceleration() <= 2000.0);
+        assert!(p.shape.raised([raise - 1e-12, 0.0]).peak_acceleration() > 2000.0);
+    }
+
+    fn straight(n: usize, step: f64) -> ToolPath {
+        let points = (0..=n).map(|i| [step * i as f64, 3.0]).collect();
+        ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
+    }
+
+    /// Time of every segment of the path in the motion.
+    fn times(t: &Trajectory, n: usize) -> Vec<f64> {
+        let mut times = vec![0.0; n];
+        for s in t.segments().filter(|s| s.dwell_index >= 0) {
+            times[s.dwell_index as usize] += s.duration_s;
+        }
+        times
+    }
+
+    #[test]
+    fn every_segment_keeps_its_dwell_time_along_a_line_and_around_corners() {
+        let free = machine([1e6; 2], [1e9; 2]);
+        let t: Vec<f64> = (0..40).map(|i| 1.0 + 0.3 * (0.7 * f64::from(i)).sin()).collect();
+        let corners: Vec<[f64; 2]> =
+            (0..=40).map(|i| [f64::from(i / 2), f64::from((i + 1) / 2)]).collect();
+        let stairs = ToolPath::through(corners, vec![true; 40], vec![0; 40]).unwrap();
+        for path in [straight(40, 0.8), stairs] {
+            let dwell = DwellTime::new(t.clone()).unwrap();
+            let s = schedule(&path, &dwell, &free, &Settings::default()).unwrap();
+            assert_eq!((s.report.held_densities, s.report.slowed_corners), (0, 0));
+            for (i, (found, wanted)) in times(&s.trajectory, 40).iter().zip(&t).enumerate() {
+                // Rounding of times of 40 s.
+                assert!((found - wanted).abs() < 1e-12, "{i}: {found} {wanted}");
+            }
+        }
+    }
+
+    #[test]
+    fn equal_density_is_constant_feed() {
+        let s = schedule(
+            &straight(10, 0.5),
+            &DwellTime::new(vec![0.25; 10]).unwrap(),
+            &machine([10.0; 2], [10.0; 2]),
+            &Settings::default(),
+        )
+        .unwrap();
+        for k in 1..s.trajectory.len() - 1 {
+            let c = s.trajectory.coefficient_mm()[k][0];
+            assert!((c[1] - 2.0).abs() < 1e-12 && c[2].abs() + c[3].abs() < 1e-9, "{k}: {c:?}");
+        }
+        // Run-up and brake of v/a = 0.2 s each, and the dwell time.
+        assert!((s.trajectory.total_time_s() - 2.9).abs() < 1e-4);
+        assert_eq!(s.report.links, 2);
+        assert!((s.report.feed_use - 0.2).abs() < 1e-12 && s.report.acceleration_use < 1e-9);
+    }
+
+    #[test]
+    fn the_offset_is_what_the_feed_limit_asks_for() {
+        // One dwell point of no time: delta = 1/v_max - 0.
+        let mut t = vec![1.0; 21];
+        t[10] = 0.0;
+        let dwell = DwellTime::new(t).unwrap();
+        let limits = machine([66.6667; 2], [1e9; 2]);
+        let s = schedule(&straight(21, 1.0), &dwell, &limits, &Settings::default()).unwrap();
+        assert!((s.report.feed_offset_s_per_mm - 0.015).abs() < 1e-5, "{:?}", s.report);
+        assert!(s.report.feed_use <= 1.0 && s.report.feed_use > 0.999);
+    }
+
+    #[test]
+    fn a_blend_is_tangent_to_both_segments_and_within_its_deviation() {
+        for angle in [0.01_f64, 0.5, 1.57, 2.8, PI] {
+            let end = [1.0 + angle.cos(), angle.sin()];
+            let points = vec![[0.0, 0.0], [1.0, 0.0], end];
+            let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
+            let dwell = DwellTime::new(vec![0.5, 0.5]).unwrap();
+            let limits = machine([50.0; 2], [300.0, 200.0]);
+            let s = schedule(&path, &dwell, &limits, &Settings::default()).unwrap();
+            assert_eq!(s.report.corners, 1);
+            let corner = [1.0, 0.0];
+            let distance = |p: [f64; 2]| (p[0] - corner[0]).hypot(p[1] - corner[1]);
+            let nearest = s
+                .trajectory
+                .segments()
+                .flat_map(|s| [s.position_mm(0.0), s.position_mm(s.duration_s)])
+                .map(distance)
+                .fold(f64::INFINITY, f64::min);
+            let deviation = s.report.largest_corner_deviation_mm;
+            assert!(deviation <= 0.02 + 1e-15, "{deviation}");
+            assert!((nearest - deviation).abs() < 1e-12, "{angle}: {nearest} {deviation}");
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! How slowly the tool moves along its path.
+
+use crate::{Invalid, grid::is_plausible_mm};
+
+/// Lengths along the path and distances of its points agree to this, mm.
+const SAME_LENGTH_MM: f64 = 1e-6;
+
+/// The densities around a corner agree to this part.
+const SAME_DENSITY: f64 = 1e-9;
+
+/// Dwell-time density at nodes along a path.
+///
+/// Nodes of one pass are joined by straight lines; a node marked as a corner is the control point
+/// of a blend between its two neighbours, a parabola run through with constant acceleration at the
+/// density of the three. From one pass to the next leads a link that is not part of the feed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Feed {
+    arc_length_mm: Vec<f64>,
+    dwell_density_s_per_mm: Vec<f64>,
+    point_mm: Vec<[f64; 2]>,
+    pass_idx: Vec<i64>,
+    corner: Vec<bool>,
+}
+
+impl Feed {
+    /// Checks lengths, order, positive densities, and that points and arc lengths agree.
+    ///
+    /// All of length m, per node: `arc_length_mm` along the path, ascending within a pass;
+    /// `dwell_density_s_per_mm` the inverse of the feedrate; `point_mm` [x, y]; `pass_idx` the
+    /// pass; `corner` whether the point is the control point of a blend.
+    pub fn new(
+        arc_length_mm: Vec<f64>,
+        dwell_density_s_per_mm: Vec<f64>,
+        point_mm: Vec<[f64; 2]>,
+        pass_idx: Vec<i64>,
+        corner: Vec<bool>,
+    ) -> Result<Self, Invalid> {
+        let m = arc_length_mm.len();
+        if m < 2 {
+            let problem = format!("has {m} nodes");
+            return Err(Invalid::whole("arc_length_mm", problem, "a feed has at least two nodes"));
+        }
+        for (name, len) in [
+            ("dwell_density_s_per_mm", dwell_density_s_per_mm.len()),
+            ("point_mm", point_mm.len()),
+            ("pass_idx", pass_idx.len()),
+            ("corner", corner.len()),
+        ] {
+            if len != m {
+                let problem = format!("has {len} elements for {m} nodes");
+                return Err(Invalid::whole(name, problem, "give one per node"));
+            }
+        }
+        let coordinates = "give finite coordinates in mm, within 1e7 mm of the origin";
+        if let Some(i) = point_mm.iter().position(|p| p.iter().any(|c| !is_plausible_mm(*c))) {
+            return Err(Invalid::at("point_mm", i, format!("is {:?}", point_mm[i]), coordinates));
+        }
+        if let Some(i) = arc_length_mm.iter().position(|s| !is_plausible_mm(*s)) {
+            let problem = format!("is {}", arc_length_mm[i]);
+            return Err(Invalid::at("arc_length_mm", i, problem, coordinates));
+        }
+        let positive = |t: &f64| t.is_finite() && *t > 0.0;
+        if let Some(i) = dwell_density_s_per_mm.iter().position(|t| !positive(t)) {
+            let problem = format!("is {} s/mm", dwell_density_s_per_mm[i]);
+            let remedy = "a density is positive: the inverse of the feedrate";
+            return Err(Invalid::at("dwell_density_s_per_mm", i, problem, remedy));
+        }
+        let feed = Self { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner };
+        for i in 1..m {
+            feed.check_step(i)?;
+        }
+        for i in 0..m {
+            feed.check_corner(i)?;
+        }
+        Ok(feed)
+    }
+
+    fn check_step(&self, i: usize) -> Result<(), Invalid> {
+        if self.pass_idx[i] != self.pass_idx[i - 1] {
+            return Ok(());
+        }
+        let (s, p) = (&self.arc_length_mm, &self.point_mm);
+        if s[i] <= s[i - 1] {
+            let problem = format!("is {} after {}", s[i], s[i - 1]);
+            let remedy = "arc lengths ascend strictly within a pass";
+            return Err(Invalid::at("arc_length_mm", i, problem, remedy));
+        }
+        let distance = (p[i][0] - p[i - 1][0]).hypot(p[i][1] - p[i - 1][1]);
+        if (distance - (s[i] - s[i - 1])).abs() > SAME_LENGTH_MM {
+            let problem = format!(
+                "is {} mm beyond node {}, the points are {distance} mm apart",
+                s[i] - s[i - 1],
+                i - 1
+            );
+            let remedy = "arc lengths are those of the points";
+            return Err(Invalid::at("arc_length_mm", i, problem, remedy));
+        }
+        Ok(())
+    }
+
+    fn check_corner(&self, i: usize) -> Result<(), Invalid> {
+        if !self.corner[i] {
+            return Ok(());
+        }
+        let (s, t, pass) = (&self.arc_length_mm, &self.dwell_density_s_per_mm, &self.pass_idx);
+        let inside = i > 0 && i + 1 < s.len() && pass[i - 1] == pass[i] && pass[i + 1] == pass[i];
+        let fault = if !inside {
+            Some("is at the end of a pass")
+        } else if self.corner[i - 1] || self.corner[i + 1] {
+            Some("is next to another corner")
+        } else if (s[i + 1] - 2.0 * s[i] + s[i - 1]).abs() > SAME_LENGTH_MM {
+            Some("is not midway between its neighbours")
+        } else if [t[i - 1], t[i + 1]].iter().any(|n| (n - t[i]).abs() > SAME_DENSITY * t[i]) {
+            Some("has neighbours of another density")
+        } else {
+            None
+        };
+        let remedy = "a corner stands midway between two nodes of its pass and density";
+        fault.map_or(Ok(()), |problem| Err(Invalid::at("corner", i, problem, remedy)))
+    }
+
+    /// Number of nodes m.
+    #[allow(clippy::len_without_is_empty)] // never empty
+    pub fn len(&self) -> usize {
+        self.arc_length_mm.len()
+    }
+
+    /// Lengths along the path (m), mm.
+    pub fn arc_length_mm(&self) -> &[f64] {
+        &self.arc_length_mm
+    }
+
+    /// Dwell-time densities (m), s/mm.
+    pub fn dwell_density_s_per_mm(&self) -> &[f64] {
+        &self.dwell_density_s_per_mm
+    }
+
+    /// Points [x, y] (m), mm.
+    pub fn point_mm(&self) -> &[[f64; 2]] {
+        &self.point_mm
+    }
+
+    /// Pass of each node (m).
+    pub fn pass_idx(&self) -> &[i64] {
+        &self.pass_idx
+    }
+
+    /// Whether the node is the control point of a blend (m).
+    pub fn corner(&self) -> &[bool] {
+        &self.corner
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn feed(s: &[f64], t: &[f64], corner: &[bool]) -> Result<Feed, Invalid> {
+        let points = s.iter().map(|s| [*s, 1.0]).collect();
+        Feed::new(s.to_vec(), t.to_vec(), points, vec![0; s.len()], corner.to_vec())
+    }
+
+    #[test]
+    fn bad_feeds_are_refused() {
+        let no = [false; 3];
+        assert_eq!(feed(&[0.0, 1.0, 2.0], &[0.1, 0.2, 0.1], &no).unwrap().len(), 3);
+        let message = |s: &[f64], t: &[f64], c: &[bool]| feed(s, t, c).unwrap_err().to_string();
+        assert!(message(&[0.0], &[0.1], &[false]).contains("has 1 nodes"));
+        let m = message(&[0.0, 1.0, 1.0], &[0.1; 3], &no);
+        assert!(m.contains("arc_length_mm[2]: is 1 after 1"), "{m}");
+        for bad in [0.0, -0.1, f64::NAN] {
+            let m = message(&[0.0, 1.0, 2.0], &[0.1, bad, 0.1], &no);
+            assert!(m.contains("dwell_density_s_per_mm[1]: is"), "{m}");
+        }
+        let m = message(&[0.0, 1.0, 2.0], &[0.1; 3], &[true, false, false]);
+        assert!(m.contains("corner[0]: is at the end"), "{m}");
+        let m = message(&[0.0, 1.0, 3.0], &[0.1; 3], &[false, true, false]);
+        assert!(m.contains("midway"), "{m}");
+        let m = message(&[0.0, 1.0, 2.0], &[0.1, 0.1, 0.2], &[false, true, false]);
+        assert!(m.contains("another density"), "{m}");
+        let apart = Feed::new(
+            vec![0.0, 1.0],
+            vec![0.1; 2],
+            vec![[0.0, 0.0], [0.0, 1.1]],
+            vec![0; 2],
+            vec![false; 2],
+        );
+        assert!(apart.unwrap_err().to_string().contains("1.1 mm apart"));
+    }
+}
