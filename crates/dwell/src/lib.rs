@@ -11,6 +11,7 @@
 //! |---|---|
 //! | [`bounded_least_squares`] | RMS of the residual, with bounds on every dwell time |
 
+mod approximate;
 pub mod bounded_least_squares;
 pub mod columns;
 mod fft_operator;

@@ -68,7 +68,10 @@ fn bowl() -> Array2<f64> {
 }
 
 fn settings() -> Settings {
-    Settings { min_dwell: Bound::Seconds(0.05), ..Settings::default() }
+    // The certificate to rounding; a plan is content with less.
+    let (tolerance_s, relative_gap) = (1e-11, 0.0);
+    let min_dwell = Bound::Seconds(0.05);
+    Settings { min_dwell, tolerance_s, relative_gap, ..Settings::default() }
 }
 
 fn run(desired: &Surface, path: &ToolPath, settings: &Settings) -> Solution {
@@ -140,7 +143,7 @@ fn both_algorithms_give_the_same_dwell() {
     let (path, desired) = (path(2.0), surface(bowl()));
     let dense = run(&desired, &path, &settings());
     let by_fft =
-        Settings { max_dense_points: 0, tolerance_s: 1e-7, max_iterations: 20_000, ..settings() };
+        Settings { max_stored_points: 0, tolerance_s: 1e-7, max_iterations: 20_000, ..settings() };
     let by_fft = run(&desired, &path, &by_fft);
     assert_eq!(dense.report.algorithm, "active-set");
     assert_eq!(by_fft.report.algorithm, "projected-gradient");

@@ -4,7 +4,7 @@
 //! or when it is a textbook method that would hide the algorithm it serves.
 
 pub mod bounded;
-pub mod cholesky;
+pub mod envelope;
 pub mod fft;
 pub mod keys;
 pub mod polynomial;
