@@ -10,16 +10,20 @@
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
 //! of `B' W B`, `l_k` the length of segment k and `l` the median length: `q` is the dwell-time
 //! density along the path. `alpha` decides the dwell times that the map does not (outside the
-//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute. The optimal
-//! piston is implicit: with `b = B' w`,
+//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute. In place of
+//! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts
+//! residuals above `k` linearly: pits. What is free is implicit: with functions `f` orthonormal
+//! under the weights and `U = B' W f`,
 //!
 //! ```text
-//! H = B' W B - b b' / sum(w) + alpha D I + beta D G' G                                    (2)
-//! g = B' W (z - mean z) + alpha D lo
+//! H = B' W B - U U' + alpha D I + beta D G' G                                            (2)
+//! g = B' W (z - its part in f) + alpha D lo
 //! ```
 //!
-//! Small problems are solved by the primal-dual active set method with H as a matrix, large ones
-//! by the accelerated projected gradient with `H t` by FFT ([`planish_numerics::bounded`]).
+//! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels, an
+//! envelope matrix and the primal-dual active set method; for many points the FFT and the projected
+//! gradient), and each is corrected by the gradient of (1) itself, which also certifies the
+//! result. B is stored up to `max_stored_points` dwell points; above, it is applied by FFT.
 //! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
@@ -85,6 +89,8 @@ pub struct Settings {
     pub free: Free,
     /// Residual above which a pixel counts linearly instead of squared (Huber), nm: pits.
     pub huber_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
+    pub noise_rms_nm: Option<f64>,
     /// Dwell points up to which B is stored; above, products by FFT.
     pub max_stored_points: usize,
     /// Natural residual that is enough, s.
@@ -106,6 +112,7 @@ impl Default for Settings {
             smoothness: 1e-2,
             free: Free::Piston,
             huber_nm: None,
+            noise_rms_nm: None,
             max_stored_points: 6000,
             tolerance_s: 1e-6,
             // RMS within 5e-5 of the least.
@@ -133,6 +140,8 @@ pub struct Report {
     pub kkt_residual_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it; none when alpha is 0.
     pub relative_gap: Option<f64>,
+    /// beta that was used: the given one, or what the noise level asked for.
+    pub smoothness: f64,
     /// Dwell points at their lower bound, dead and lifted ones not counted.
     pub at_lower_bound: usize,
     /// Dwell points at their upper bound.
@@ -206,6 +215,11 @@ pub fn solve_columns(
     for (name, value) in [("tikhonov", settings.tikhonov), ("smoothness", settings.smoothness)] {
         if !(value.is_finite() && value >= 0.0) {
             return Err(Invalid::whole(name, format!("is {value}"), "give a number >= 0").into());
+        }
+    }
+    for (name, value) in [("huber_nm", settings.huber_nm), ("noise_rms_nm", settings.noise_rms_nm)] {
+        if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+            return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0").into());
         }
     }
     let Program { places, lo, hi, guess } = program;
@@ -587,7 +601,11 @@ impl<'a> Problem<'a> {
             (0..n).map(|j| if live[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
-        let cell = approximate::cell_size(tif, grid);
+        let loss = match &columns {
+            Columns::Stored(_) => approximate::LOSS,
+            Columns::Convolved(_) => approximate::LOSS_CONVOLVED,
+        };
+        let cell = approximate::cell_size(tif, grid, loss);
         let penalty = Penalty::new(path, &program.lo, strongest, settings);
         let approximate = match &columns {
             Columns::Stored(b) => {
@@ -624,8 +642,49 @@ impl<'a> Problem<'a> {
     }
 
     fn solve(&mut self) -> Result<Solution, DwellError> {
-        let iterate = self.minimise(self.settings.smoothness)?;
-        Ok(self.finish(iterate)?)
+        let given = self.settings.smoothness;
+        let first = self.minimise(given)?;
+        let (smoothness, iterate) = match self.settings.noise_rms_nm {
+            Some(noise) if self.rms_nm(&first) < noise => self.stop_at(noise, first)?,
+            _ => (given, first),
+        };
+        Ok(self.finish(iterate, smoothness)?)
+    }
+
+    /// The largest beta at which the residual does not exceed the noise (Morozov's discrepancy
+    /// principle), and its minimum; `first` is that of the given beta, which fits the noise.
+    fn stop_at(&mut self, noise_nm: f64, first: Iterate) -> Result<(f64, Iterate), DwellError> {
+        let (mut low, mut best) = (self.settings.smoothness.max(LEAST_SMOOTHNESS), first);
+        let mut high = low;
+        while high < MOST_SMOOTHNESS {
+            high *= 10.0;
+            self.start.clone_from(&best.t);
+            let rougher = self.minimise(high)?;
+            if self.rms_nm(&rougher) > noise_nm {
+                break;
+            }
+            (low, best) = (high, rougher);
+        }
+        while high / low > 1.05 && low < MOST_SMOOTHNESS {
+            let middle = (low * high).sqrt();
+            self.start.clone_from(&best.t);
+            let found = self.minimise(middle)?;
+            if self.rms_nm(&found) > noise_nm {
+                high = middle;
+            } else {
+                (low, best) = (middle, found);
+            }
+        }
+        Ok((low, best))
+    }
+
+    /// RMS of the residual without its free part, nm.
+    fn rms_nm(&self, iterate: &Iterate) -> f64 {
+        let mut r = &self.z - &iterate.removal_nm;
+        Basis::new(self.desired.grid(), &self.weight, self.settings.free)
+            .project(&self.weight, &mut r);
+        let squares = Zip::from(&r).and(&self.weight).fold(0.0, |sum, r, w| sum + w * r * r);
+        (squares / self.weight.sum()).sqrt()
     }
 
     /// H~ of smaller cells; `false` when there are none.
@@ -716,7 +775,8 @@ impl<'a> Problem<'a> {
             }
             slow = if natural_residual > 0.5 * residual_before { slow + 1 } else { 0 };
             residual_before = natural_residual;
-            if slow >= 2 && end.is_none() {
+            let factorised = matches!(self.approximate, Approximate::Ordered(_));
+            if slow >= 2 && factorised && end.is_none() {
                 slow = 0;
                 self.sharpen(&penalty)?;
             }
@@ -726,8 +786,7 @@ impl<'a> Problem<'a> {
                 match &self.approximate {
                     Approximate::Ordered(h) => {
                         let h = h.penalised(&penalty);
-                        let most = MAX_FACTORISATIONS;
-                        if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi, most) {
+                        if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
                             (to, iterations) = (found, iterations + count);
                             break;
                         }
@@ -737,9 +796,9 @@ impl<'a> Problem<'a> {
                     }
                     Approximate::Convolved(h) => {
                         let steps = GradientSettings {
-                            tolerance: (0.05 * natural_residual).max(0.5 * settings.tolerance_s),
+                            tolerance: (0.01 * natural_residual).max(0.5 * settings.tolerance_s),
                             max_iterations: settings.max_iterations.saturating_sub(iterations),
-                            stagnation: 1e-5,
+                            stagnation: STAGNATION,
                             offset: objective,
                         };
                         let bounds = (self.lo, self.hi.as_slice());
@@ -794,9 +853,15 @@ impl<'a> Problem<'a> {
                     (fall, step, step_nm) = (other, e, e_nm);
                 }
             }
-            if fall <= 0.0 {
-                // The exact step of a descent direction falls but for rounding.
+            // The exact step of a descent direction falls but for rounding.
+            let enough = match self.approximate {
+                Approximate::Ordered(_) => 0.0,
+                Approximate::Convolved(_) => STAGNATION * objective,
+            };
+            if fall <= enough {
                 settled = Some(End::Stagnated);
+            }
+            if fall <= 0.0 {
                 continue;
             }
             for j in 0..t.len() {
@@ -808,7 +873,7 @@ impl<'a> Problem<'a> {
         }
     }
 
-    fn finish(&self, iterate: Iterate) -> Result<Solution, Invalid> {
+    fn finish(&self, iterate: Iterate, smoothness: f64) -> Result<Solution, Invalid> {
         let t = &iterate.t;
         let live = |j: &usize| self.live[*j];
         let mut residual = self.desired.height_nm() - &iterate.removal_nm;
@@ -845,6 +910,7 @@ impl<'a> Problem<'a> {
             },
             kkt_residual_s: iterate.natural_residual,
             relative_gap: iterate.relative_gap,
+            smoothness,
             at_lower_bound: (0..t.len()).filter(live).filter(|j| t[*j] <= self.lo[*j]).count(),
             at_upper_bound: (0..t.len()).filter(live).filter(|j| t[*j] >= self.hi[*j]).count(),
             dead: (0..t.len()).filter(|j| !live(j)).count(),
@@ -951,8 +1017,13 @@ const MAX_TIF_PIXELS: f64 = 2.7e8;
 /// Most elements of B that are stored (2 GB).
 const MAX_STORED_ELEMENTS: f64 = 2.5e8;
 
-/// The active set method takes 10 to 20 on measured problems; more means that it cycles.
-const MAX_FACTORISATIONS: usize = 100;
+/// Range of the smoothness that the noise level chooses from.
+const LEAST_SMOOTHNESS: f64 = 1e-6;
+const MOST_SMOOTHNESS: f64 = 1e6;
+
+/// The gradient method ends when 50 steps change the mean square of the residual by less than this
+/// fraction, its RMS by half of it; the corrections of its result end when one changes it by less.
+const STAGNATION: f64 = 2e-4;
 
 /// Steps of H~; measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
