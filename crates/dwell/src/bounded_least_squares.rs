@@ -5,12 +5,14 @@
 //!   1/2 sum_i w_i (z_i - c - (B t)_i)^2
 //!   + 1/2 alpha D sum_j (t_j - lo_j)^2
 //!   + 1/2 beta D sum_k (q_{k+1} - q_k)^2,     q_k = t_k l / l_k                          (1)
+//!   + lambda sum_i w_i sum_j t_j
 //! ```
 //!
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
 //! of `B' W B`, `l_k` the length of segment k and `l` the median length: `q` is the dwell-time
 //! density along the path. `alpha` decides the dwell times that the map does not (outside the
-//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute. In place of
+//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
+//! is the price of a second in half a mean square. In place of
 //! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts
 //! residuals above `k` linearly: pits. What is free is implicit: with functions `f` orthonormal
 //! under the weights and `U = B' W f`,
@@ -85,6 +87,8 @@ pub struct Settings {
     pub tikhonov: f64,
     /// beta: weight of the roughness of the dwell-time density along the path; >= 0.
     pub smoothness: f64,
+    /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
+    pub time_weight_nm2_per_s: f64,
     /// What need not be removed.
     pub free: Free,
     /// Residual above which a pixel counts linearly instead of squared (Huber), nm: pits.
@@ -110,6 +114,7 @@ impl Default for Settings {
             // Both as measured to be flat optima of the executed residual on a real mirror.
             tikhonov: 1e-5,
             smoothness: 1e-2,
+            time_weight_nm2_per_s: 0.0,
             free: Free::Piston,
             huber_nm: None,
             noise_rms_nm: None,
@@ -212,7 +217,12 @@ pub fn solve_columns(
     program: &Program<'_>,
 ) -> Result<Solution, DwellError> {
     let weight = pixel_weights(desired, weight)?;
-    for (name, value) in [("tikhonov", settings.tikhonov), ("smoothness", settings.smoothness)] {
+    let weights = [
+        ("tikhonov", settings.tikhonov),
+        ("smoothness", settings.smoothness),
+        ("time_weight_nm2_per_s", settings.time_weight_nm2_per_s),
+    ];
+    for (name, value) in weights {
         if !(value.is_finite() && value >= 0.0) {
             return Err(Invalid::whole(name, format!("is {value}"), "give a number >= 0").into());
         }
@@ -440,13 +450,15 @@ impl Basis {
 pub(crate) struct Penalty {
     alpha: f64,
     beta: f64,
+    /// Price of a second in the unit of (1).
+    time: f64,
     lo: Vec<f64>,
     /// k and the factors of t_{k-1} and t_k in q_k - q_{k-1}.
     steps: Vec<(usize, f64, f64)>,
 }
 
 impl Penalty {
-    fn new(path: &ToolPath, lo: &[f64], d: f64, settings: &Settings) -> Self {
+    fn new(path: &ToolPath, lo: &[f64], d: f64, weight: f64, settings: &Settings) -> Self {
         let mut steps = Vec::new();
         let lengths: Vec<f64> = (0..lo.len()).map(|j| path.segment_length_mm(j)).collect();
         let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();
@@ -461,7 +473,8 @@ impl Penalty {
                 .collect();
         }
         let (alpha, beta) = (settings.tikhonov * d, settings.smoothness * d);
-        Self { alpha, beta, lo: lo.to_vec(), steps }
+        let time = settings.time_weight_nm2_per_s * weight;
+        Self { alpha, beta, time, lo: lo.to_vec(), steps }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -503,7 +516,7 @@ impl Penalty {
     /// `out += ` the gradient.
     fn add_gradient(&self, t: &[f64], out: &mut [f64]) {
         self.add_product(t, out);
-        out.iter_mut().zip(&self.lo).for_each(|(o, lo)| *o -= self.alpha * lo);
+        out.iter_mut().zip(&self.lo).for_each(|(o, lo)| *o += self.time - self.alpha * lo);
     }
 
     /// The terms themselves.
@@ -511,7 +524,7 @@ impl Penalty {
         let far: f64 = t.iter().zip(&self.lo).map(|(t, lo)| (t - lo).powi(2)).sum();
         let rough: f64 =
             self.steps.iter().map(|(k, u, v)| (v * t[*k] - u * t[k - 1]).powi(2)).sum();
-        0.5 * (self.alpha * far + self.beta * rough)
+        0.5 * (self.alpha * far + self.beta * rough) + self.time * t.iter().sum::<f64>()
     }
 }
 
@@ -606,7 +619,7 @@ impl<'a> Problem<'a> {
             Columns::Convolved(_) => approximate::LOSS_CONVOLVED,
         };
         let cell = approximate::cell_size(tif, grid, loss);
-        let penalty = Penalty::new(path, &program.lo, strongest, settings);
+        let penalty = Penalty::new(path, &program.lo, strongest, weight.sum(), settings);
         let approximate = match &columns {
             Columns::Stored(b) => {
                 Approximate::Ordered(Ordered::new(b, &weight, &u, &live, &penalty, cell))
@@ -728,7 +741,7 @@ impl<'a> Problem<'a> {
     /// components at their bounds are settled. With a Huber loss every q has the weights of its own residual, which is the gradient of that loss.
     fn minimise(&mut self, smoothness: f64) -> Result<Iterate, DwellError> {
         let settings = Settings { smoothness, ..*self.settings };
-        let penalty = Penalty::new(self.path, self.lo, self.strongest, &settings);
+        let penalty = Penalty::new(self.path, self.lo, self.strongest, self.weight.sum(), &settings);
         let own = penalty.diagonal();
         let diagonal: Vec<f64> = (0..own.len())
             .map(|j| if self.live[j] { self.diagonal[j] + own[j] } else { 0.0 })

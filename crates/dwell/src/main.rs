@@ -57,6 +57,9 @@ struct BoundedLeastSquares {
     /// Largest dwell times point by point [dwell artifact]
     #[arg(long, value_name = "DIR", conflicts_with_all = ["max_dwell_s", "max_dwell_s_per_mm"])]
     max_dwell: Option<PathBuf>,
+    /// Price of a second beside half the mean square of the residual, nm^2/s
+    #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
+    time_weight_nm2_per_s: f64,
     /// What need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: FreeKind,
@@ -116,6 +119,7 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         max_dwell: bound(cli.max_dwell_s, cli.max_dwell_s_per_mm),
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
+        time_weight_nm2_per_s: cli.time_weight_nm2_per_s,
         free: match cli.free {
             FreeKind::Piston => Free::Piston,
             FreeKind::Plane => Free::Plane,

@@ -3,7 +3,7 @@
 
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::Bound;
-use planish_refine::{RefineError, Settings, refine};
+use planish_refine::{RefineError, Scheduler, Settings, refine};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
 use planish_types::{Axis, AxisLimits, DwellTime, Grid, Limits, Surface, Tif, ToolPath};
@@ -55,7 +55,7 @@ fn meander() -> ToolPath {
 }
 
 fn settings(mode: pvt::Mode) -> Settings {
-    let mut s = Settings { mode, ..Settings::default() };
+    let mut s = Settings { scheduler: Scheduler::Pvt(mode), ..Settings::default() };
     s.dwell.min_dwell = Bound::Seconds(0.05);
     s
 }
