@@ -44,15 +44,19 @@ pub fn cell_size(tif: &Tif, map: &Grid, most: f64) -> usize {
     let slope = |a: &f64, b: &f64, step: f64| ((a - b) / step).powi(2);
     let (mut along_x, mut along_y) = (0.0, 0.0);
     for row in rate.rows() {
-        along_x += row.windows(2).into_iter().map(|w| slope(&w[0], &w[1], grid.x.step_mm())).sum::<f64>();
+        along_x +=
+            row.windows(2).into_iter().map(|w| slope(&w[0], &w[1], grid.x.step_mm())).sum::<f64>();
     }
     for column in rate.columns() {
-        along_y += column.windows(2).into_iter().map(|w| slope(&w[0], &w[1], grid.y.step_mm())).sum::<f64>();
+        along_y += column
+            .windows(2)
+            .into_iter()
+            .map(|w| slope(&w[0], &w[1], grid.y.step_mm()))
+            .sum::<f64>();
     }
     let (hx, hy) = (map.x.step_mm(), map.y.step_mm());
-    let loss = |s: usize| {
-        (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / (12.0 * energy)
-    };
+    let loss =
+        |s: usize| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / (12.0 * energy);
     (2..=LARGEST).rev().find(|s| loss(*s) <= most).unwrap_or(1)
 }
 
@@ -153,8 +157,7 @@ impl Penalised<'_> {
     ) -> Option<(Vec<f64>, usize)> {
         let pick = |a: &[f64]| -> Vec<f64> { self.order.iter().map(|j| a[*j]).collect() };
         let start = pick(t);
-        let g: Vec<f64> =
-            self.h.product(&start).iter().zip(pick(q)).map(|(h, q)| h - q).collect();
+        let g: Vec<f64> = self.h.product(&start).iter().zip(pick(q)).map(|(h, q)| h - q).collect();
         let (lo, hi) = (pick(lo), pick(hi));
         let mut found = bounded::active_set(&self.h, &g, &lo, &hi, &start, SOME)?;
         if found.end != End::Optimal {
@@ -167,8 +170,7 @@ impl Penalised<'_> {
             };
             let apply = |t: &[f64]| self.h.product(t);
             let diagonal = self.h.diagonal();
-            let near =
-                bounded::projected_gradient(apply, &diagonal, &g, &lo, &hi, &start, &steps);
+            let near = bounded::projected_gradient(apply, &diagonal, &g, &lo, &hi, &start, &steps);
             let second = bounded::active_set(&self.h, &g, &lo, &hi, &near.value, MOST)?;
             let iterations = found.iterations + second.iterations;
             found = if second.end == End::Optimal { second } else { near };

@@ -227,7 +227,8 @@ pub fn solve_columns(
             return Err(Invalid::whole(name, format!("is {value}"), "give a number >= 0").into());
         }
     }
-    for (name, value) in [("huber_nm", settings.huber_nm), ("noise_rms_nm", settings.noise_rms_nm)] {
+    for (name, value) in [("huber_nm", settings.huber_nm), ("noise_rms_nm", settings.noise_rms_nm)]
+    {
         if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
             return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0").into());
         }
@@ -741,7 +742,8 @@ impl<'a> Problem<'a> {
     /// components at their bounds are settled. With a Huber loss every q has the weights of its own residual, which is the gradient of that loss.
     fn minimise(&mut self, smoothness: f64) -> Result<Iterate, DwellError> {
         let settings = Settings { smoothness, ..*self.settings };
-        let penalty = Penalty::new(self.path, self.lo, self.strongest, self.weight.sum(), &settings);
+        let penalty =
+            Penalty::new(self.path, self.lo, self.strongest, self.weight.sum(), &settings);
         let own = penalty.diagonal();
         let diagonal: Vec<f64> = (0..own.len())
             .map(|j| if self.live[j] { self.diagonal[j] + own[j] } else { 0.0 })
@@ -772,12 +774,10 @@ impl<'a> Problem<'a> {
             let mut q = self.columns.adjoint(&(&r * &weight));
             q.iter_mut().for_each(|q| *q = -*q);
             penalty.add_gradient(&t, &mut q);
-            let objective =
-                0.5 * Zip::from(&r).and(&weight).fold(0.0, |sum, r, w| sum + w * r * r)
-                    + penalty.value(&t);
+            let objective = 0.5 * Zip::from(&r).and(&weight).fold(0.0, |sum, r, w| sum + w * r * r)
+                + penalty.value(&t);
 
-            let natural_residual =
-                bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
+            let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
             let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha, &self.live)
                 .map(|gap| gap / objective.max(f64::MIN_POSITIVE));
             let optimal = natural_residual <= settings.tolerance_s

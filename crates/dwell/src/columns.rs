@@ -208,7 +208,10 @@ impl Patch {
     fn rows(&self) -> impl Iterator<Item = (usize, Range<usize>, &[f64])> {
         let (r, c) = self.origin;
         let width = self.rate_nm_per_s.ncols();
-        self.all().chunks_exact(width.max(1)).enumerate().map(move |(k, row)| (r + k, c..c + width, row))
+        self.all()
+            .chunks_exact(width.max(1))
+            .enumerate()
+            .map(move |(k, row)| (r + k, c..c + width, row))
     }
 }
 
@@ -253,7 +256,9 @@ impl Stored {
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let (all, width) = (map.as_slice().expect("in C order"), map.ncols());
         let column = |p: &Patch| -> f64 {
-            p.rows().map(|(r, c, rate)| dot(rate, &all[r * width + c.start..r * width + c.end])).sum()
+            p.rows()
+                .map(|(r, c, rate)| dot(rate, &all[r * width + c.start..r * width + c.end]))
+                .sum()
         };
         self.patches.par_iter().map(column).collect()
     }
@@ -273,10 +278,8 @@ impl Stored {
     /// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
     /// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell.
     pub fn on_cells(&self, weight: &Array2<f64>, size: usize) -> Vec<Patch> {
-        let mut total = Array2::<f64>::zeros((
-            weight.nrows().div_ceil(size),
-            weight.ncols().div_ceil(size),
-        ));
+        let mut total =
+            Array2::<f64>::zeros((weight.nrows().div_ceil(size), weight.ncols().div_ceil(size)));
         for ((r, c), w) in weight.indexed_iter() {
             total[[r / size, c / size]] += w;
         }

@@ -247,8 +247,8 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
     pit.slice_mut(s![10..13, 20..23]).fill(-500.0);
     let squared = run(&surface(pit.clone()), &path, &settings());
     let huber_nm = Some(0.5);
-    // 500 nm cost the gradient two digits.
-    let robust = run(&surface(pit), &path, &Settings { huber_nm, tolerance_s: 1e-9, ..settings() });
+    // A step that lowers 1e3 nm^2 by rounding moves a dwell time by 1e-8 s.
+    let robust = run(&surface(pit), &path, &Settings { huber_nm, tolerance_s: 1e-7, ..settings() });
     assert_eq!(robust.report.end, "optimal");
     // Nine of 1189 pixels pull with 0.5 nm in place of 500 nm.
     let (with, without) = (apart(&robust, &clean), apart(&squared, &clean));
@@ -278,7 +278,7 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
         let data = (&pull.slice(s![r..r + ny, c..c + nx]) * &b[j].rate_nm_per_s).sum();
         let rough = 2.0 * t[j] - t[j - 1] - t[j + 1];
         let gradient = -data + 1e-5 * d * (t[j] - 0.05) + 1e-2 * d * rough;
-        assert!(gradient.abs() < 1e-8 * d, "{j}: {gradient} of {d}");
+        assert!(gradient.abs() < 2e-7 * d, "{j}: {gradient} of {d}");
     }
 }
 
@@ -328,8 +328,7 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     let truth = removal(&path, Columns::Segment, &smooth);
     let noise_nm = 2.0;
     let uniform = rand::distr::Uniform::new(-1.0, 1.0).unwrap();
-    let measured =
-        truth.mapv(|z| z + noise_nm * 3.0_f64.sqrt() * rng.sample::<f64, _>(uniform));
+    let measured = truth.mapv(|z| z + noise_nm * 3.0_f64.sqrt() * rng.sample::<f64, _>(uniform));
     let weak = Settings { smoothness: 1e-6, ..settings() };
     let fitted = run(&surface(measured.clone()), &path, &weak);
     let stopping = Settings { noise_rms_nm: Some(noise_nm), ..weak };

@@ -149,8 +149,7 @@ impl Envelope {
         for k in 0..self.blocks.len() {
             let (head, below) = self.blocks.split_at_mut(k + 1);
             let (pivot, at) = (&mut head[k], k * BLOCK);
-            let (left, mut diagonal) =
-                pivot.values.view_mut().split_at(Axis(1), at - pivot.start);
+            let (left, mut diagonal) = pivot.values.view_mut().split_at(Axis(1), at - pivot.start);
             if left.ncols() > 0 {
                 general_mat_mul(-1.0, &left, &left.t(), 1.0, &mut diagonal);
             }

@@ -28,6 +28,8 @@
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | e | `rms_nm` | - | nm |
 
+pub mod trade_off;
+
 use planish_dwell::{
     DwellError,
     bounded_least_squares::{self as dwell_solver, Program},
