@@ -339,7 +339,11 @@ impl Columns {
 /// H~.
 enum Approximate {
     Ordered(Ordered),
-    Convolved(Convolved),
+    Convolved(Box<Convolved>),
+}
+
+fn convolved(h: Convolved) -> Approximate {
+    Approximate::Convolved(Box::new(h))
 }
 
 /// What the removal need not remove, as functions orthonormal under the weights:
@@ -625,14 +629,9 @@ impl<'a> Problem<'a> {
             Columns::Stored(b) => {
                 Approximate::Ordered(Ordered::new(b, &weight, &u, &live, &penalty, cell))
             }
-            Columns::Convolved(_) => Approximate::Convolved(Convolved::new(
-                program.places,
-                tif,
-                grid,
-                &weight,
-                settings.free,
-                cell,
-            )?),
+            Columns::Convolved(_) => {
+                convolved(Convolved::new(program.places, tif, grid, &weight, settings.free, cell)?)
+            }
         };
         Ok(Self {
             z: centred(desired.height_nm(), &weight),
@@ -716,7 +715,7 @@ impl<'a> Problem<'a> {
                 penalty,
                 self.cell,
             )),
-            Columns::Convolved(_) => Approximate::Convolved(Convolved::new(
+            Columns::Convolved(_) => convolved(Convolved::new(
                 self.places,
                 self.tif,
                 self.desired.grid(),

@@ -118,7 +118,8 @@ pub struct Iterate {
     pub dwell_s: Vec<f64>,
     /// RMS (mean removed) of the executed residual, nm.
     pub rms_nm: f64,
-    /// sqrt(rms^2 + 2 lambda T), nm: what the loop lowers.
+    /// sqrt(rms^2 + 2 lambda T), nm, with the noise in place of an RMS below it: what the loop
+    /// lowers.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
@@ -223,10 +224,15 @@ pub fn refine(
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
         let rms_nm = predicted.removal.residual().statistics().rms;
         let total_time_s = motion.trajectory.total_time_s();
+        // Below the noise (its RMS over m pixels scatters by 1 / sqrt(2 m)) nothing is gained.
+        let known = settings.dwell.noise_rms_nm.map_or(0.0, |noise| {
+            let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
+            noise * (1.0 + 3.0 / (2.0 * pixels).sqrt())
+        });
         let price = 2.0 * solver.time_weight_nm2_per_s * total_time_s;
         let iterate = Iterate {
             rms_nm,
-            merit_nm: (rms_nm * rms_nm + price).sqrt(),
+            merit_nm: (rms_nm.max(known).powi(2) + price).sqrt(),
             total_time_s,
             stretched: motion.stretched.len(),
             limits_respected: verdict.limits_respected,

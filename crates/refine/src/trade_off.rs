@@ -98,7 +98,8 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
     };
     let (axis_y, grey) = (HEIGHT - bottom, "stroke=\"#dddddd\"");
     let step = nice_step(end / 6.0);
-    let time_ticks: Vec<f64> = (0..).map(|k| k as f64 * step).take_while(|t| *t <= end).collect();
+    let time_ticks: Vec<f64> =
+        (0..).map(|k: u32| f64::from(k) * step).take_while(|t| *t <= end).collect();
     let rms_ticks: Vec<f64> = (-6..6)
         .flat_map(|d| [1.0, 1.5, 2.0, 3.0, 5.0, 7.0].map(|m| m * 10_f64.powi(d)))
         .filter(|r| (low..=high).contains(&r.log10()))
