@@ -366,8 +366,9 @@ mod tests {
     /// H as it is, and as a fuller matrix less two outer products.
     fn forms(h: &Array2<f64>) -> [Quadratic; 2] {
         let n = h.nrows();
-        let u: Vec<Vec<f64>> =
-            (1..3).map(|m| (0..n).map(|j| 0.5 + (m as f64 * j as f64).sin()).collect()).collect();
+        let u: Vec<Vec<f64>> = (1..3_u32)
+            .map(|m| (0..n).map(|j| 0.5 + (f64::from(m) * j as f64).sin()).collect())
+            .collect();
         let mut fuller = h.clone();
         for u in &u {
             for ((i, j), v) in fuller.indexed_iter_mut() {

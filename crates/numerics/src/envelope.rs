@@ -305,7 +305,7 @@ mod tests {
     #[test]
     fn products_and_parts_are_those_of_the_full_matrix() {
         let (a, dense) = spd(150, 40);
-        let x: Vec<f64> = (0..150).map(|i| (0.3 * i as f64).cos()).collect();
+        let x: Vec<f64> = (0..150_u32).map(|i| (0.3 * f64::from(i)).cos()).collect();
         let expected = dense.dot(&ndarray::aview1(&x));
         assert!(a.product(&x).iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-13));
         let keep: Vec<usize> = (0..150).filter(|i| i % 3 != 1).collect();
