@@ -5,21 +5,27 @@
 //!   1/2 sum_i w_i (z_i - c - (B t)_i)^2
 //!   + 1/2 alpha D sum_j (t_j - lo_j)^2
 //!   + 1/2 beta D sum_k (q_{k+1} - q_k)^2,     q_k = t_k l / l_k                          (1)
+//!   + lambda sum_i w_i sum_j t_j
 //! ```
 //!
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
 //! of `B' W B`, `l_k` the length of segment k and `l` the median length: `q` is the dwell-time
 //! density along the path. `alpha` decides the dwell times that the map does not (outside the
-//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute. The optimal
-//! piston is implicit: with `b = B' w`,
+//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
+//! is the price of a second in half a mean square. In place of
+//! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts
+//! residuals above `k` linearly: pits. What is free is implicit: with functions `f` orthonormal
+//! under the weights and `U = B' W f`,
 //!
 //! ```text
-//! H = B' W B - b b' / sum(w) + alpha D I + beta D G' G                                    (2)
-//! g = B' W (z - mean z) + alpha D lo
+//! H = B' W B - U U' + alpha D I + beta D G' G                                            (2)
+//! g = B' W (z - its part in f) + alpha D lo
 //! ```
 //!
-//! Small problems are solved by the primal-dual active set method with H as a matrix, large ones
-//! by the accelerated projected gradient with `H t` by FFT ([`planish_numerics::bounded`]).
+//! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels, an
+//! envelope matrix and the primal-dual active set method; for many points the FFT and the projected
+//! gradient), and each is corrected by the gradient of (1) itself, which also certifies the
+//! result. B is stored up to `max_stored_points` dwell points; above, it is applied by FFT.
 //! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
@@ -32,18 +38,19 @@
 //! | B | [`crate::columns`] | (pixels, n) | nm/s |
 //! | t, lo, hi | `dwell_s`, bounds | (n) | s |
 
-use ndarray::{Array2, ArrayView1, ArrayView2, Zip, s};
+use ndarray::{Array2, Zip};
 use planish_numerics::{
     bounded::{self, End, GradientSettings},
+    envelope::dot,
     statistics,
 };
-use planish_types::{DwellTime, Invalid, Surface, Tif, ToolPath};
-use rayon::prelude::*;
+use planish_types::{DwellTime, Grid, Invalid, Surface, Tif, ToolPath};
 use serde::Serialize;
 
 use crate::{
     DwellError,
-    columns::{self, Patch, Place},
+    approximate::{self, Convolved, Ordered},
+    columns::{self, Place, Stored},
     fft_operator::FftOperator,
 };
 
@@ -55,6 +62,16 @@ pub enum Bound {
     Seconds(f64),
     /// Proportional to the length of the segment, s/mm.
     SecondsPerMm(f64),
+}
+
+/// What need not be removed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Free {
+    /// A constant.
+    Piston,
+    /// A plane: the part keeps the tilt that this leaves.
+    Plane,
 }
 
 /// How to solve.
@@ -70,10 +87,20 @@ pub struct Settings {
     pub tikhonov: f64,
     /// beta: weight of the roughness of the dwell-time density along the path; >= 0.
     pub smoothness: f64,
-    /// Dwell points up to which H is a matrix; above, products by FFT.
-    pub max_dense_points: usize,
-    /// Natural residual at which the gradient method ends, s.
+    /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
+    pub time_weight_nm2_per_s: f64,
+    /// What need not be removed.
+    pub free: Free,
+    /// Residual above which a pixel counts linearly instead of squared (Huber), nm: pits.
+    pub huber_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
+    pub noise_rms_nm: Option<f64>,
+    /// Dwell points up to which B is stored; above, products by FFT.
+    pub max_stored_points: usize,
+    /// Natural residual that is enough, s.
     pub tolerance_s: f64,
+    /// Bound on how far (1) is above its minimum, relative to it, that is enough.
+    pub relative_gap: f64,
     /// Most steps of the gradient method.
     pub max_iterations: usize,
 }
@@ -87,9 +114,14 @@ impl Default for Settings {
             // Both as measured to be flat optima of the executed residual on a real mirror.
             tikhonov: 1e-5,
             smoothness: 1e-2,
-            // 288 MB of H; a factorisation takes seconds.
-            max_dense_points: 6000,
+            time_weight_nm2_per_s: 0.0,
+            free: Free::Piston,
+            huber_nm: None,
+            noise_rms_nm: None,
+            max_stored_points: 6000,
             tolerance_s: 1e-6,
+            // RMS within 5e-5 of the least.
+            relative_gap: 1e-4,
             max_iterations: 3000,
         }
     }
@@ -102,11 +134,19 @@ pub struct Report {
     pub algorithm: &'static str,
     /// Factorisations, or gradient steps.
     pub iterations: usize,
+    /// Steps of the approximation, each corrected by the exact gradient.
+    pub corrections: usize,
+    /// Pixels along the side of a cell of the approximation; 1: exact.
+    pub cell_pixels: usize,
     /// How it ended: `optimal`, `stagnated` (the objective changes no more) or
     /// `iteration-limit`.
     pub end: &'static str,
     /// Largest |t - clip(t - gradient / H_jj)|: by how much a dwell time would still move, s.
     pub kkt_residual_s: f64,
+    /// Bound on how far (1) is above its minimum, relative to it; none when alpha is 0.
+    pub relative_gap: Option<f64>,
+    /// beta that was used: the given one, or what the noise level asked for.
+    pub smoothness: f64,
     /// Dwell points at their lower bound, dead and lifted ones not counted.
     pub at_lower_bound: usize,
     /// Dwell points at their upper bound.
@@ -177,9 +217,20 @@ pub fn solve_columns(
     program: &Program<'_>,
 ) -> Result<Solution, DwellError> {
     let weight = pixel_weights(desired, weight)?;
-    for (name, value) in [("tikhonov", settings.tikhonov), ("smoothness", settings.smoothness)] {
+    let weights = [
+        ("tikhonov", settings.tikhonov),
+        ("smoothness", settings.smoothness),
+        ("time_weight_nm2_per_s", settings.time_weight_nm2_per_s),
+    ];
+    for (name, value) in weights {
         if !(value.is_finite() && value >= 0.0) {
             return Err(Invalid::whole(name, format!("is {value}"), "give a number >= 0").into());
+        }
+    }
+    for (name, value) in [("huber_nm", settings.huber_nm), ("noise_rms_nm", settings.noise_rms_nm)]
+    {
+        if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+            return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0").into());
         }
     }
     let Program { places, lo, hi, guess } = program;
@@ -197,8 +248,6 @@ pub fn solve_columns(
         return Err(Invalid::at("max_dwell", j, problem, "give a larger upper bound").into());
     }
 
-    let problem =
-        Problem { desired, tif, path, places, weight, lo, hi, guess: guess.as_deref(), settings };
     let pixels =
         tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / desired.grid().pixel_mm2();
     if pixels > MAX_TIF_PIXELS {
@@ -209,13 +258,15 @@ pub fn solve_columns(
         )
         .into());
     }
-    let fits = path.len() as f64 * pixels <= MAX_DENSE_ELEMENTS;
-    let (solution, model) = if path.len() <= settings.max_dense_points && fits {
-        problem.solve_dense()?
+    let stored = path.len() <= settings.max_stored_points
+        && path.len() as f64 * pixels <= MAX_STORED_ELEMENTS;
+    let columns = if stored {
+        Columns::Stored(Stored::new(places, tif, desired.grid()))
     } else {
-        problem.solve_by_fft()?
+        Columns::Convolved(FftOperator::new(places, tif, desired.grid()))
     };
-    Ok(problem.finish(solution, model)?)
+    let mut problem = Problem::new(desired, tif, path, program, weight, columns, settings)?;
+    problem.solve()
 }
 
 /// The given weights, zero on invalid pixels.
@@ -264,341 +315,733 @@ pub fn bounds(path: &ToolPath, settings: &Settings) -> Result<(Vec<f64>, Vec<f64
     Ok((lo, hi))
 }
 
+/// B.
+enum Columns {
+    Stored(Stored),
+    Convolved(FftOperator),
+}
+
+impl Columns {
+    /// `B t`, nm.
+    fn apply(&self, t: &[f64]) -> Array2<f64> {
+        match self {
+            Self::Stored(b) => b.apply(t),
+            Self::Convolved(b) => b.apply(t),
+        }
+    }
+
+    /// `B' m`.
+    fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        match self {
+            Self::Stored(b) => b.adjoint(map),
+            Self::Convolved(b) => b.adjoint(map),
+        }
+    }
+}
+
+/// H~.
+enum Approximate {
+    Ordered(Ordered),
+    Convolved(Box<Convolved>),
+}
+
+fn convolved(h: Convolved) -> Approximate {
+    Approximate::Convolved(Box::new(h))
+}
+
+/// What the removal need not remove, as functions orthonormal under the weights:
+/// `sum_i w_i f_l(x_i) f_m(x_i) = [l = m]`.
+pub(crate) struct Basis {
+    x_mm: Vec<f64>,
+    y_mm: Vec<f64>,
+    /// f = a + b (x - x0) + c (y - y0) with the middle of the map at (x0, y0).
+    functions: Vec<[f64; 3]>,
+}
+
+impl Basis {
+    pub(crate) fn new(grid: &Grid, weight: &Array2<f64>, free: Free) -> Self {
+        let centred = |a: &planish_types::Axis| -> Vec<f64> {
+            let middle = 0.5 * (a.start_mm() + a.end_mm());
+            a.coordinates().iter().map(|v| v - middle).collect()
+        };
+        let (x_mm, y_mm) = (centred(&grid.x), centred(&grid.y));
+        // Moments m[k][l] = sum of w f_k f_l with f = 1, x, y.
+        let mut m = [[0.0; 3]; 3];
+        for (r, row) in weight.outer_iter().enumerate() {
+            for (c, w) in row.iter().enumerate() {
+                let f = [1.0, x_mm[c], y_mm[r]];
+                for k in 0..3 {
+                    for l in 0..=k {
+                        m[k][l] += w * f[k] * f[l];
+                    }
+                }
+            }
+        }
+        let product = |a: &[f64; 3], b: &[f64; 3]| -> f64 {
+            let mut sum = 0.0;
+            for k in 0..3 {
+                for l in 0..3 {
+                    sum += a[k] * b[l] * m[k.max(l)][k.min(l)];
+                }
+            }
+            sum
+        };
+        // Gram-Schmidt; a function that is none (a map of one column) is left out.
+        let count = match free {
+            Free::Piston => 1,
+            Free::Plane => 3,
+        };
+        let mut functions: Vec<[f64; 3]> = Vec::new();
+        for k in 0..count {
+            let mut f = [0.0; 3];
+            f[k] = 1.0;
+            let before = product(&f, &f);
+            for _ in 0..2 {
+                for g in &functions {
+                    let c = product(&f, g);
+                    (0..3).for_each(|l| f[l] -= c * g[l]);
+                }
+            }
+            let after = product(&f, &f);
+            if after > 1e-12 * before {
+                functions.push(f.map(|v| v / after.sqrt()));
+            }
+        }
+        Self { x_mm, y_mm, functions }
+    }
+
+    fn at(&self, f: &[f64; 3], r: usize, c: usize) -> f64 {
+        f[0] + f[1] * self.x_mm[c] + f[2] * self.y_mm[r]
+    }
+
+    /// `sum_i w_i m_i f(x_i)` for every function.
+    fn coefficients(&self, weight: &Array2<f64>, map: &Array2<f64>) -> Vec<f64> {
+        let mut sums = vec![0.0; self.functions.len()];
+        for (r, (w, m)) in weight.outer_iter().zip(map.outer_iter()).enumerate() {
+            for (c, (w, m)) in w.iter().zip(m).enumerate() {
+                let v = w * m;
+                for (sum, f) in sums.iter_mut().zip(&self.functions) {
+                    *sum += v * self.at(f, r, c);
+                }
+            }
+        }
+        sums
+    }
+
+    /// The map without its part in the functions.
+    fn project(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
+        let coefficients = self.coefficients(weight, map);
+        for ((r, c), m) in map.indexed_iter_mut() {
+            for (k, f) in coefficients.iter().zip(&self.functions) {
+                *m -= k * self.at(f, r, c);
+            }
+        }
+    }
+
+    /// `U = B' W f` for every function, `adjoint` being B'.
+    pub(crate) fn columns(
+        &self,
+        weight: &Array2<f64>,
+        adjoint: impl Fn(&Array2<f64>) -> Vec<f64>,
+    ) -> Vec<Vec<f64>> {
+        let of = |f: &[f64; 3]| {
+            adjoint(&Array2::from_shape_fn(weight.dim(), |(r, c)| {
+                weight[[r, c]] * self.at(f, r, c)
+            }))
+        };
+        self.functions.iter().map(of).collect()
+    }
+}
+
+/// The terms of (1) beside the residual: `alpha D` and `beta D`.
+#[derive(Clone)]
+pub(crate) struct Penalty {
+    alpha: f64,
+    beta: f64,
+    /// Price of a second in the unit of (1).
+    time: f64,
+    lo: Vec<f64>,
+    /// k and the factors of t_{k-1} and t_k in q_k - q_{k-1}.
+    steps: Vec<(usize, f64, f64)>,
+}
+
+impl Penalty {
+    fn new(path: &ToolPath, lo: &[f64], d: f64, weight: f64, settings: &Settings) -> Self {
+        let mut steps = Vec::new();
+        let lengths: Vec<f64> = (0..lo.len()).map(|j| path.segment_length_mm(j)).collect();
+        let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();
+        sorted.sort_by(f64::total_cmp);
+        if let Some(median) = sorted.get(sorted.len() / 2) {
+            // A density needs a length (here at least 1 % of the median: shorter segments are
+            // rests, whose density says nothing about their neighbours).
+            let has_density = |j: usize| path.tool_on()[j] && lengths[j] > 0.01 * median;
+            steps = (1..lo.len())
+                .filter(|k| has_density(k - 1) && has_density(*k))
+                .map(|k| (k, median / lengths[k - 1], median / lengths[k]))
+                .collect();
+        }
+        let (alpha, beta) = (settings.tikhonov * d, settings.smoothness * d);
+        let time = settings.time_weight_nm2_per_s * weight;
+        Self { alpha, beta, time, lo: lo.to_vec(), steps }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.lo.len()
+    }
+
+    /// Elements (j, k), k <= j, of the matrix.
+    pub(crate) fn for_each(&self, mut add: impl FnMut(usize, usize, f64)) {
+        for j in 0..self.len() {
+            add(j, j, self.alpha);
+        }
+        for &(k, u, v) in &self.steps {
+            add(k - 1, k - 1, self.beta * u * u);
+            add(k, k, self.beta * v * v);
+            add(k, k - 1, -self.beta * u * v);
+        }
+    }
+
+    pub(crate) fn diagonal(&self) -> Vec<f64> {
+        let mut diagonal = vec![0.0; self.len()];
+        self.for_each(|j, k, v| {
+            if j == k {
+                diagonal[j] += v;
+            }
+        });
+        diagonal
+    }
+
+    /// `out += (alpha D + beta D G' G) t`.
+    pub(crate) fn add_product(&self, t: &[f64], out: &mut [f64]) {
+        out.iter_mut().zip(t).for_each(|(o, t)| *o += self.alpha * t);
+        for &(k, u, v) in &self.steps {
+            let step = self.beta * (v * t[k] - u * t[k - 1]);
+            out[k] += v * step;
+            out[k - 1] -= u * step;
+        }
+    }
+
+    /// `out += ` the gradient.
+    fn add_gradient(&self, t: &[f64], out: &mut [f64]) {
+        self.add_product(t, out);
+        out.iter_mut().zip(&self.lo).for_each(|(o, lo)| *o += self.time - self.alpha * lo);
+    }
+
+    /// The terms themselves.
+    fn value(&self, t: &[f64]) -> f64 {
+        let far: f64 = t.iter().zip(&self.lo).map(|(t, lo)| (t - lo).powi(2)).sum();
+        let rough: f64 =
+            self.steps.iter().map(|(k, u, v)| (v * t[*k] - u * t[k - 1]).powi(2)).sum();
+        0.5 * (self.alpha * far + self.beta * rough) + self.time * t.iter().sum::<f64>()
+    }
+}
+
 /// (1) with everything that defines it.
 struct Problem<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
     path: &'a ToolPath,
     places: &'a [Vec<Place>],
+    settings: &'a Settings,
+    columns: Columns,
+    /// z minus its weighted mean, 0 where the weight is 0.
+    z: Array2<f64>,
+    /// As given.
     weight: Array2<f64>,
     lo: &'a [f64],
-    hi: &'a [f64],
-    guess: Option<&'a [f64]>,
-    settings: &'a Settings,
-}
-
-/// What a solver knows beside the dwell times.
-struct Model {
-    algorithm: &'static str,
-    /// Diagonal of H without regularisation; 0 where the tool does not reach the map.
+    /// Upper bounds; the lower ones of dead columns, which keep them whatever the others do.
+    hi: Vec<f64>,
+    live: Vec<bool>,
+    /// Diagonal of H without the penalty.
     diagonal: Vec<f64>,
-    /// B t.
-    removal_nm: Array2<f64>,
-    unreached_pixels: usize,
+    /// D.
+    strongest: f64,
+    u: Vec<Vec<f64>>,
+    approximate: Approximate,
+    /// Pixels along the side of a cell of `approximate`.
+    cell: usize,
+    start: Vec<f64>,
 }
 
 /// A column below this part of the largest diagonal element does not reach the map.
 const DEAD: f64 = 1e-9;
 
-impl Problem<'_> {
-    /// z minus its weighted mean, 0 where the weight is 0.
-    fn centred(&self) -> Array2<f64> {
-        let z = self.desired.height_nm();
-        let (mut sum, mut total) = (0.0, 0.0);
-        Zip::from(z).and(&self.weight).for_each(|z, w| {
-            if *w > 0.0 {
-                sum += w * z;
-                total += w;
-            }
-        });
-        let mean = sum / total;
-        Zip::from(z).and(&self.weight).map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
-    }
+/// Where the iteration is.
+struct Iterate {
+    t: Vec<f64>,
+    removal_nm: Array2<f64>,
+    /// Factorisations, or gradient steps.
+    iterations: usize,
+    corrections: usize,
+    natural_residual: f64,
+    relative_gap: Option<f64>,
+    end: End,
+}
 
-    /// H as a matrix, active set method.
-    fn solve_dense(&self) -> Result<(bounded::Solution, Model), DwellError> {
-        // W^1/2 B; what it removes where w = 0 is not needed.
-        let mut patches = columns::patches(self.places, self.tif, self.desired.grid());
-        let root = self.weight.mapv(f64::sqrt);
-        patches.par_iter_mut().for_each(|p| {
-            let w = p.of(&root).to_owned();
-            p.rate_nm_per_s *= &w;
-        });
-
-        // b = B' w,  g = B' W (z - mean z)
-        let of = |map: &Array2<f64>| -> Vec<f64> {
-            patches.par_iter().map(|p| (&p.rate_nm_per_s * &p.of(map)).sum()).collect()
+impl<'a> Problem<'a> {
+    fn new(
+        desired: &'a Surface,
+        tif: &'a Tif,
+        path: &'a ToolPath,
+        program: &'a Program<'a>,
+        weight: Array2<f64>,
+        columns: Columns,
+        settings: &'a Settings,
+    ) -> Result<Self, DwellError> {
+        let (n, grid) = (path.len(), desired.grid());
+        let basis = Basis::new(grid, &weight, settings.free);
+        let u = basis.columns(&weight, |m| columns.adjoint(m));
+        // diag H = sum of w B^2 less U^2; by FFT the mean of R^2 stands for the square of the mean.
+        let energy = match &columns {
+            Columns::Stored(b) => b.energy(&weight),
+            Columns::Convolved(b) => b.adjoint_of_squared_tif(&weight),
         };
-        let b = of(&root);
-        let mut g = of(&(self.centred() * &root));
-        // H = B' W B - b b' / sum(w)
-        let total = self.weight.sum();
-        let n = self.path.len();
-        let mut h = Array2::zeros((n, n));
-        h.outer_iter_mut().into_par_iter().enumerate().for_each(|(j, mut row)| {
-            for k in 0..=j {
-                row[k] = patches[j].dot(&patches[k]) - b[j] * b[k] / total;
-            }
-        });
-        for j in 0..n {
-            for k in 0..j {
-                h[[k, j]] = h[[j, k]];
-            }
-        }
-        let diagonal: Vec<f64> = (0..n).map(|j| h[[j, j]]).collect();
-        let largest = self.largest(&diagonal)?;
-        let live: Vec<bool> = diagonal.iter().map(|d| *d > DEAD * largest).collect();
-
-        self.regularise(largest, &mut g, |j, k, v| h[[j, k]] += v);
-        // Dead columns keep their lower bound whatever the others do.
-        let hi: Vec<f64> = (0..n).map(|j| if live[j] { self.hi[j] } else { self.lo[j] }).collect();
-        // Without a guess gradient steps find most of the active set for the price of a few
-        // factorisations.
-        let scaled: Vec<f64> = (0..n).map(|j| if live[j] { h[[j, j]] } else { 0.0 }).collect();
-        let apply = |t: &[f64]| h.dot(&ArrayView1::from(t)).to_vec();
-        let gradient = |start: &[f64], max_iterations: usize| {
-            let steps = GradientSettings {
-                tolerance: self.settings.tolerance_s,
-                max_iterations,
-                stagnation: 0.0,
-                offset: 0.0,
-            };
-            bounded::projected_gradient(apply, &scaled, &g, self.lo, &hi, start, &steps)
-        };
-        let start = match self.guess {
-            Some(guess) => guess.to_vec(),
-            None => gradient(self.lo, WARM_START).value,
-        };
-        let mut solution = bounded::active_set(&h, &g, self.lo, &hi, &start, MAX_FACTORISATIONS)
-            .ok_or(DwellError::Singular { tikhonov: self.settings.tikhonov })?;
-        let mut algorithm = "active-set";
-        if solution.end != End::Optimal {
-            algorithm = "projected-gradient";
-            solution = gradient(&solution.value, self.settings.max_iterations);
-        }
-        drop(h);
-
-        let mut removal_nm = Array2::zeros(self.weight.dim());
-        let mut reached = Array2::zeros(self.weight.dim());
-        for (p, t) in patches.iter().zip(&solution.value) {
-            p.add_to(&mut removal_nm, *t);
-            p.add_to(&mut reached, 1.0);
-        }
-        // Back from W^1/2 B t to B t.
-        Zip::from(&mut removal_nm).and(&root).for_each(|r, w| {
-            if *w > 0.0 {
-                *r /= w;
-            }
-        });
-        let model = Model {
-            algorithm,
-            diagonal: (0..n).map(|j| if live[j] { diagonal[j] } else { 0.0 }).collect(),
-            unreached_pixels: self.unreached(&reached),
-            removal_nm,
-        };
-        Ok((solution, model))
-    }
-
-    /// H t by spreading, FFT convolution and its adjoint; projected gradient.
-    fn solve_by_fft(&self) -> Result<(bounded::Solution, Model), DwellError> {
-        let n = self.path.len();
-        let operator = FftOperator::new(self.places, self.tif, self.desired.grid());
-        let z = self.centred();
-        let b = operator.adjoint(&self.weight);
-        let total = self.weight.sum();
-        let mut g = operator.adjoint(&(&z * &self.weight));
-        // diag H = (R^2)' w - b^2 / sum(w); the mean of R^2 stands for the square of the mean.
-        let mut diagonal = operator.adjoint_of_squared_tif(&self.weight);
-        for j in 0..n {
-            diagonal[j] = (diagonal[j] - b[j] * b[j] / total).max(0.0);
-        }
-        let largest = self.largest(&diagonal)?;
-        // D decides the weights of (1): the diagonal element itself, not the estimate.
-        let strongest = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
-        let scale = self.diagonal_element(strongest, total);
-        for d in &mut diagonal {
-            *d = if *d > DEAD * largest { *d } else { 0.0 };
-        }
-
-        let mut entries = Vec::new();
-        self.regularise(scale, &mut g, |j, k, v| entries.push((j, k, v)));
-        let mut scaled = diagonal.clone();
-        for &(j, k, v) in &entries {
-            if j == k && scaled[j] > 0.0 {
-                scaled[j] += v;
-            }
-        }
-        let apply = |t: &[f64]| {
-            let removal = operator.apply(t);
-            let mut h_t = operator.adjoint(&(removal * &self.weight));
-            let piston = b.iter().zip(t).map(|(b, t)| b * t).sum::<f64>() / total;
-            for j in 0..n {
-                h_t[j] -= b[j] * piston;
-            }
-            for &(j, k, v) in &entries {
-                h_t[j] += v * t[k];
-            }
-            h_t
-        };
-        let gradient = GradientSettings {
-            tolerance: self.settings.tolerance_s,
-            max_iterations: self.settings.max_iterations,
-            stagnation: STAGNATION,
-            offset: 0.5 * (&z * &z * &self.weight).sum(),
-        };
-        let solution = bounded::projected_gradient(
-            apply,
-            &scaled,
-            &g,
-            self.lo,
-            self.hi,
-            self.guess.unwrap_or(self.lo),
-            &gradient,
-        );
-        let model = Model {
-            algorithm: "projected-gradient",
-            unreached_pixels: self.unreached(&operator.apply(&vec![1.0; n])),
-            removal_nm: operator.apply(&solution.value),
-            diagonal,
-        };
-        Ok((solution, model))
-    }
-
-    /// `H_jj` without regularisation, from the column itself.
-    fn diagonal_element(&self, j: usize, total: f64) -> f64 {
-        let p = columns::patch(&self.places[j], self.tif, self.desired.grid());
-        let (mut sum, mut squares) = (0.0, 0.0);
-        Zip::from(&p.rate_nm_per_s).and(p.of(&self.weight)).for_each(|r, w| {
-            sum += w * r;
-            squares += w * r * r;
-        });
-        squares - sum * sum / total
-    }
-
-    fn largest(&self, diagonal: &[f64]) -> Result<f64, DwellError> {
+        let mut diagonal: Vec<f64> = (0..n)
+            .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
+            .collect();
         let largest = diagonal.iter().copied().fold(0.0, f64::max);
-        if largest > 0.0 {
-            Ok(largest)
-        } else {
-            Err(DwellError::OutOfReach { points: diagonal.len() })
+        if largest.is_nan() || largest <= 0.0 {
+            return Err(DwellError::OutOfReach { points: n });
         }
+        let live: Vec<bool> = diagonal.iter().map(|d| *d > DEAD * largest).collect();
+        let strongest = match &columns {
+            Columns::Stored(_) => largest,
+            // D decides the weights of (1): the element itself, not the estimate.
+            Columns::Convolved(_) => {
+                let j = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
+                let p = Stored::new(&program.places[j..=j], tif, grid);
+                let u = basis.columns(&weight, |m| p.adjoint(m));
+                p.energy(&weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
+            }
+        };
+        for j in (0..n).filter(|j| !live[*j]) {
+            diagonal[j] = 0.0;
+        }
+
+        let hi: Vec<f64> =
+            (0..n).map(|j| if live[j] { program.hi[j] } else { program.lo[j] }).collect();
+        let first = program.guess.as_ref().unwrap_or(&program.lo);
+        let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
+        let loss = match &columns {
+            Columns::Stored(_) => approximate::LOSS,
+            Columns::Convolved(_) => approximate::LOSS_CONVOLVED,
+        };
+        let cell = approximate::cell_size(tif, grid, loss);
+        let penalty = Penalty::new(path, &program.lo, strongest, weight.sum(), settings);
+        let approximate = match &columns {
+            Columns::Stored(b) => {
+                Approximate::Ordered(Ordered::new(b, &weight, &u, &live, &penalty, cell))
+            }
+            Columns::Convolved(_) => {
+                convolved(Convolved::new(program.places, tif, grid, &weight, settings.free, cell)?)
+            }
+        };
+        Ok(Self {
+            z: centred(desired.height_nm(), &weight),
+            desired,
+            tif,
+            path,
+            places: program.places,
+            settings,
+            columns,
+            weight,
+            lo: &program.lo,
+            hi,
+            live,
+            diagonal,
+            strongest,
+            u,
+            approximate,
+            cell,
+            start,
+        })
     }
 
-    fn unreached(&self, removal_nm: &Array2<f64>) -> usize {
-        // An FFT leaves rounding where nothing is reached.
-        let floor = 1e-12 * removal_nm.iter().copied().fold(0.0, f64::max);
-        removal_nm.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+    fn solve(&mut self) -> Result<Solution, DwellError> {
+        let given = self.settings.smoothness;
+        let first = self.minimise(given)?;
+        let (smoothness, iterate) = match self.settings.noise_rms_nm {
+            Some(noise) if self.rms_nm(&first) < noise => self.stop_at(noise, first)?,
+            _ => (given, first),
+        };
+        Ok(self.finish(iterate, smoothness)?)
     }
 
-    /// alpha D I, alpha D lo, and beta D G' G with G t = q_{k+1} - q_k.
-    fn regularise(&self, d: f64, g: &mut [f64], mut add: impl FnMut(usize, usize, f64)) {
-        let alpha = self.settings.tikhonov * d;
-        for j in 0..g.len() {
-            add(j, j, alpha);
-            g[j] += alpha * self.lo[j];
+    /// The largest beta at which the residual does not exceed the noise (Morozov's discrepancy
+    /// principle), and its minimum; `first` is that of the given beta, which fits the noise.
+    fn stop_at(&mut self, noise_nm: f64, first: Iterate) -> Result<(f64, Iterate), DwellError> {
+        let (mut low, mut best) = (self.settings.smoothness.max(LEAST_SMOOTHNESS), first);
+        let mut high = low;
+        while high < MOST_SMOOTHNESS {
+            high *= 10.0;
+            self.start.clone_from(&best.t);
+            let rougher = self.minimise(high)?;
+            if self.rms_nm(&rougher) > noise_nm {
+                break;
+            }
+            (low, best) = (high, rougher);
         }
-        let beta = self.settings.smoothness * d;
-        let lengths: Vec<f64> = (0..g.len()).map(|j| self.path.segment_length_mm(j)).collect();
-        let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();
-        sorted.sort_by(f64::total_cmp);
-        let Some(median) = sorted.get(sorted.len() / 2) else { return };
-        let on = self.path.tool_on();
-        for k in 1..g.len() {
-            // A density needs a length (here at least 1 % of the median: shorter segments are
-            // rests, whose density says nothing about their neighbours).
-            let has_density = |j: usize| on[j] && lengths[j] > 0.01 * median;
-            if has_density(k - 1) && has_density(k) {
-                let (u, v) = (median / lengths[k - 1], median / lengths[k]);
-                add(k - 1, k - 1, beta * u * u);
-                add(k, k, beta * v * v);
-                add(k - 1, k, -beta * u * v);
-                add(k, k - 1, -beta * u * v);
+        while high / low > 1.05 && low < MOST_SMOOTHNESS {
+            let middle = (low * high).sqrt();
+            self.start.clone_from(&best.t);
+            let found = self.minimise(middle)?;
+            if self.rms_nm(&found) > noise_nm {
+                high = middle;
+            } else {
+                (low, best) = (middle, found);
             }
         }
+        Ok((low, best))
     }
 
-    fn finish(&self, solution: bounded::Solution, model: Model) -> Result<Solution, Invalid> {
-        let t = &solution.value;
-        let live = |j: &usize| model.diagonal[*j] > 0.0;
-        let mut residual = self.desired.height_nm() - &model.removal_nm;
+    /// RMS of the residual without its free part, nm.
+    fn rms_nm(&self, iterate: &Iterate) -> f64 {
+        let mut r = &self.z - &iterate.removal_nm;
+        Basis::new(self.desired.grid(), &self.weight, self.settings.free)
+            .project(&self.weight, &mut r);
+        let squares = Zip::from(&r).and(&self.weight).fold(0.0, |sum, r, w| sum + w * r * r);
+        (squares / self.weight.sum()).sqrt()
+    }
+
+    /// H~ of smaller cells; `false` when there are none.
+    fn sharpen(&mut self, penalty: &Penalty) -> Result<bool, DwellError> {
+        if self.cell == 1 {
+            return Ok(false);
+        }
+        self.cell /= 2;
+        self.approximate = match &self.columns {
+            Columns::Stored(b) => Approximate::Ordered(Ordered::new(
+                b,
+                &self.weight,
+                &self.u,
+                &self.live,
+                penalty,
+                self.cell,
+            )),
+            Columns::Convolved(_) => convolved(Convolved::new(
+                self.places,
+                self.tif,
+                self.desired.grid(),
+                &self.weight,
+                self.settings.free,
+                self.cell,
+            )?),
+        };
+        Ok(true)
+    }
+
+    /// Minimises (1) by steps of its approximation:
+    ///
+    /// ```text
+    /// repeat  q = gradient of (1) at t                           exact
+    ///         d = argmin q'd + d'H~d / 2,  lo <= t + d <= hi     by H~
+    ///         p = argmin of (1) over t + a d + b p, clipped      exact
+    ///         t += p
+    /// ```
+    ///
+    /// d is a descent direction whatever H~ is, and vanishes only at the minimum of (1). With the
+    /// step before, p, this is the conjugate gradient method preconditioned by H~ as soon as the
+    /// components at their bounds are settled. With a Huber loss every q has the weights of its own residual, which is the gradient of that loss.
+    fn minimise(&mut self, smoothness: f64) -> Result<Iterate, DwellError> {
+        let settings = Settings { smoothness, ..*self.settings };
+        let penalty =
+            Penalty::new(self.path, self.lo, self.strongest, self.weight.sum(), &settings);
+        let own = penalty.diagonal();
+        let diagonal: Vec<f64> = (0..own.len())
+            .map(|j| if self.live[j] { self.diagonal[j] + own[j] } else { 0.0 })
+            .collect();
+        let grid = *self.desired.grid();
+        let mut basis = Basis::new(&grid, &self.weight, settings.free);
+        let mut weight = self.weight.clone();
+        let mut t = self.start.clone();
+        let mut removal_nm = if t.iter().all(|t| *t == 0.0) {
+            Array2::zeros(self.z.dim())
+        } else {
+            self.columns.apply(&t)
+        };
+        let (mut iterations, mut corrections, mut slow) = (0, 0, 0);
+        let mut residual_before = f64::INFINITY;
+        let (mut before, mut settled): (Option<(Vec<f64>, Array2<f64>)>, _) = (None, None);
+        loop {
+            // r = z - B t without its free part,  q = -B' W r + penalty
+            let mut r = &self.z - &removal_nm;
+            basis.project(&weight, &mut r);
+            if let Some(k) = settings.huber_nm.filter(|_| corrections > 0) {
+                Zip::from(&mut weight).and(&self.weight).and(&r).for_each(|w, given, r| {
+                    *w = given * (k / r.abs()).min(1.0);
+                });
+                basis = Basis::new(&grid, &weight, settings.free);
+                basis.project(&weight, &mut r);
+            }
+            let mut q = self.columns.adjoint(&(&r * &weight));
+            q.iter_mut().for_each(|q| *q = -*q);
+            penalty.add_gradient(&t, &mut q);
+            let objective = 0.5 * Zip::from(&r).and(&weight).fold(0.0, |sum, r, w| sum + w * r * r)
+                + penalty.value(&t);
+
+            let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
+            let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha, &self.live)
+                .map(|gap| gap / objective.max(f64::MIN_POSITIVE));
+            let optimal = natural_residual <= settings.tolerance_s
+                || relative_gap.is_some_and(|gap| gap <= settings.relative_gap);
+            let mut end = if optimal { Some(End::Optimal) } else { settled };
+            if end.is_none() && corrections >= MAX_CORRECTIONS {
+                end = Some(End::IterationLimit);
+            }
+            slow = if natural_residual > 0.5 * residual_before { slow + 1 } else { 0 };
+            residual_before = natural_residual;
+            let factorised = matches!(self.approximate, Approximate::Ordered(_));
+            if slow >= 2 && factorised && end.is_none() {
+                slow = 0;
+                self.sharpen(&penalty)?;
+            }
+            // d by H~; where that is singular, by smaller cells
+            let mut to = t.clone();
+            while end.is_none() {
+                match &self.approximate {
+                    Approximate::Ordered(h) => {
+                        let h = h.penalised(&penalty);
+                        if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
+                            (to, iterations) = (found, iterations + count);
+                            break;
+                        }
+                        if !self.sharpen(&penalty)? {
+                            return Err(DwellError::Singular { tikhonov: settings.tikhonov });
+                        }
+                    }
+                    Approximate::Convolved(h) => {
+                        let steps = GradientSettings {
+                            tolerance: (0.01 * natural_residual).max(0.5 * settings.tolerance_s),
+                            max_iterations: settings.max_iterations.saturating_sub(iterations),
+                            stagnation: STAGNATION,
+                            offset: objective,
+                        };
+                        let bounds = (self.lo, self.hi.as_slice());
+                        let (found, count) =
+                            h.minimum(&penalty, &t, &q, &self.live, bounds, &steps);
+                        (to, iterations) = (found, iterations + count);
+                        if iterations >= settings.max_iterations {
+                            end = Some(End::IterationLimit);
+                        }
+                        break;
+                    }
+                }
+            }
+            let d: Vec<f64> = to.iter().zip(&t).map(|(to, t)| to - t).collect();
+            let slope: f64 = q.iter().zip(&d).map(|(q, d)| q * d).sum();
+            if end.is_none() && -slope <= ROUNDING * objective {
+                end = Some(End::Stagnated);
+            }
+            if let Some(end) = end {
+                return Ok(Iterate {
+                    t,
+                    removal_nm,
+                    iterations,
+                    corrections,
+                    natural_residual,
+                    relative_gap,
+                    end,
+                });
+            }
+            let quadratic = Along { penalty: &penalty, basis: &basis, weight: &weight };
+            let d_nm = self.columns.apply(&d);
+            let curvature = quadratic.value(&d, &d_nm);
+            // The whole step lands on the bounds: nearly whole is made whole.
+            let s = -slope / curvature;
+            let s = if s > 0.6 { 1.0 } else { s };
+            let mut fall = -s * slope - 0.5 * s * s * curvature;
+            let mut step: Vec<f64> = d.iter().map(|d| s * d).collect();
+            let mut step_nm = &d_nm * s;
+            if let Some((p, p_nm)) = &before {
+                let [a, b] = quadratic.plane_minimum(&q, (&d, &d_nm, curvature), (p, p_nm));
+                let wanted: Vec<f64> = d.iter().zip(p).map(|(d, p)| a * d + b * p).collect();
+                let e: Vec<f64> = (0..t.len())
+                    .map(|j| (t[j] + wanted[j]).clamp(self.lo[j], self.hi[j]) - t[j])
+                    .collect();
+                // B e = a B d + b B p + B (what was clipped: few columns)
+                let clipped: Vec<f64> = e.iter().zip(&wanted).map(|(e, w)| e - w).collect();
+                let mut e_nm = &d_nm * a;
+                e_nm.scaled_add(b, p_nm);
+                e_nm += &self.columns.apply(&clipped);
+                let other = -dot(&q, &e) - 0.5 * quadratic.value(&e, &e_nm);
+                if other > fall {
+                    (fall, step, step_nm) = (other, e, e_nm);
+                }
+            }
+            // The exact step of a descent direction falls but for rounding.
+            let enough = match self.approximate {
+                Approximate::Ordered(_) => 0.0,
+                Approximate::Convolved(_) => STAGNATION * objective,
+            };
+            if fall <= enough {
+                settled = Some(End::Stagnated);
+            }
+            if fall <= 0.0 {
+                continue;
+            }
+            for j in 0..t.len() {
+                t[j] = snapped(t[j] + step[j], self.lo[j], self.hi[j]);
+            }
+            removal_nm += &step_nm;
+            before = Some((step, step_nm));
+            corrections += 1;
+        }
+    }
+
+    fn finish(&self, iterate: Iterate, smoothness: f64) -> Result<Solution, Invalid> {
+        let t = &iterate.t;
+        let live = |j: &usize| self.live[*j];
+        let mut residual = self.desired.height_nm() - &iterate.removal_nm;
         Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
             if *w == 0.0 {
                 *r = f64::NAN;
             }
         });
+        let unreached = |map: &Array2<f64>| {
+            // An FFT leaves rounding where nothing is reached.
+            let floor = 1e-12 * map.iter().copied().fold(0.0, f64::max);
+            map.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+        };
+        // Where something is removed the tool was; where nothing is, it may not have dwelt.
+        let mut unreached_pixels = unreached(&iterate.removal_nm);
+        if unreached_pixels > 0 {
+            unreached_pixels = unreached(&self.columns.apply(&vec![1.0; t.len()]));
+        }
         let grid = self.desired.grid();
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let report = Report {
-            algorithm: model.algorithm,
-            iterations: solution.iterations,
-            end: match solution.end {
+            algorithm: match self.approximate {
+                Approximate::Ordered(_) => "active-set",
+                Approximate::Convolved(_) => "projected-gradient",
+            },
+            iterations: iterate.iterations,
+            corrections: iterate.corrections,
+            cell_pixels: self.cell,
+            end: match iterate.end {
                 End::Optimal => "optimal",
                 End::Stagnated => "stagnated",
                 End::IterationLimit => "iteration-limit",
             },
-            kkt_residual_s: solution.natural_residual,
+            kkt_residual_s: iterate.natural_residual,
+            relative_gap: iterate.relative_gap,
+            smoothness,
             at_lower_bound: (0..t.len()).filter(live).filter(|j| t[*j] <= self.lo[*j]).count(),
             at_upper_bound: (0..t.len()).filter(live).filter(|j| t[*j] >= self.hi[*j]).count(),
             dead: (0..t.len()).filter(|j| !live(j)).count(),
-            unreached_pixels: model.unreached_pixels,
+            unreached_pixels,
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
             total_time_s: t.iter().sum(),
         };
-        Ok(Solution { dwell: DwellTime::new(solution.value)?, report })
+        Ok(Solution { dwell: DwellTime::new(iterate.t)?, report })
     }
+}
+
+/// H of (1) along directions e with their removal B e.
+struct Along<'a> {
+    penalty: &'a Penalty,
+    basis: &'a Basis,
+    weight: &'a Array2<f64>,
+}
+
+impl Along<'_> {
+    /// `e' H e`.
+    fn value(&self, e: &[f64], e_nm: &Array2<f64>) -> f64 {
+        self.between((e, e_nm), (e, e_nm))
+    }
+
+    /// `d' H p`.
+    fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
+        let mut curved = vec![0.0; p.0.len()];
+        self.penalty.add_product(p.0, &mut curved);
+        let free = |nm: &Array2<f64>| self.basis.coefficients(self.weight, nm);
+        Zip::from(d.1).and(p.1).and(self.weight).fold(0.0, |s, d, p, w| s + w * d * p)
+            - dot(&free(d.1), &free(p.1))
+            + dot(&curved, d.0)
+    }
+
+    /// Where `q'e + e'He / 2` is least for `e = a d + b p`:
+    ///
+    /// ```text
+    /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
+    /// ```
+    fn plane_minimum(
+        &self,
+        q: &[f64],
+        (d, d_nm, dd): (&[f64], &Array2<f64>, f64),
+        (p, p_nm): (&[f64], &Array2<f64>),
+    ) -> [f64; 2] {
+        let (dp, pp) = (self.between((d, d_nm), (p, p_nm)), self.value(p, p_nm));
+        let (qd, qp) = (dot(q, d), dot(q, p));
+        let determinant = dd * pp - dp * dp;
+        if determinant <= 1e-9 * dd * pp {
+            return [-qd / dd, 0.0];
+        }
+        [(dp * qp - pp * qd) / determinant, (dp * qd - dd * qp) / determinant]
+    }
+}
+
+/// `t` within its bounds, and on them where it differs by rounding.
+fn snapped(t: f64, lo: f64, hi: f64) -> f64 {
+    let rounding = 1e-13 * t.abs().max(lo.abs());
+    match t {
+        t if t <= lo + rounding => lo,
+        t if t >= hi - rounding => hi,
+        t => t,
+    }
+}
+
+/// z minus its weighted mean, 0 where the weight is 0.
+fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
+    let (mut sum, mut total) = (0.0, 0.0);
+    Zip::from(z).and(weight).for_each(|z, w| {
+        if *w > 0.0 {
+            sum += w * z;
+            total += w;
+        }
+    });
+    let mean = sum / total;
+    let mut centred = Array2::zeros(z.dim());
+    Zip::from(&mut centred).and(z).and(weight).for_each(|c, z, w| {
+        if *w > 0.0 {
+            *c = z - mean;
+        }
+    });
+    centred
+}
+
+/// By how much (1) can still fall, at most: H is at least `alpha D`, so
+///
+/// ```text
+/// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - alpha D (t_j - s)^2 / 2
+/// ```
+///
+/// `None` without alpha.
+fn gap(t: &[f64], q: &[f64], lo: &[f64], hi: &[f64], alpha: f64, live: &[bool]) -> Option<f64> {
+    let of = |j: usize| {
+        let p = t[j] - (t[j] - q[j] / alpha).clamp(lo[j], hi[j]);
+        p * (q[j] - 0.5 * alpha * p)
+    };
+    (alpha > 0.0).then(|| (0..t.len()).filter(|j| live[*j]).map(of).sum())
 }
 
 /// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
 const MAX_TIF_PIXELS: f64 = 2.7e8;
 
 /// Most elements of B that are stored (2 GB).
-const MAX_DENSE_ELEMENTS: f64 = 2.5e8;
+const MAX_STORED_ELEMENTS: f64 = 2.5e8;
 
-/// Gradient steps before the active set method.
-const WARM_START: usize = 300;
-
-/// The active set method takes 10 to 20 on measured problems; more means that it cycles.
-const MAX_FACTORISATIONS: usize = 100;
+/// Range of the smoothness that the noise level chooses from.
+const LEAST_SMOOTHNESS: f64 = 1e-6;
+const MOST_SMOOTHNESS: f64 = 1e6;
 
 /// The gradient method ends when 50 steps change the mean square of the residual by less than this
-/// fraction, its RMS by half of it.
+/// fraction, its RMS by half of it; the corrections of its result end when one changes it by less.
 const STAGNATION: f64 = 2e-4;
 
-impl Patch {
-    /// The part of `map` under the patch.
-    fn of<'m>(&self, map: &'m Array2<f64>) -> ArrayView2<'m, f64> {
-        let ((r, c), (ny, nx)) = (self.origin, self.rate_nm_per_s.dim());
-        map.slice(s![r..r + ny, c..c + nx])
-    }
+/// Steps of H~; measured problems take 3 to 6.
+const MAX_CORRECTIONS: usize = 100;
 
-    fn add_to(&self, map: &mut Array2<f64>, factor: f64) {
-        let ((r, c), (ny, nx)) = (self.origin, self.rate_nm_per_s.dim());
-        map.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(factor, &self.rate_nm_per_s);
-    }
-
-    /// Sum of the products where both patches are.
-    pub(crate) fn dot(&self, other: &Self) -> f64 {
-        let overlap = |a: usize, n: usize, b: usize, m: usize| (a.max(b), (a + n).min(b + m));
-        let ((ny, nx), (my, mx)) = (self.rate_nm_per_s.dim(), other.rate_nm_per_s.dim());
-        let (r0, r1) = overlap(self.origin.0, ny, other.origin.0, my);
-        let (c0, c1) = overlap(self.origin.1, nx, other.origin.1, mx);
-        if r0 >= r1 || c0 >= c1 {
-            return 0.0;
-        }
-        let row = |p: &'_ Self, r: usize| -> std::ops::Range<usize> {
-            let start = (r - p.origin.0) * p.rate_nm_per_s.ncols() + c0 - p.origin.1;
-            start..start + (c1 - c0)
-        };
-        let (a, b) = (slice(&self.rate_nm_per_s), slice(&other.rate_nm_per_s));
-        (r0..r1).map(|r| dot(&a[row(self, r)], &b[row(other, r)])).sum()
-    }
-}
-
-fn slice(a: &Array2<f64>) -> &[f64] {
-    a.as_slice().expect("patches are in C order")
-}
-
-/// Sum of products in eight independent sums, which a compiler turns into vectors.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 8];
-    let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));
-    let tail: f64 = a8.remainder().iter().zip(b8.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in a8.zip(b8) {
-        for k in 0..8 {
-            sums[k] += a[k] * b[k];
-        }
-    }
-    sums.iter().sum::<f64>() + tail
-}
+/// A step that promises to lower (1) by less than this part of it is rounding.
+const ROUNDING: f64 = 1e-15;

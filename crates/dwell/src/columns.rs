@@ -11,8 +11,10 @@
 //! [`planish_types::Tif`]. This model is the solver's own; what the machine really does is
 //! predicted elsewhere, by code that shares nothing with it.
 
-use ndarray::{Array2, ArrayView1, s};
-use planish_numerics::{keys, quadrature::gauss_legendre};
+use std::ops::Range;
+
+use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
+use planish_numerics::{envelope::dot, keys, quadrature::gauss_legendre};
 use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -105,19 +107,27 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
         return nowhere();
     };
     let mut rate_nm_per_s = Array2::zeros((y.1 - y.0 + 1, x.1 - x.0 + 1));
-    for Place { position_mm: p, part: w } in places {
-        let along_x = weights(p[0], &grid.x, &tif.grid().x, x);
-        let along_y = weights(p[1], &grid.y, &tif.grid().y, y);
-        for (r, wy) in along_y.iter().enumerate() {
-            let Some((iy, wy)) = wy else { continue };
-            // Interpolate along y once per row, then along x.
-            let g = tif.with_ghosts().slice(s![*iy..*iy + 4, ..]);
-            let row = combine(&g, wy);
-            let mut out = rate_nm_per_s.row_mut(r);
-            for (out, wx) in out.iter_mut().zip(&along_x) {
-                if let Some((ix, wx)) = wx {
-                    let g = &row[*ix..*ix + 4];
-                    *out += w * (wx[0] * g[0] + wx[1] * g[1] + wx[2] * g[2] + wx[3] * g[3]);
+    let samples = tif.with_ghosts();
+    let mut row = vec![0.0; samples.ncols()];
+    // Interpolate along y once for all places of the same y, then along x.
+    for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
+        let along_x: Vec<(f64, Vec<Run>)> = places
+            .iter()
+            .map(|p| (p.part, runs(p.position_mm[0], &grid.x, &tif.grid().x, x)))
+            .collect();
+        for run in runs(places[0].position_mm[1], &grid.y, &tif.grid().y, y) {
+            for k in 0..run.len {
+                combine(&samples.slice(s![run.node + k..run.node + k + 4, ..]), &run.w, &mut row);
+                let mut out = rate_nm_per_s.row_mut(run.pixel + k);
+                let out = out.as_slice_mut().expect("in C order");
+                for (part, along_x) in &along_x {
+                    for Run { pixel, len, node, w } in along_x {
+                        let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[node + t..node + t + len]);
+                        let w = w.map(|w| w * part);
+                        for (i, out) in out[*pixel..pixel + len].iter_mut().enumerate() {
+                            *out += w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i];
+                        }
+                    }
                 }
             }
         }
@@ -125,9 +135,13 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     Patch { origin: (y.0, x.0), rate_nm_per_s }
 }
 
-fn combine(rows: &ndarray::ArrayView2<f64>, w: &[f64; 4]) -> Vec<f64> {
-    let [a, b, c, d]: [ArrayView1<f64>; 4] = [0, 1, 2, 3].map(|k| rows.row(k));
-    (0..a.len()).map(|i| w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i]).collect()
+fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
+    let n = out.len();
+    let all = rows.as_slice().expect("whole rows of an array in C order");
+    let [a, b, c, d] = [0, 1, 2, 3].map(|k| &all[k * n..(k + 1) * n]);
+    for (i, out) in out.iter_mut().enumerate() {
+        *out = w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i];
+    }
 }
 
 /// First and last pixel whose offset from `p` is within the samples of the TIF.
@@ -138,24 +152,189 @@ fn pixels(p: f64, map: &Axis, tif: &Axis) -> Option<(usize, usize)> {
     (first <= last).then_some((first as usize, last as usize))
 }
 
-/// For each pixel in `range`: the first TIF node (with ghosts) and Keys' weights; `None` outside.
-fn weights(
-    p: f64,
-    map: &Axis,
-    tif: &Axis,
-    range: (usize, usize),
-) -> Vec<Option<(usize, [f64; 4])>> {
-    (range.0..=range.1)
-        .map(|i| {
-            let (node, f) = keys::split((map.at(i) - p - tif.start_mm()) / tif.step_mm());
-            let last = tif.len() as isize - 1;
-            match node {
-                _ if node == last && f == 0.0 => Some((tif.len() - 2, keys::weights(1.0))),
-                _ if (0..last).contains(&node) => Some((node as usize, keys::weights(f))),
-                _ => None,
+/// Neighbouring pixels at neighbouring nodes of the TIF, all at the same offset from theirs.
+struct Run {
+    /// First pixel, from the start of the range.
+    pixel: usize,
+    len: usize,
+    /// First node of the first pixel, in the samples with ghosts.
+    node: usize,
+    /// Keys' weights.
+    w: [f64; 4],
+}
+
+/// Offsets from a node that differ by less, in steps of the TIF, are the same: the rounding of
+/// coordinates.
+const SAME_OFFSET: f64 = 1e-11;
+
+/// Where the TIF of a tool at `p` is on the pixels in `range`.
+fn runs(p: f64, map: &Axis, tif: &Axis, range: (usize, usize)) -> Vec<Run> {
+    let mut found: Vec<Run> = Vec::new();
+    let mut offset = f64::NAN;
+    for i in range.0..=range.1 {
+        let (node, mut f) = keys::split((map.at(i) - p - tif.start_mm()) / tif.step_mm());
+        let last = tif.len() as isize - 1;
+        let node = match node {
+            _ if node == last && f == 0.0 => {
+                f = 1.0;
+                tif.len() - 2
             }
-        })
-        .collect()
+            _ if (0..last).contains(&node) => node as usize,
+            _ => continue,
+        };
+        let pixel = i - range.0;
+        match found.last_mut() {
+            Some(run)
+                if run.pixel + run.len == pixel
+                    && run.node + run.len == node
+                    && (f - offset).abs() < SAME_OFFSET =>
+            {
+                run.len += 1;
+            }
+            _ => {
+                offset = f;
+                found.push(Run { pixel, len: 1, node, w: keys::weights(f) });
+            }
+        }
+    }
+    found
+}
+
+/// Rows of the map that one thread sums at a time.
+const BAND: usize = 8;
+
+impl Patch {
+    /// Rows of the map and, in each, its columns and the patch there.
+    fn rows(&self) -> impl Iterator<Item = (usize, Range<usize>, &[f64])> {
+        let (r, c) = self.origin;
+        let width = self.rate_nm_per_s.ncols();
+        self.all()
+            .chunks_exact(width.max(1))
+            .enumerate()
+            .map(move |(k, row)| (r + k, c..c + width, row))
+    }
+}
+
+/// B as stored patches.
+pub struct Stored {
+    patches: Vec<Patch>,
+    shape: (usize, usize),
+}
+
+impl Stored {
+    /// The columns of one path, TIF and map.
+    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+        Self { patches: patches(places, tif, grid), shape: grid.shape() }
+    }
+
+    /// `B t`: (ny, nx), nm. Every pixel sums in the order of the columns, whatever the threads.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        let mut map = Array2::zeros(self.shape);
+        map.axis_chunks_iter_mut(NdAxis(0), BAND).into_par_iter().enumerate().for_each(
+            |(b, mut band)| {
+                let rows = b * BAND..b * BAND + band.nrows();
+                for (p, t) in self.patches.iter().zip(t).filter(|(_, t)| **t != 0.0) {
+                    let height = p.rate_nm_per_s.nrows();
+                    let from = rows.start.max(p.origin.0);
+                    let to = rows.end.min(p.origin.0 + height);
+                    if from >= to {
+                        continue;
+                    }
+                    for (r, columns, rate) in p.rows().skip(from - p.origin.0).take(to - from) {
+                        let mut row = band.row_mut(r - rows.start);
+                        let row = row.as_slice_mut().expect("in C order");
+                        let row = &mut row[columns];
+                        row.iter_mut().zip(rate).for_each(|(m, r)| *m += t * r);
+                    }
+                }
+            },
+        );
+        map
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        let (all, width) = (map.as_slice().expect("in C order"), map.ncols());
+        let column = |p: &Patch| -> f64 {
+            p.rows()
+                .map(|(r, c, rate)| dot(rate, &all[r * width + c.start..r * width + c.end]))
+                .sum()
+        };
+        self.patches.par_iter().map(column).collect()
+    }
+
+    /// Sum of `w_i B_ij^2` for every column.
+    pub fn energy(&self, weight: &Array2<f64>) -> Vec<f64> {
+        let column = |p: &Patch| -> f64 {
+            let row = |(r, c, rate): (usize, Range<usize>, &[f64])| -> f64 {
+                let w = weight.slice(s![r, c]);
+                rate.iter().zip(w).map(|(b, w)| w * b * b).sum()
+            };
+            p.rows().map(row).sum()
+        };
+        self.patches.par_iter().map(column).collect()
+    }
+
+    /// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
+    /// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell.
+    pub fn on_cells(&self, weight: &Array2<f64>, size: usize) -> Vec<Patch> {
+        let mut total =
+            Array2::<f64>::zeros((weight.nrows().div_ceil(size), weight.ncols().div_ceil(size)));
+        for ((r, c), w) in weight.indexed_iter() {
+            total[[r / size, c / size]] += w;
+        }
+        let scale = total.mapv(|w| if w > 0.0 { w.sqrt().recip() } else { 0.0 });
+        let coarse = |p: &Patch| -> Patch {
+            let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
+            if ny == 0 || nx == 0 {
+                return nowhere();
+            }
+            let (top, left) = (r / size, c / size);
+            let shape = ((r + ny - 1) / size + 1 - top, (c + nx - 1) / size + 1 - left);
+            let mut cells = Array2::zeros(shape);
+            for (r, columns, rate) in p.rows() {
+                let w = weight.slice(s![r, columns.clone()]);
+                let mut row = cells.row_mut(r / size - top);
+                for ((c, b), w) in columns.zip(rate).zip(w) {
+                    row[c / size - left] += w * b;
+                }
+            }
+            cells *= &scale.slice(s![top..top + shape.0, left..left + shape.1]);
+            Patch { origin: (top, left), rate_nm_per_s: cells }
+        };
+        self.patches.par_iter().map(coarse).collect()
+    }
+}
+
+impl Patch {
+    /// Sum of the products where both patches are.
+    pub fn dot(&self, other: &Self) -> f64 {
+        let overlap = |a: usize, n: usize, b: usize, m: usize| (a.max(b), (a + n).min(b + m));
+        let ((ny, nx), (my, mx)) = (self.rate_nm_per_s.dim(), other.rate_nm_per_s.dim());
+        let (r0, r1) = overlap(self.origin.0, ny, other.origin.0, my);
+        let (c0, c1) = overlap(self.origin.1, nx, other.origin.1, mx);
+        if r0 >= r1 || c0 >= c1 {
+            return 0.0;
+        }
+        let row = |p: &'_ Self, r: usize| -> Range<usize> {
+            let start = (r - p.origin.0) * p.rate_nm_per_s.ncols() + c0 - p.origin.1;
+            start..start + (c1 - c0)
+        };
+        let (a, b) = (self.all(), other.all());
+        (r0..r1).map(|r| dot(&a[row(self, r)], &b[row(other, r)])).sum()
+    }
+
+    /// Whether some pixel is in both patches.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let apart = |a: usize, n: usize, b: usize, m: usize| a >= b + m || b >= a + n;
+        let ((ny, nx), (my, mx)) = (self.rate_nm_per_s.dim(), other.rate_nm_per_s.dim());
+        !apart(self.origin.0, ny, other.origin.0, my)
+            && !apart(self.origin.1, nx, other.origin.1, mx)
+    }
+
+    fn all(&self) -> &[f64] {
+        self.rate_nm_per_s.as_slice().expect("in C order")
+    }
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@
 //! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
 //! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
 
+mod approximate;
 pub mod bcls;
 pub mod bounded_least_squares;
 pub mod columns;

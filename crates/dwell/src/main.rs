@@ -6,7 +6,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_dwell::{
-    bounded_least_squares::{self, Bound, Settings},
+    bounded_least_squares::{self, Bound, Free, Program, Settings},
     columns::Columns,
 };
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
@@ -71,6 +71,24 @@ struct BoundedLeastSquares {
     /// Largest dwell time per length of the segment, s/mm
     #[arg(long, value_name = "T")]
     max_dwell_s_per_mm: Option<f64>,
+    /// Least dwell times point by point [dwell artifact]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["min_dwell_s", "min_dwell_s_per_mm"])]
+    min_dwell: Option<PathBuf>,
+    /// Largest dwell times point by point [dwell artifact]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["max_dwell_s", "max_dwell_s_per_mm"])]
+    max_dwell: Option<PathBuf>,
+    /// Price of a second beside half the mean square of the residual, nm^2/s
+    #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
+    time_weight_nm2_per_s: f64,
+    /// What need not be removed
+    #[arg(long, value_enum, default_value = "piston")]
+    free: FreeKind,
+    /// Residual above which a pixel counts linearly instead of squared, nm: robust to pits
+    #[arg(long, value_name = "K")]
+    huber_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it
+    #[arg(long, value_name = "S")]
+    noise_rms_nm: Option<f64>,
     /// What a dwell time is spent on
     #[arg(long, value_enum, default_value = "segment")]
     columns: ColumnKind,
@@ -90,6 +108,14 @@ enum ColumnKind {
     Segment,
     /// Standing at the dwell point
     Point,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FreeKind {
+    /// A constant
+    Piston,
+    /// A plane: the part keeps the tilt that this leaves
+    Plane,
 }
 
 fn main() -> ExitCode {
@@ -120,6 +146,13 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         max_dwell: bound(cli.max_dwell_s, cli.max_dwell_s_per_mm),
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
+        time_weight_nm2_per_s: cli.time_weight_nm2_per_s,
+        free: match cli.free {
+            FreeKind::Piston => Free::Piston,
+            FreeKind::Plane => Free::Plane,
+        },
+        huber_nm: cli.huber_nm,
+        noise_rms_nm: cli.noise_rms_nm,
         ..defaults
     };
     let mut stage = Stage::new(
@@ -133,11 +166,29 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
     let tif: Tif = stage.read("tif", &cli.tif)?;
     let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
     let weight = cli.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()?;
+    let least: Option<DwellTime> =
+        cli.min_dwell.as_ref().map(|dir| stage.read("min-dwell", dir)).transpose()?;
+    let most: Option<DwellTime> =
+        cli.max_dwell.as_ref().map(|dir| stage.read("max-dwell", dir)).transpose()?;
     if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
         return Ok(status);
     }
 
-    let solution = bounded_least_squares::solve(&surface, &tif, &path, weight.as_ref(), &settings)?;
+    let (lo, hi) = bounded_least_squares::bounds(&path, &settings)?;
+    let program = Program {
+        places: &settings.columns.places(&path),
+        lo: least.map_or(lo, |least| least.dwell_s().to_vec()),
+        hi: most.map_or(hi, |most| most.dwell_s().to_vec()),
+        guess: None,
+    };
+    let solution = bounded_least_squares::solve_columns(
+        &surface,
+        &tif,
+        &path,
+        weight.as_ref(),
+        &settings,
+        &program,
+    )?;
 
     let r = &solution.report;
     let status = if r.end == "iteration-limit" {

@@ -342,7 +342,8 @@ pub const FRAMES: Kind = Kind {
 pub const ITERATIONS: Kind = Kind {
     name: "iterations",
     version: 1,
-    doc: "The rounds of a refinement, the first being the plan before any correction.",
+    doc: "The rounds of a refinement, the first being the plan before any correction; or the plans \
+          of a trade-off by rising price of time.",
     frame: PATH_FRAME,
     arrays: &[
         array(

@@ -7,7 +7,7 @@ pub mod arc_feed;
 pub mod bounded;
 pub mod bspline;
 pub mod chain;
-pub mod cholesky;
+pub mod envelope;
 pub mod fft;
 pub mod fourier;
 pub mod keys;

@@ -171,7 +171,10 @@ impl Free {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bounded::active_set;
+    use crate::{
+        bounded::{Quadratic, active_set},
+        envelope::Envelope,
+    };
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -212,7 +215,8 @@ mod tests {
             prop_assert!(found.converged);
             prop_assert!(found.violation < 1e-10, "{}", found.violation);
             let (lo, hi) = (vec![0.0; n], vec![f64::INFINITY; n]);
-            let other = active_set(&h, &g, &lo, &hi, &lo, 200).unwrap();
+            let quadratic = Quadratic { k: Envelope::from_dense(&h), u: Vec::new() };
+            let other = active_set(&quadratic, &g, &lo, &hi, &lo, 200).unwrap();
             for j in 0..n {
                 // Both at rounding times a condition number below about 1e3.
                 prop_assert!((found.value[j] - other.value[j]).abs() < 1e-9);

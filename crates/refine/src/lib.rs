@@ -14,7 +14,9 @@
 //! ```
 //!
 //! The result is the iterate of the smallest `e` that keeps the limits, never the last by
-//! accident. The operator must be the executed one: a fixed one converges on gentle paths and
+//! accident. With a price `lambda` on the total time T the place of `e` is taken by
+//! `sqrt(e^2 + 2 lambda T)`, twice the objective of the dwell solver. With a noise level the first
+//! correction chooses the smoothness at which the residual reaches the noise; it stays. The operator must be the executed one: a fixed one converges on gentle paths and
 //! diverges where the curve leaves the chords.
 //!
 //! This is the only crate that sees several stages. What it promises is what `planish-simulate`
@@ -26,22 +28,35 @@
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | e | `rms_nm` | - | nm |
 
+pub mod trade_off;
+
 use planish_dwell::{
     DwellError,
     bounded_least_squares::{self as dwell_solver, Program},
     columns,
 };
-use planish_schedule::{ScheduleError, pvt};
+use planish_schedule::{ScheduleError, constant_acceleration, pvt};
 use planish_simulate::simulate;
 use planish_types::{DwellTime, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
 
+/// What makes the motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scheduler {
+    /// Cubic segments, stretched where the limits ask for it.
+    Pvt(pvt::Mode),
+    /// One constant acceleration, then constant velocity, per segment. It has no look-ahead: it
+    /// comes late where it cannot stop, and its velocity is not limited.
+    ConstantAcceleration,
+}
+
 /// How to refine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Shape of the motion.
-    pub mode: pvt::Mode,
+    /// What makes the motion.
+    pub scheduler: Scheduler,
     /// The dwell solver of every round; its columns are those of the first round.
     pub dwell: dwell_solver::Settings,
     /// Most rounds of schedule and correction.
@@ -53,7 +68,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            mode: pvt::Mode::Smooth,
+            scheduler: Scheduler::Pvt(pvt::Mode::Smooth),
             dwell: dwell_solver::Settings {
                 // The columns are the executed ones, so the smoothness need not stand for what a
                 // machine can execute; the pull to the lower bound buys machine time.
@@ -103,6 +118,9 @@ pub struct Iterate {
     pub dwell_s: Vec<f64>,
     /// RMS (mean removed) of the executed residual, nm.
     pub rms_nm: f64,
+    /// sqrt(rms^2 + 2 lambda T), nm, with the noise in place of an RMS below it: what the loop
+    /// lowers.
+    pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
     /// Segments whose dwell time the schedule had to stretch.
@@ -114,7 +132,7 @@ pub struct Iterate {
 /// The best round, and all of them.
 #[derive(Clone, Debug)]
 pub struct Refined {
-    /// Dwell times of the best round: scheduling them gives `trajectory` without stretching.
+    /// Dwell times of the best round: what every segment takes in `trajectory`.
     pub dwell: DwellTime,
     /// Its motion.
     pub trajectory: Trajectory,
@@ -129,6 +147,52 @@ pub struct Refined {
 /// Rounds without progress after which the loop ends: one may be the price of raised bounds.
 const PATIENCE: usize = 2;
 
+/// A motion and what it needed.
+struct Motion {
+    trajectory: Trajectory,
+    /// Segment and time of those that took longer than they should.
+    stretched: Vec<(usize, f64)>,
+}
+
+/// P = schedule(t).
+fn schedule(
+    path: &ToolPath,
+    t: &DwellTime,
+    limits: &Limits,
+    scheduler: Scheduler,
+) -> Result<Motion, ScheduleError> {
+    match scheduler {
+        Scheduler::Pvt(mode) => {
+            let how = pvt::Settings { mode, stretch: true };
+            let motion = pvt::schedule(path, t, limits, &how)?;
+            let stretched =
+                motion.report.stretched.iter().map(|s| (s.segment, s.scheduled_s)).collect();
+            Ok(Motion { trajectory: motion.trajectory, stretched })
+        }
+        Scheduler::ConstantAcceleration => {
+            let trajectory = constant_acceleration::schedule(path, t, limits)?.trajectory;
+            let mut time_s = vec![0.0; path.len()];
+            for segment in trajectory.segments() {
+                let column = usize::try_from(segment.dwell_index).ok();
+                if let Some(time) = column.and_then(|j| time_s.get_mut(j)) {
+                    *time += segment.duration_s;
+                }
+            }
+            // Break times are sums: their differences round with the total.
+            let rounding = 1e-12 * trajectory.total_time_s();
+            let stretched = t
+                .dwell_s()
+                .iter()
+                .zip(&time_s)
+                .enumerate()
+                .filter(|(_, (asked, took))| **took > **asked + rounding)
+                .map(|(j, (_, took))| (j, *took))
+                .collect();
+            Ok(Motion { trajectory, stretched })
+        }
+    }
+}
+
 /// Refines the dwell times `first`, or those of the dwell solver, for `path` on a machine.
 pub fn refine(
     desired: &Surface,
@@ -138,41 +202,53 @@ pub fn refine(
     first: Option<DwellTime>,
     settings: &Settings,
 ) -> Result<Refined, RefineError> {
-    let (mut lo, hi) = dwell_solver::bounds(path, &settings.dwell)?;
+    let mut solver = settings.dwell;
+    let (mut lo, hi) = dwell_solver::bounds(path, &solver)?;
     let mut t = match first {
         Some(dwell) => dwell,
-        None => dwell_solver::solve(desired, tif, path, None, &settings.dwell)?.dwell,
+        None => dwell_solver::solve(desired, tif, path, None, &solver)?.dwell,
     };
-    let how = pvt::Settings { mode: settings.mode, stretch: true };
     let mut iterates: Vec<Iterate> = Vec::new();
     let mut best: Option<(usize, Trajectory)> = None;
     let mut without_progress = 0;
     let mut end = "round-limit";
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
-        let motion = pvt::schedule(path, &t, limits, &how)?;
+        let motion = schedule(path, &t, limits, settings.scheduler)?;
         let mut h = t.dwell_s().to_vec();
-        for s in &motion.report.stretched {
-            h[s.segment] = s.scheduled_s;
+        for (segment, took) in &motion.stretched {
+            h[*segment] = *took;
         }
         let predicted =
             simulate(&motion.trajectory, tif, desired, planish_simulate::Settings::Gridded)?;
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
+        let rms_nm = predicted.removal.residual().statistics().rms;
+        let total_time_s = motion.trajectory.total_time_s();
+        // Below the noise (its RMS over m pixels scatters by 1 / sqrt(2 m)) nothing is gained.
+        let known = settings.dwell.noise_rms_nm.map_or(0.0, |noise| {
+            let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
+            noise * (1.0 + 3.0 / (2.0 * pixels).sqrt())
+        });
+        let price = 2.0 * solver.time_weight_nm2_per_s * total_time_s;
         let iterate = Iterate {
-            rms_nm: predicted.removal.residual().statistics().rms,
-            total_time_s: motion.trajectory.total_time_s(),
-            stretched: motion.report.stretched.len(),
+            rms_nm,
+            merit_nm: (rms_nm.max(known).powi(2) + price).sqrt(),
+            total_time_s,
+            stretched: motion.stretched.len(),
             limits_respected: verdict.limits_respected,
             dwell_s: h.clone(),
         };
 
-        // Keep the best; a plan beyond the limits is not one.
-        let before = best.as_ref().map(|(b, _)| iterates[*b].rms_nm);
-        if iterate.limits_respected && before.is_none_or(|b| iterate.rms_nm < b) {
+        // Keep the best; a plan beyond the limits is worse than any within them.
+        let before = best.as_ref().map(|(b, _)| &iterates[*b]);
+        let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
+        if before.is_none_or(|b| rank(&iterate) < rank(b)) {
             best = Some((round, motion.trajectory.clone()));
         }
-        let progress =
-            before.is_none_or(|b| iterate.rms_nm < (1.0 - settings.least_improvement) * b);
+        let progress = before.is_none_or(|b| {
+            iterate.merit_nm < (1.0 - settings.least_improvement) * b.merit_nm
+                || iterate.limits_respected && !b.limits_respected
+        });
         without_progress = if progress { 0 } else { without_progress + 1 };
         let stretched = iterate.stretched > 0;
         iterates.push(iterate);
@@ -185,31 +261,26 @@ pub fn refine(
         }
 
         // The machine's need becomes a lower bound; B of the motion; t = bounded least squares.
-        for s in &motion.report.stretched {
-            let j = s.segment;
-            if s.scheduled_s > hi[j] {
+        for &(j, needed_s) in &motion.stretched {
+            if needed_s > hi[j] {
                 return Err(RefineError::BoundBelowNeed {
                     segment: j,
                     length_mm: path.segment_length_mm(j),
-                    needed_s: s.scheduled_s,
+                    needed_s,
                     bound_s: hi[j],
                 });
             }
-            lo[j] = lo[j].max(s.scheduled_s);
+            lo[j] = lo[j].max(needed_s);
         }
         let places = columns::executed(&motion.trajectory, path.len());
         let program = Program { places: &places, lo: lo.clone(), hi: hi.clone(), guess: Some(h) };
-        t = dwell_solver::solve_columns(desired, tif, path, None, &settings.dwell, &program)?.dwell;
+        let solution = dwell_solver::solve_columns(desired, tif, path, None, &solver, &program)?;
+        if solver.noise_rms_nm.take().is_some() {
+            solver.smoothness = solution.report.smoothness;
+        }
+        t = solution.dwell;
     }
-    let Some((best, trajectory)) = best else {
-        let problem = "the judge finds no round within the limits";
-        return Err(Invalid::whole(
-            "limits",
-            problem,
-            "report this: the schedule claims otherwise",
-        )
-        .into());
-    };
+    let (best, trajectory) = best.expect("the first round is the best one so far");
     let dwell = DwellTime::new(iterates[best].dwell_s.clone())?;
     Ok(Refined { dwell, trajectory, best, iterates, end })
 }

@@ -8,7 +8,7 @@ use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
     Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
 };
-use planish_refine::{Iterate, Settings, refine};
+use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
 use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use serde_json::json;
@@ -49,7 +49,16 @@ struct Cli {
     /// Weight of the roughness of the dwell-time density along the path
     #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
     smoothness: f64,
-    /// Shape of the motion
+    /// Price of a second beside half the mean square of the residual, nm^2/s
+    #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
+    time_weight_nm2_per_s: f64,
+    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it
+    #[arg(long, value_name = "S")]
+    noise_rms_nm: Option<f64>,
+    /// What makes the motion
+    #[arg(long, value_enum, default_value = "pvt")]
+    scheduler: SchedulerKind,
+    /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "smooth")]
     mode: Mode,
     /// Most rounds
@@ -57,6 +66,14 @@ struct Cli {
     max_rounds: usize,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SchedulerKind {
+    /// Cubic segments, stretched where the limits ask for it
+    Pvt,
+    /// One constant acceleration, then constant velocity, per segment; no look-ahead
+    ConstantAcceleration,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -74,10 +91,13 @@ fn main() -> ExitCode {
 
 fn body(cli: &Cli) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
-    settings.mode = match cli.mode {
-        Mode::Smooth => pvt::Mode::Smooth,
-        Mode::Monotone => pvt::Mode::Monotone,
+    settings.scheduler = match (cli.scheduler, cli.mode) {
+        (SchedulerKind::ConstantAcceleration, _) => Scheduler::ConstantAcceleration,
+        (SchedulerKind::Pvt, Mode::Smooth) => Scheduler::Pvt(pvt::Mode::Smooth),
+        (SchedulerKind::Pvt, Mode::Monotone) => Scheduler::Pvt(pvt::Mode::Monotone),
     };
+    settings.dwell.time_weight_nm2_per_s = cli.time_weight_nm2_per_s;
+    settings.dwell.noise_rms_nm = cli.noise_rms_nm;
     if let Some(tau) = cli.min_dwell_s_per_mm {
         settings.dwell.min_dwell = Bound::SecondsPerMm(tau);
     } else if let Some(t) = cli.min_dwell_s {
@@ -85,7 +105,11 @@ fn body(cli: &Cli) -> Result<Status, Failure> {
     }
     settings.dwell.tikhonov = cli.tikhonov;
     settings.dwell.smoothness = cli.smoothness;
-    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pvt", &cli.output);
+    let method = match cli.scheduler {
+        SchedulerKind::Pvt => "pvt",
+        SchedulerKind::ConstantAcceleration => "constant-acceleration",
+    };
+    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), method, &cli.output);
     stage.settings(settings);
     let surface: Surface = stage.read("surface", &cli.surface)?;
     let tif: Tif = stage.read("tif", &cli.tif)?;
@@ -111,10 +135,15 @@ fn body(cli: &Cli) -> Result<Status, Failure> {
         "rms_nm": best.rms_nm,
         "total_time_s": best.total_time_s,
     });
-    stage.write("dwell", &refined.dwell, outcome.clone(), &Status::Done)?;
-    stage.write("trajectory", &refined.trajectory, outcome.clone(), &Status::Done)?;
+    let status = if best.limits_respected {
+        Status::Done
+    } else {
+        Status::Negative("no round keeps the limits of the machine".into())
+    };
+    stage.write("dwell", &refined.dwell, outcome.clone(), &status)?;
+    stage.write("trajectory", &refined.trajectory, outcome.clone(), &status)?;
     let arrays = iterations(&refined.iterates);
-    stage.write_files("iterations", &kind::ITERATIONS, &arrays, &[], outcome, &Status::Done)?;
+    stage.write_files("iterations", &kind::ITERATIONS, &arrays, &[], outcome, &status)?;
     for (round, i) in refined.iterates.iter().enumerate() {
         say(format!(
             "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",
@@ -125,13 +154,18 @@ fn body(cli: &Cli) -> Result<Status, Failure> {
             if round == refined.best { "  <- best" } else { "" }
         ));
     }
+    let before = &refined.iterates[0];
     say(format!(
-        "{} after {} rounds -> {}",
+        "{} after {} rounds: {:.4} nm in {:.2} s before, {:.4} nm in {:.2} s after -> {}",
         refined.end,
         refined.iterates.len(),
+        before.rms_nm,
+        before.total_time_s,
+        best.rms_nm,
+        best.total_time_s,
         cli.output.out.display()
     ));
-    Ok(Status::Done)
+    Ok(status)
 }
 
 /// The arrays of `kind::ITERATIONS`.

@@ -3,7 +3,7 @@
 
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::Bound;
-use planish_refine::{RefineError, Settings, refine};
+use planish_refine::{RefineError, Refined, Scheduler, Settings, refine, trade_off};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
 use planish_types::{Axis, AxisLimits, DwellTime, Grid, Limits, Surface, Tif, ToolPath};
@@ -55,7 +55,7 @@ fn meander() -> ToolPath {
 }
 
 fn settings(mode: pvt::Mode) -> Settings {
-    let mut s = Settings { mode, ..Settings::default() };
+    let mut s = Settings { scheduler: Scheduler::Pvt(mode), ..Settings::default() };
     s.dwell.min_dwell = Bound::Seconds(0.05);
     s
 }
@@ -115,4 +115,100 @@ fn a_bound_below_the_machines_need_is_named() {
     let error = refine(&desired(), &tif(), &meander(), &machine, None, &how).unwrap_err();
     assert!(matches!(error, RefineError::BoundBelowNeed { bound_s: 0.1, .. }), "{error}");
     assert!(error.to_string().contains("no plan within limits and bounds"), "{error}");
+}
+
+#[test]
+fn the_operator_of_constant_accelerations_is_their_own() {
+    let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
+    let mut how = settings(pvt::Mode::Smooth);
+    how.scheduler = Scheduler::ConstantAcceleration;
+    let refined = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
+    let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
+    println!("{rms:?}");
+    assert!(refined.best > 0 && rms[refined.best] < 0.997 * rms[0], "{rms:?}");
+    assert!(refined.iterates[refined.best].limits_respected);
+    let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::Settings::Gridded);
+    assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
+}
+
+#[test]
+fn a_price_on_time_buys_time_and_its_curve_is_drawn() {
+    let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
+    let how = settings(pvt::Mode::Monotone);
+    let prices = trade_off::prices(&desired, &tif, 4);
+    assert_eq!((prices.len(), prices[0]), (5, 0.0));
+    let points = trade_off::trade_off(&desired, &tif, &path, &machine, &prices, &how).unwrap();
+    for pair in points.windows(2) {
+        // The loop ends at changes of 1e-3; an exact trade-off rises and falls strictly.
+        assert!(pair[1].best.total_time_s <= 1.001 * pair[0].best.total_time_s, "{pair:?}");
+        assert!(pair[1].best.rms_nm >= 0.998 * pair[0].best.rms_nm, "{pair:?}");
+        assert!(pair[1].best.limits_respected);
+    }
+    let (first, last) = (&points[0].best, &points[4].best);
+    let pairs: Vec<_> = points.iter().map(|p| (p.best.total_time_s, p.best.rms_nm)).collect();
+    println!("{pairs:?}");
+    assert!(last.total_time_s < 0.99 * first.total_time_s && last.rms_nm > first.rms_nm);
+    let least = trade_off::least_time_s(&desired, &tif);
+    let picture = trade_off::svg(&points, least);
+    assert_eq!(picture.matches("<circle").count(), 5);
+    assert!(picture.contains(&format!("volume / VRR = {least:.1} s")));
+    // A step of 1 nm on half of the map: its volume over the VRR.
+    let half = Array2::from_shape_fn(desired.grid().shape(), |(r, _)| f64::from(r < 20));
+    let step = Surface::new(*desired.grid(), half).unwrap();
+    let expected = 20.0 * 51.0 * 0.04 / tif.vrr_nm_mm2_per_s();
+    assert!((trade_off::least_time_s(&step, &tif) - expected).abs() < 1e-12 * expected);
+}
+
+/// Noise of `rms_nm`, uniform, by a fixed sequence.
+fn noisy(clean: &Surface, rms_nm: f64) -> Surface {
+    let mut state = 1_u64;
+    let height = clean.height_nm().mapv(|z| {
+        // Knuth's linear congruential generator.
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let unit = (state >> 11) as f64 / (1_u64 << 53) as f64;
+        z + rms_nm * 12.0_f64.sqrt() * (unit - 0.5)
+    });
+    Surface::new(*clean.grid(), height).unwrap()
+}
+
+#[test]
+fn noise_is_not_fitted_at_the_cost_of_the_true_surface() {
+    let (clean, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
+    let noise_nm = 2.0;
+    let measured = noisy(&clean, noise_nm);
+    let mut how = settings(pvt::Mode::Smooth);
+    // So little that the noise is fitted.
+    (how.dwell.smoothness, how.dwell.tikhonov) = (1e-6, 1e-6);
+    how.dwell.noise_rms_nm = Some(noise_nm);
+    let missed = |refined: &Refined| {
+        let p = simulate(&refined.trajectory, &tif, &clean, planish_simulate::Settings::Gridded);
+        p.unwrap().removal.residual().statistics().rms
+    };
+    let first = Settings { max_rounds: 0, ..how };
+    let before = missed(&refine(&measured, &tif, &path, &machine, None, &first).unwrap());
+    let refined = refine(&measured, &tif, &path, &machine, None, &how).unwrap();
+    let after = missed(&refined);
+    how.dwell.noise_rms_nm = None;
+    let fitted = missed(&refine(&measured, &tif, &path, &machine, None, &how).unwrap());
+    println!("against the true surface: {before} nm before, {after} nm after, {fitted} nm fitted");
+    assert!(after <= before && after < fitted, "{before} {after} {fitted}");
+}
+
+#[test]
+fn a_ring_shaped_tool_is_no_exception() {
+    let (desired, path, machine) = (desired(), meander(), machine(250.0, 2000.0));
+    let a = Axis::new(-3.0, 0.2, 31).unwrap();
+    let g = Grid { x: a, y: a };
+    // A ring of 1.5 mm: its spectrum has zeros, which no dwell time can correct.
+    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        let radius = g.x.at(c).hypot(g.y.at(r));
+        8.0 * (-((radius - 1.5) / 0.5).powi(2)).exp()
+    });
+    let ring = Tif::new(g, rate).unwrap();
+    let how = settings(pvt::Mode::Monotone);
+    let refined = refine(&desired, &ring, &path, &machine, None, &how).unwrap();
+    let best = &refined.iterates[refined.best];
+    assert!(best.limits_respected && best.rms_nm <= refined.iterates[0].rms_nm);
+    assert!(["no-improvement", "round-limit"].contains(&refined.end));
 }

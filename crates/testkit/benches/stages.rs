@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::{Recipe, make};
-use planish_numerics::cholesky::Cholesky;
+use planish_numerics::envelope::Envelope;
 use planish_schedule::pvt::{self, Mode};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::{ion_beam, workspace};
@@ -89,7 +89,9 @@ fn matrix(n: usize) -> Array2<f64> {
 
 #[divan::bench(args = [1000, 2000], sample_count = 5)]
 fn cholesky_blocked(bencher: Bencher, n: usize) {
-    bencher.with_inputs(|| matrix(n)).bench_values(|a| Cholesky::new(a).unwrap());
+    bencher
+        .with_inputs(|| Envelope::from_dense(&matrix(n)))
+        .bench_values(|a| a.factorise().unwrap());
 }
 
 #[divan::bench(args = [1000, 2000], sample_count = 5)]

@@ -298,6 +298,60 @@ fn best_dwell_on_the_published_raster_points() {
 }
 
 #[test]
+fn best_dwell_within_its_own_model() {
+    let Some(mirror) = mirror() else { return };
+    for name in ["raster", "maze"] {
+        let settings = bounded_least_squares::Settings {
+            columns: Columns::Point,
+            min_dwell: Bound::Seconds(0.1),
+            tikhonov: 1e-6,
+            smoothness: 0.0,
+            ..Default::default()
+        };
+        let path = mirror.path(name);
+        let solution =
+            bounded_least_squares::solve(&mirror.desired, &mirror.tif, &path, None, &settings)
+                .unwrap();
+        println!("{name}: {:?}", solution.report);
+        assert!(solution.report.model_rms_nm <= 0.149, "{:?}", solution.report);
+        // The certificate: the mean square is within 1e-4 of the least, its root within 5e-5.
+        assert!(solution.report.relative_gap.unwrap() <= 1e-4, "{:?}", solution.report);
+    }
+}
+
+#[test]
+fn refined_on_the_published_paths() {
+    let Some(mirror) = mirror() else { return };
+    let floors = [Bound::Seconds(0.1), Bound::SecondsPerMm(0.02)];
+    for (name, goals) in
+        [("raster", [(0.141, 7.3), (0.141, 4.2)]), ("maze", [(0.142, 7.4), (0.142, 5.0)])]
+    {
+        for (min_dwell, (rms, minutes)) in floors.into_iter().zip(goals) {
+            let mut settings = planish_refine::Settings::default();
+            settings.dwell.min_dwell = min_dwell;
+            let path = mirror.path(name);
+            let refined = planish_refine::refine(
+                &mirror.desired,
+                &mirror.tif,
+                &path,
+                &ion_beam(),
+                None,
+                &settings,
+            )
+            .unwrap();
+            assert!(judge(&refined.trajectory).limits_respected);
+            let found = mirror.simulate(&refined.trajectory, GRIDDED).residual().statistics().rms;
+            let took = refined.trajectory.total_time_s() / 60.0;
+            println!("{name} {min_dwell:?}: {found} nm in {took} min");
+            assert!(
+                found <= rms && took <= minutes,
+                "{name} {min_dwell:?}: {found} nm, {took} min"
+            );
+        }
+    }
+}
+
+#[test]
 fn own_raster_own_dwell_executed_by_pvt() {
     let Some(mirror) = mirror() else { return };
     let [x, y] = mirror.tif.half_size_mm();

@@ -1,0 +1,285 @@
+//! Cheap stand-ins for the normal matrix of [`crate::bounded_least_squares`], by which its steps
+//! are made. What they cost in accuracy is corrected by the exact gradient.
+//!
+//! The pixels of every cell of s x s are taken together,
+//!
+//! ```text
+//! H~ = B' W^1/2 P W^1/2 B - U U',     P: mean over every cell, weighted                  (1)
+//! ```
+//!
+//! which loses `s^2 h^2 / 12 <|grad R|^2> / <R^2>` of the energy of a column of pixels h: s is the
+//! largest at which a given part is lost. U is exact: a mean over cells keeps sums.
+
+use ndarray::{Array2, Zip};
+use planish_numerics::{
+    bounded::{self, End, GradientSettings, Quadratic},
+    envelope::Envelope,
+};
+use planish_types::{Axis, Grid, Invalid, Tif};
+
+use crate::{
+    bounded_least_squares::{Basis, Free, Penalty},
+    columns::{Patch, Place, Stored},
+    fft_operator::FftOperator,
+};
+
+/// Part of the energy of the TIF that (1) may lose: where H~ is factorised, and where products
+/// with it are what costs.
+pub const LOSS: f64 = 5e-3;
+pub const LOSS_CONVOLVED: f64 = 2e-2;
+
+/// The active set method takes 10 to 20 factorisations on measured problems. More means that it
+/// cycles: [`SOME`] from any start, [`MOST`] from a good one.
+const SOME: usize = 30;
+const MOST: usize = 100;
+
+/// Largest cell.
+const LARGEST: usize = 16;
+
+/// Pixels of the map along the side of a cell.
+pub fn cell_size(tif: &Tif, map: &Grid, most: f64) -> usize {
+    let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
+    let energy: f64 = rate.iter().map(|r| r * r).sum();
+    // sum of (difference / step)^2 along both axes
+    let slope = |a: &f64, b: &f64, step: f64| ((a - b) / step).powi(2);
+    let (mut along_x, mut along_y) = (0.0, 0.0);
+    for row in rate.rows() {
+        along_x +=
+            row.windows(2).into_iter().map(|w| slope(&w[0], &w[1], grid.x.step_mm())).sum::<f64>();
+    }
+    for column in rate.columns() {
+        along_y += column
+            .windows(2)
+            .into_iter()
+            .map(|w| slope(&w[0], &w[1], grid.y.step_mm()))
+            .sum::<f64>();
+    }
+    let (hx, hy) = (map.x.step_mm(), map.y.step_mm());
+    let loss =
+        |s: usize| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / (12.0 * energy);
+    (2..=LARGEST).rev().find(|s| loss(*s) <= most).unwrap_or(1)
+}
+
+/// The columns in an order in which H~ has a small envelope.
+pub struct Ordered {
+    /// Column of every row of H~; dead ones are not among them.
+    order: Vec<usize>,
+    /// (1) with room for the couplings of the penalty.
+    data: Quadratic,
+}
+
+impl Ordered {
+    /// (1) of stored columns, from `cells` of them.
+    pub fn new(
+        b: &Stored,
+        weight: &Array2<f64>,
+        u: &[Vec<f64>],
+        live: &[bool],
+        penalty: &Penalty,
+        size: usize,
+    ) -> Self {
+        let cells = b.on_cells(weight, size);
+        let along = |axis: usize| {
+            let centre = |j: &usize| {
+                let ((r, c), (ny, nx)) = (cells[*j].origin, cells[*j].rate_nm_per_s.dim());
+                [2 * c + nx, 2 * r + ny][axis]
+            };
+            let mut order: Vec<usize> = (0..live.len()).filter(|j| live[*j]).collect();
+            order.sort_by_key(centre);
+            let first = first_columns(&cells, &order, penalty);
+            let elements: usize = first.iter().enumerate().map(|(i, f)| i + 1 - f).sum();
+            (elements, order, first)
+        };
+        let (x, y) = (along(0), along(1));
+        let (_, order, first) = if x.0 <= y.0 { x } else { y };
+
+        let mut k = Envelope::zeros(first.clone());
+        k.fill(|i, row| {
+            for (v, l) in row.iter_mut().zip(&order[first[i]..]) {
+                *v = cells[order[i]].dot(&cells[*l]);
+            }
+        });
+        let u = u.iter().map(|u| order.iter().map(|j| u[*j]).collect()).collect();
+        Self { order, data: Quadratic { k, u } }
+    }
+
+    /// H~ and the penalty.
+    pub fn penalised(&self, penalty: &Penalty) -> Penalised<'_> {
+        let mut rows = vec![None; penalty.len()];
+        for (i, j) in self.order.iter().enumerate() {
+            rows[*j] = Some(i);
+        }
+        let mut h = self.data.clone();
+        penalty.for_each(|j, k, v| {
+            if let (Some(i), Some(l)) = (rows[j], rows[k]) {
+                h.k.add(i.max(l), i.min(l), v);
+            }
+        });
+        Penalised { order: &self.order, h }
+    }
+}
+
+/// First coupled column of every row.
+fn first_columns(cells: &[Patch], order: &[usize], penalty: &Penalty) -> Vec<usize> {
+    let mut first: Vec<usize> = (0..order.len())
+        .map(|i| {
+            let own = &cells[order[i]];
+            (0..i).find(|l| cells[order[*l]].overlaps(own)).unwrap_or(i)
+        })
+        .collect();
+    let mut rows = vec![None; penalty.len()];
+    for (i, j) in order.iter().enumerate() {
+        rows[*j] = Some(i);
+    }
+    penalty.for_each(|j, k, _| {
+        if let (Some(i), Some(l)) = (rows[j], rows[k]) {
+            first[i.max(l)] = first[i.max(l)].min(i.min(l));
+        }
+    });
+    first
+}
+
+/// [`Ordered`] with its penalty.
+pub struct Penalised<'a> {
+    order: &'a [usize],
+    h: Quadratic,
+}
+
+impl Penalised<'_> {
+    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the factorisations.
+    /// `None` when H~ is not positive definite.
+    pub fn minimum(
+        &self,
+        t: &[f64],
+        q: &[f64],
+        lo: &[f64],
+        hi: &[f64],
+    ) -> Option<(Vec<f64>, usize)> {
+        let pick = |a: &[f64]| -> Vec<f64> { self.order.iter().map(|j| a[*j]).collect() };
+        let start = pick(t);
+        let g: Vec<f64> = self.h.product(&start).iter().zip(pick(q)).map(|(h, q)| h - q).collect();
+        let (lo, hi) = (pick(lo), pick(hi));
+        let mut found = bounded::active_set(&self.h, &g, &lo, &hi, &start, SOME)?;
+        if found.end != End::Optimal {
+            // Nearly singular: gradient steps find most of the active set, or descend at least.
+            let steps = GradientSettings {
+                tolerance: 0.0,
+                max_iterations: 300,
+                stagnation: 0.0,
+                offset: 0.0,
+            };
+            let apply = |t: &[f64]| self.h.product(t);
+            let diagonal = self.h.diagonal();
+            let near = bounded::projected_gradient(apply, &diagonal, &g, &lo, &hi, &start, &steps);
+            let second = bounded::active_set(&self.h, &g, &lo, &hi, &near.value, MOST)?;
+            let iterations = found.iterations + second.iterations;
+            found = if second.end == End::Optimal { second } else { near };
+            found.iterations = iterations;
+        }
+        let mut to = t.to_vec();
+        for (j, v) in self.order.iter().zip(found.value) {
+            to[*j] = v;
+        }
+        Some((to, found.iterations))
+    }
+}
+
+/// (1) as an operator on the cells, with the TIF averaged over a cell.
+pub struct Convolved {
+    b: FftOperator,
+    weight: Array2<f64>,
+    u: Vec<Vec<f64>>,
+    diagonal: Vec<f64>,
+}
+
+impl Convolved {
+    /// (1) for cells of `size` x `size` pixels; size 1 is exact.
+    pub fn new(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        map: &Grid,
+        weight: &Array2<f64>,
+        free: Free,
+        size: usize,
+    ) -> Result<Self, Invalid> {
+        let axis = |a: &Axis| {
+            let s = size as f64;
+            let start = a.start_mm() + 0.5 * (s - 1.0) * a.step_mm();
+            Axis::new(start, s * a.step_mm(), a.len().div_ceil(size).max(2))
+        };
+        let grid = Grid { x: axis(&map.x)?, y: axis(&map.y)? };
+        let mut cells = Array2::<f64>::zeros(grid.shape());
+        for ((r, c), w) in weight.indexed_iter() {
+            cells[[r / size, c / size]] += w;
+        }
+        let tif = if size == 1 { tif.clone() } else { averaged(tif, map, size)? };
+        let b = FftOperator::new(places, &tif, &grid);
+        let basis = Basis::new(&grid, &cells, free);
+        let u = basis.columns(&cells, |m| b.adjoint(m));
+        let mut diagonal = b.adjoint_of_squared_tif(&cells);
+        for u in &u {
+            diagonal.iter_mut().zip(u).for_each(|(d, u)| *d -= u * u);
+        }
+        Ok(Self { b, weight: cells, u, diagonal })
+    }
+
+    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the gradient steps.
+    /// Components that are not live stay.
+    pub fn minimum(
+        &self,
+        penalty: &Penalty,
+        t: &[f64],
+        q: &[f64],
+        live: &[bool],
+        bounds: (&[f64], &[f64]),
+        settings: &GradientSettings,
+    ) -> (Vec<f64>, usize) {
+        let apply = |t: &[f64]| {
+            let mut h_t = self.b.adjoint(&(self.b.apply(t) * &self.weight));
+            for u in &self.u {
+                let c: f64 = u.iter().zip(t).map(|(u, t)| u * t).sum();
+                h_t.iter_mut().zip(u).for_each(|(h, u)| *h -= u * c);
+            }
+            penalty.add_product(t, &mut h_t);
+            h_t
+        };
+        let own = penalty.diagonal();
+        let diagonal: Vec<f64> = (0..t.len())
+            .map(|j| if live[j] { self.diagonal[j].max(0.0) + own[j] } else { 0.0 })
+            .collect();
+        // A component that does not move keeps its lower bound: that of t.
+        let lo: Vec<f64> =
+            (0..t.len()).map(|j| if diagonal[j] > 0.0 { bounds.0[j] } else { t[j] }).collect();
+        let h_t = apply(t);
+        let g: Vec<f64> = h_t.iter().zip(q).map(|(h, q)| h - q).collect();
+        // The offset is that of the objective at t.
+        let own: f64 = (0..t.len()).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum();
+        let settings = GradientSettings { offset: settings.offset - own, ..*settings };
+        let found = bounded::projected_gradient(apply, &diagonal, &g, &lo, bounds.1, t, &settings);
+        (found.value, found.iterations)
+    }
+}
+
+/// The TIF averaged over cells of the map, sampled at their pitch.
+fn averaged(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
+    let axis = |own: &Axis, map: &Axis| {
+        let step = size as f64 * map.step_mm();
+        let samples = ((own.end_mm() - own.start_mm()) / step).ceil() as usize + 3;
+        Axis::new(own.start_mm() - step, step, samples)
+    };
+    let grid = Grid { x: axis(&tif.grid().x, &map.x)?, y: axis(&tif.grid().y, &map.y)? };
+    let within = |map: &Axis| -> Vec<f64> {
+        (0..size).map(|k| (k as f64 - 0.5 * (size as f64 - 1.0)) * map.step_mm()).collect()
+    };
+    let (x, y) = (within(&map.x), within(&map.y));
+    let mut rate = Array2::zeros(grid.shape());
+    Zip::indexed(&mut rate).par_for_each(|(r, c), v| {
+        for dy in &y {
+            for dx in &x {
+                *v += tif.rate_at(grid.x.at(c) + dx, grid.y.at(r) + dy);
+            }
+        }
+        *v /= (size * size) as f64;
+    });
+    Tif::new(grid, rate)
+}

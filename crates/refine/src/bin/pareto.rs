@@ -1,0 +1,107 @@
+//! `planish-pareto`: residual against total time.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::Parser;
+use ndarray::{Array1, Array2};
+use planish_dwell::bounded_least_squares::Bound;
+use planish_handoff::{
+    Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+};
+use planish_refine::{Settings, trade_off};
+use planish_types::{Surface, Tif, ToolPath};
+use serde_json::json;
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-pareto --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/pareto";
+
+/// Refine at rising prices of a second: residual against total time
+///
+/// Writes the plans as iterations and DIR/pareto.svg, and prints the table.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    /// Desired removal [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Tool path [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    tool_path: PathBuf,
+    /// Limits of the machine [JSON file]
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
+    #[arg(long, value_name = "T", default_value_t = 0.02)]
+    min_dwell_s_per_mm: f64,
+    /// Prices beside that of nothing
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    prices: usize,
+    /// Most rounds of every refinement
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    max_rounds: usize,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+fn main() -> ExitCode {
+    let cli: Cli = planish_handoff::parse();
+    run(|| body(&cli))
+}
+
+fn body(cli: &Cli) -> Result<Status, Failure> {
+    let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
+    settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
+    let mut stage = Stage::new("planish-pareto", env!("CARGO_PKG_VERSION"), "pvt", &cli.output);
+    stage.settings(json!({ "prices": cli.prices, "refine": settings }));
+    let surface: Surface = stage.read("surface", &cli.surface)?;
+    let tif: Tif = stage.read("tif", &cli.tif)?;
+    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
+    let machine = stage.read_machine(&cli.machine)?;
+    if let Begin::Unchanged(status) = stage.begin(&[""], &kind::ITERATIONS)? {
+        return Ok(status);
+    }
+
+    let prices = trade_off::prices(&surface, &tif, cli.prices);
+    let points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)?;
+    let least_time_s = trade_off::least_time_s(&surface, &tif);
+
+    say("| price, nm^2/s | total time, s | residual RMS, nm | limits |");
+    say("|---|---|---|---|");
+    for p in &points {
+        say(format!(
+            "| {:.2e} | {:.1} | {:.4} | {} |",
+            p.time_weight_nm2_per_s,
+            p.best.total_time_s,
+            p.best.rms_nm,
+            if p.best.limits_respected { "kept" } else { "exceeded" }
+        ));
+    }
+    say(format!("volume / VRR: {least_time_s:.1} s"));
+    let (m, n) = (points.len(), path.len());
+    let column = |f: fn(&trade_off::Point) -> f64| {
+        ArrayData::F64(points.iter().map(f).collect::<Array1<f64>>().into_dyn())
+    };
+    let dwell = Array2::from_shape_fn((m, n), |(i, j)| points[i].best.dwell_s[j]);
+    let stretched: Array1<i64> = points.iter().map(|p| p.best.stretched as i64).collect();
+    let arrays = [
+        ArrayData::F64(dwell.into_dyn()),
+        column(|p| p.best.rms_nm),
+        column(|p| p.best.total_time_s),
+        ArrayData::I64(stretched.into_dyn()),
+    ];
+    let picture = trade_off::svg(&points, least_time_s).into_bytes();
+    let outcome = json!({ "time_weight_nm2_per_s": prices, "least_time_s": least_time_s });
+    let kept = points.iter().all(|p| p.best.limits_respected);
+    let status = if kept {
+        Status::Done
+    } else {
+        Status::Negative("some plan exceeds the limits of the machine".into())
+    };
+    let beside = [("pareto.svg", picture)];
+    stage.write_files("", &kind::ITERATIONS, &arrays, &beside, outcome, &status)?;
+    say(format!("-> {}", cli.output.out.display()));
+    Ok(status)
+}
