@@ -13,7 +13,7 @@
 //! aperture; their ring is a natural-neighbour interpolation).
 
 use ndarray::{Array1, Array2, Axis as ArrayAxis, s};
-use planish_numerics::cholesky::Cholesky;
+use planish_numerics::envelope::{Envelope, Factor};
 use planish_types::{Axis, Grid, Invalid};
 use rayon::prelude::*;
 
@@ -34,7 +34,7 @@ pub(crate) struct Extension {
     /// Chebyshev polynomials at the rows (ny, a) and columns (nx, b).
     basis: (Array2<f64>, Array2<f64>),
     /// Factor of the normal equations of (2).
-    factor: Option<Cholesky>,
+    factor: Option<Factor>,
 }
 
 impl Extension {
@@ -120,7 +120,7 @@ impl Extension {
     }
 
     /// Phi' Phi over the fitted pixels; `None` when it is singular (all valid pixels on a line).
-    fn normal_equations(&self) -> Option<Cholesky> {
+    fn normal_equations(&self) -> Option<Factor> {
         let (ty, tx) = &self.basis;
         let (a, b) = POLYNOMIALS;
         let fitted = Array2::from_shape_fn(self.valid.dim(), |p| f64::from(self.fitted(p)));
@@ -136,7 +136,7 @@ impl Extension {
         });
         let largest = gram.diag().iter().copied().fold(0.0, f64::max);
         // Far below the noise of any map, far above the rounding of the sums.
-        Cholesky::new(gram + Array2::<f64>::eye(a * b) * (1e-10 * largest))
+        Envelope::from_dense(&(gram + Array2::<f64>::eye(a * b) * (1e-10 * largest))).factorise()
     }
 }
 

@@ -24,7 +24,7 @@
 //! | R | `tif` | (my, mx) | nm/s |
 
 use ndarray::{Array2, s};
-use planish_numerics::{cholesky::Cholesky, keys, statistics};
+use planish_numerics::{envelope::Envelope, keys, statistics};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 use serde::Serialize;
 
@@ -258,7 +258,9 @@ fn align(
                 normal[[i, j]] /= scale[i] * scale[j];
             }
         }
-        let factor = Cholesky::new(normal).ok_or_else(|| lost("the maps have no structure"))?;
+        let factor = Envelope::from_dense(&normal)
+            .factorise()
+            .ok_or_else(|| lost("the maps have no structure"))?;
         factor.solve(&mut right);
         let change = [right[0] / scale[0], right[1] / scale[1]];
         d = [d[0] + change[0], d[1] + change[1]];
