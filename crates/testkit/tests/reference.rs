@@ -18,7 +18,7 @@ use planish_handoff::{
 use planish_schedule::{constant_acceleration, position, pvt, pvt_seed, trig_spline};
 use planish_simulate::{direct, simulate};
 use planish_testkit::{case_generator, ion_beam};
-use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
@@ -362,6 +362,9 @@ fn own_raster_own_dwell_executed_by_pvt() {
         scan: Scan::X,
         turn: Turn::Square,
         line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     };
     let path = raster(&mirror.desired, &settings).unwrap();
     let settings =
