@@ -38,7 +38,9 @@ enum Command {
     Pareto(pareto::Pareto),
 }
 
+/// The group names its required member: clap leaves a group with flattened members empty.
 #[derive(Args)]
+#[group(args = ["surface"])]
 struct Refine {
     /// Desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
@@ -102,6 +104,15 @@ enum Mode {
     Monotone,
 }
 
+impl From<Mode> for pvt::Mode {
+    fn from(mode: Mode) -> Self {
+        match mode {
+            Mode::Smooth => Self::Smooth,
+            Mode::Monotone => Self::Monotone,
+        }
+    }
+}
+
 fn main() -> ExitCode {
     let cli: Cli = planish_handoff::parse();
     run(|| match (&cli.command, &cli.refine) {
@@ -115,8 +126,7 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
     settings.scheduler = match (cli.scheduler, cli.mode) {
         (SchedulerKind::ConstantAcceleration, _) => Scheduler::ConstantAcceleration,
-        (SchedulerKind::Pvt, Mode::Smooth) => Scheduler::Pvt(pvt::Mode::Smooth),
-        (SchedulerKind::Pvt, Mode::Monotone) => Scheduler::Pvt(pvt::Mode::Monotone),
+        (SchedulerKind::Pvt, mode) => Scheduler::Pvt(mode.into()),
     };
     settings.dwell.time_weight_nm2_per_s = cli.time_weight_nm2_per_s;
     settings.dwell.noise_rms_nm = cli.noise_rms_nm;

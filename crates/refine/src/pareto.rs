@@ -7,9 +7,11 @@ use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
     Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, stage::say,
 };
-use planish_refine::{Settings, trade_off};
+use planish_refine::{Scheduler, Settings, trade_off};
 use planish_types::{Surface, Tif, ToolPath};
 use serde_json::json;
+
+use crate::Mode;
 
 /// Refine at rising prices of a second: residual against total time
 ///
@@ -31,6 +33,9 @@ pub struct Pareto {
     /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T", default_value_t = 0.02)]
     min_dwell_s_per_mm: f64,
+    /// Shape of the PVT motion
+    #[arg(long, value_enum, default_value = "monotone")]
+    mode: Mode,
     /// Prices beside that of nothing
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,
@@ -45,6 +50,7 @@ pub struct Pareto {
 pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
     settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
+    settings.scheduler = Scheduler::Pvt(cli.mode.into());
     let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pareto", &cli.output);
     stage.settings(json!({ "prices": cli.prices, "refine": settings }));
     let surface: Surface = stage.read("surface", &cli.surface)?;
