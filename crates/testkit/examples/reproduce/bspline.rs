@@ -93,12 +93,12 @@ pub fn reproduce() -> Outcome {
             within && removed.report.acceleration_use <= 1.0 + 1e-6,
         ),
         Claim::statement(
-            "and is the way to do so (RMS, knot removal against the convex-concave procedure)",
-            "the only one",
-            format!("{} against {} nm", significant(rms[2], 3), significant(rms[1], 3)),
-            rms[2] <= rms[1],
+            "what it costs (RMS with knot removal, and with the convex-concave procedure)",
+            "not given",
+            format!("{} and {} nm", significant(rms[2], 3), significant(rms[1], 3)),
+            rms[1] < rms[2],
         )
-        .differs("a convex inner approximation keeps all knots"),
+        .remark("on coupled lines its sweeps do not converge; the procedure keeps all knots"),
         Claim::statement(
             "fewer unknowns than pixels (per line)",
             "far fewer",

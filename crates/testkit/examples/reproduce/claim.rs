@@ -23,11 +23,12 @@ impl Claim {
     /// A number that ours agrees with `within` a part of it.
     pub fn number(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
         let ratio = ours / paper;
+        let digits = if within < 0.01 { 4 } else { 3 };
         let agrees = (ratio - 1.0).abs() <= within;
         Self {
             what: what.into(),
             paper: format!("{paper}{}{unit}", space(unit)),
-            ours: format!("{}{}{unit}", significant(ours, 4), space(unit)),
+            ours: format!("{}{}{unit}", significant(ours, digits), space(unit)),
             ratio: Some(ratio),
             found: if agrees { Verdict::Agrees } else { Verdict::Differs },
             expected: Verdict::Agrees,

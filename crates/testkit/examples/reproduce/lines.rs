@@ -70,11 +70,13 @@ impl Spot {
     }
 }
 
-/// PV over mean.
-pub fn ripple(profile: &[[f64; 2]]) -> f64 {
+/// PV over mean, over whole periods.
+pub fn ripple(profile: &[[f64; 2]], pitch_mm: f64) -> f64 {
+    let period = (pitch_mm / PIXEL_MM).round() as usize;
+    let whole = &profile[..profile.len() / period * period];
     let (low, high) =
-        profile.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[1]), h.max(p[1])));
-    let mean = profile.iter().map(|p| p[1]).sum::<f64>() / profile.len() as f64;
+        whole.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[1]), h.max(p[1])));
+    let mean = whole.iter().map(|p| p[1]).sum::<f64>() / whole.len() as f64;
     (high - low) / mean
 }
 

@@ -34,16 +34,17 @@ const PITCHES_MM: [f64; 5] = [0.7, 0.8, 1.0, 1.2, 1.6];
 fn ripples() -> Vec<Claim> {
     let spot = spot();
     let apart = PITCHES_MM
-        .map(|d| (ripple(&spot.simulated(d, 1.0)) / spot.relative_ripple(d) - 1.0).abs())
+        .map(|d| (ripple(&spot.simulated(d, 1.0), d) / spot.relative_ripple(d) - 1.0).abs())
         .into_iter()
         .fold(0.0, f64::max);
     let pv_nm = |density: f64| {
         let profile = spot.simulated(0.8, density);
-        let mean = profile.iter().map(|p| p[1]).sum::<f64>() / profile.len() as f64;
-        ripple(&profile) * mean
+        let range = |(l, h): (f64, f64), p: &[f64; 2]| (l.min(p[1]), h.max(p[1]));
+        let (low, high) = profile.iter().fold((f64::MAX, f64::MIN), range);
+        high - low
     };
     let thrice = pv_nm(3.0) / pv_nm(1.0);
-    let grows = [0.7, 0.8, 1.0, 1.2, 1.6].map(|d| spot.relative_ripple(d));
+    let grows = PITCHES_MM.map(|d| spot.relative_ripple(d));
     let narrow = spot.relative_ripple(0.4) / spot.relative_ripple(0.8);
     vec![
         // Fig. 7: 0.02 and 0.06 lambda where the bands' centres are one and three steps deep.
@@ -112,7 +113,6 @@ fn pitches() -> Vec<Claim> {
     // are compared as parts of the first, so that neither the VRR nor the feed is needed.
     let depth = [0.5, 1.0, 2.0, 3.0, 3.5];
     let pitch = class_pitches_mm(&depth, 1.0, [1e-3, 1e3]);
-    // The class of the largest depth is not the first of the paper's list: class 1 is the widest.
     let part = |k: usize| pitch[k] / pitch[0];
     let why =
         "Eqs 4 to 10 give 0.80, 0.40, 0.20 and 0.133 mm: depths in steps of 1/3.5 of the largest";
@@ -157,12 +157,15 @@ fn pitches() -> Vec<Claim> {
         )
         .differs("r_k is the middle of a band, not its least depth"),
     );
-    rows.push(Claim::statement(
-        "with the least depth of the band (classes 2 to 4 of the plate)",
-        "everywhere",
-        format!("{} % of the area is faster", significant(100.0 * too_fast / area, 2)),
-        too_fast / area < 0.02,
-    ));
+    rows.push(
+        Claim::statement(
+            "the same with the least depth of the band in Eq. 9 (part of the area that is faster)",
+            "not considered",
+            format!("{} %", significant(100.0 * too_fast / area, 2)),
+            too_fast / area < 0.1,
+        )
+        .remark("what is left are small regions that joined a neighbour"),
+    );
     rows
 }
 
@@ -170,7 +173,7 @@ fn ripple_figure() -> String {
     let spot = spot();
     let at = |i: i32| 0.5 + 0.02 * f64::from(i);
     let formula = (0..=60).map(|i| [at(i), spot.relative_ripple(at(i))]).collect();
-    let simulated = PITCHES_MM.map(|d| [d, ripple(&spot.simulated(d, 1.0))]).to_vec();
+    let simulated = PITCHES_MM.map(|d| [d, ripple(&spot.simulated(d, 1.0), d)]).to_vec();
     chart(
         &Axis { label: "pitch, mm", ticks: vec![0.4, 0.8, 1.2, 1.6, 2.0], log: false },
         &Axis {
