@@ -114,8 +114,7 @@ fn pitches() -> Vec<Claim> {
     let depth = [0.5, 1.0, 2.0, 3.0, 3.5];
     let pitch = class_pitches_mm(&depth, 1.0, [1e-3, 1e3]);
     let part = |k: usize| pitch[k] / pitch[0];
-    let why =
-        "Eqs 4 to 10 give 0.80, 0.40, 0.20 and 0.133 mm: depths in steps of 1/3.5 of the largest";
+    let why = "Eqs 4 to 10 give 0.80, 0.40, 0.20 and 0.133 mm";
     let mut rows = vec![
         Claim::number("pitch of class 2 over class 1 (0.395 / 0.8 mm)", "", 0.494, part(1), 0.02),
         Claim::number("pitch of class 3 over class 1 (0.132 / 0.8 mm)", "", 0.165, part(2), 0.02)
@@ -175,10 +174,14 @@ fn ripple_figure() -> String {
     let formula = (0..=60).map(|i| [at(i), spot.relative_ripple(at(i))]).collect();
     let simulated = PITCHES_MM.map(|d| [d, ripple(&spot.simulated(d, 1.0), d)]).to_vec();
     chart(
-        &Axis { label: "pitch, mm", ticks: vec![0.4, 0.8, 1.2, 1.6, 2.0], log: false },
+        &Axis {
+            label: "pitch, mm",
+            ticks: vec![0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8],
+            log: false,
+        },
         &Axis {
             label: "ripple, PV over mean",
-            ticks: vec![1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0],
+            ticks: vec![1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0],
             log: true,
         },
         &[

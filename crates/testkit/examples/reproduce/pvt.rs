@@ -419,7 +419,7 @@ fn velocities(run: &Run<'_>) -> String {
         &Axis { label: "time, s", ticks: vec![0.0, 1.0, 2.0, 3.0, 4.0], log: false },
         &Axis {
             label: "velocity along x, mm/s",
-            ticks: vec![-20.0, -10.0, 0.0, 10.0, 20.0],
+            ticks: vec![-8.0, -4.0, 0.0, 4.0, 8.0, 12.0],
             log: false,
         },
         &[

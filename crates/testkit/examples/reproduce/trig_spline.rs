@@ -297,7 +297,7 @@ fn overscan(part: &planish_fixture::Fixture) -> (Vec<Claim>, Vec<[f64; 2]>) {
     let found: Vec<[f64; 2]> = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(|o| [o, left_nm(o)]).to_vec();
     let rows = vec![
         Claim::small("PV that the offset of 0.0153 s/mm leaves, overscan 5 mm", "nm", 0.067, found[4][1], 0.1)
-            .better("the offset is a piston where the path goes a TIF's half-size (4 mm) and a pitch beyond"),
+            .better("a piston where the path goes beyond by the TIF's half-size (4 mm); what is left is the ripple of the lines"),
         Claim::small("the same, overscan 1 mm", "nm", 0.067, found[0][1], 0.1)
             .differs("the edge is removed less than the middle: the claim needs the overscan"),
     ];
