@@ -86,10 +86,10 @@ ci: test
 pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_s_per_mm="0.02": build
     @target/release/planish-fixture fixtures/{{ fixture }}.json --out out/pareto/{{ fixture }} --force
     @target/release/planish-toolpath raster --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --pitch-mm 1 --step-mm 1 --out out/pareto/{{ fixture }}/tool_path --force
-    @target/release/planish-pareto --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --tool-path out/pareto/{{ fixture }}/tool_path --machine {{ machine }} --min-dwell-s-per-mm {{ min_dwell_s_per_mm }} --out out/pareto/{{ fixture }}/curve --force
+    @target/release/planish-refine pareto --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --tool-path out/pareto/{{ fixture }}/tool_path --machine {{ machine }} --min-dwell-s-per-mm {{ min_dwell_s_per_mm }} --out out/pareto/{{ fixture }}/curve --force
 
 # Write the generated pages and pictures in docs/
-docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
+docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "raster-angle" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --angle-deg 30") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
     @cargo run --quiet --locked -p planish-handoff --example formats > docs/formats.md
     @just surface-pictures
 

@@ -13,12 +13,17 @@ cp "$mirror/tif_y_mm.npy" "$out/tif/y_mm.npy"
 
 # Name, pipeline and its settings; the paths share 5 mm of overscan.
 while read -r name pipeline settings; do
-    # shellcheck disable=SC2086
+    eval "set -- $settings"
     just --justfile "pipelines/$pipeline.just" --working-directory . \
         surface="$out/map" tif="$out/tif" overscan_mm=5 refine=yes out="$out/$name" \
-        $settings run >"$out/$name.log" 2>&1 || { cat "$out/$name.log"; exit 1; }
+        "$@" run >"$out/$name.log" 2>&1 || { cat "$out/$name.log"; exit 1; }
 done <<PATHS
 raster raster
+raster-angle raster scan=30
+raster-one-direction raster variant=--one-directional
+raster-bi-step raster variant='--line-order bi-step'
+raster-random raster variant='--line-order random'
+raster-adaptive raster variant='--pitch-range-mm 0.7 1.4'
 maze maze
 mesh-tree random-adaptive pitch_mm=1.13
 tour random-adaptive pitch_mm=1.17 construction=tour rounding_passes=0
@@ -27,7 +32,8 @@ PATHS
 
 echo '| path | points | motion | raw RMS, nm | total time, s | largest acceleration x, y, mm/s^2 |'
 echo '|---|---|---|---|---|---|'
-for name in raster maze mesh-tree tour multi-pitch; do
+for name in raster raster-angle raster-one-direction raster-bi-step raster-random raster-adaptive \
+    maze mesh-tree tour multi-pitch; do
     points=$(jq .outcome.points "$out/$name/tool_path/manifest.json")
     jq -r --arg name "$name" --arg points "$points" '
         def shown($n): . * $n | round / $n;

@@ -17,7 +17,7 @@
 //! | [`deconvolution`] | the control values of all passes for a map, line by line |
 //! | [`vrr`] | the baseline: feed = VRR / (desired removal x pitch) |
 //! | [`motion`] | the splines as one trajectory, passes joined by links |
-//! | [`plan`] | all of it |
+//! | [`mod@plan`] | all of it |
 
 pub mod columns;
 pub mod deconvolution;

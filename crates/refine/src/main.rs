@@ -1,8 +1,10 @@
 //! `planish-refine`: dwell times corrected against the motion that will run.
 
+mod pareto;
+
 use std::{path::PathBuf, process::ExitCode};
 
-use clap::{Parser, ValueEnum};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
@@ -14,14 +16,32 @@ use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use serde_json::json;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined";
+    \x20 planish-refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined\n\
+    \x20 planish-refine pareto --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/pareto";
 
 /// Correct the dwell times against the removal of the scheduled motion, round by round
 ///
 /// Writes DIR/dwell and DIR/trajectory of the best round, and DIR/iterations with all of them.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    refine: Option<Refine>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Refine at rising prices of a second: residual against total time
+    Pareto(pareto::Pareto),
+}
+
+/// The group names its required member: clap leaves a group with flattened members empty.
+#[derive(Args)]
+#[group(args = ["surface"])]
+struct Refine {
     /// Desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
@@ -84,17 +104,29 @@ enum Mode {
     Monotone,
 }
 
-fn main() -> ExitCode {
-    let cli: Cli = planish_handoff::parse();
-    run(|| body(&cli))
+impl From<Mode> for pvt::Mode {
+    fn from(mode: Mode) -> Self {
+        match mode {
+            Mode::Smooth => Self::Smooth,
+            Mode::Monotone => Self::Monotone,
+        }
+    }
 }
 
-fn body(cli: &Cli) -> Result<Status, Failure> {
+fn main() -> ExitCode {
+    let cli: Cli = planish_handoff::parse();
+    run(|| match (&cli.command, &cli.refine) {
+        (Some(Command::Pareto(arguments)), _) => pareto::pareto(arguments),
+        (None, Some(arguments)) => body(arguments),
+        (None, None) => Err(Failure::new("no arguments; planish-refine --help shows them")),
+    })
+}
+
+fn body(cli: &Refine) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
     settings.scheduler = match (cli.scheduler, cli.mode) {
         (SchedulerKind::ConstantAcceleration, _) => Scheduler::ConstantAcceleration,
-        (SchedulerKind::Pvt, Mode::Smooth) => Scheduler::Pvt(pvt::Mode::Smooth),
-        (SchedulerKind::Pvt, Mode::Monotone) => Scheduler::Pvt(pvt::Mode::Monotone),
+        (SchedulerKind::Pvt, mode) => Scheduler::Pvt(mode.into()),
     };
     settings.dwell.time_weight_nm2_per_s = cli.time_weight_nm2_per_s;
     settings.dwell.noise_rms_nm = cli.noise_rms_nm;

@@ -12,7 +12,7 @@ use planish_numerics::envelope::Envelope;
 use planish_schedule::pvt::{self, Mode};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::{ion_beam, workspace};
-use planish_toolpath::{MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
+use planish_toolpath::{LineOrder, MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 
@@ -39,6 +39,9 @@ static CASE: LazyLock<Case> = LazyLock::new(|| {
         scan: Scan::X,
         turn: Turn::Square,
         line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     };
     let path = raster(&fixture.surface, &settings).unwrap();
     let dwell =

@@ -6,7 +6,7 @@ use planish_bspline_feed::{Plan, Settings, deconvolution::Refinement, plan, plan
 use planish_fixture::{Recipe, make};
 use planish_simulate::simulate;
 use planish_testkit::{machine, workspace};
-use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
 use planish_types::{Limits, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
@@ -28,6 +28,9 @@ fn lines(surface: &Surface, tif: &Tif, pitch_mm: f64) -> ToolPath {
         scan: Scan::X,
         turn: Turn::Square,
         line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     };
     raster(surface, &settings).unwrap()
 }

@@ -369,3 +369,44 @@ fn an_infeasible_dwell_time_is_stretched_or_refused() {
         line.expect(0, &format!("{verify} --trajectory {out} --out verdict-{mode}"));
     }
 }
+
+#[test]
+fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
+    let line = Line::new(2);
+    line.expect(0, "fixture coupon.json --out run/fixture");
+    line.plan("run/fixture/surface", "run/fixture/tif", "run");
+    let inputs = "--surface run/surface --tif run/fixture/tif --tool-path run/tool_path \
+                  --machine machine.json";
+    let said = line.expect(
+        0,
+        &format!("refine {inputs} --dwell run/dwell --min-dwell-s 0.1 --out run/refined"),
+    );
+    let rounds = line.json("run/refined/iterations/manifest.json");
+    let best_round = rounds["outcome"]["best_round"].as_u64().unwrap();
+    assert!(best_round > 0, "the coupon can be refined: {said}");
+    // What the loop says of its best round is what simulator and judge say outside of it.
+    for command in [
+        "simulate --trajectory run/refined/trajectory --tif run/fixture/tif --surface run/surface \
+         --out run/refined/removal",
+        "verify --trajectory run/refined/trajectory --machine machine.json --out run/refined/verdict",
+    ] {
+        line.expect(0, command);
+    }
+    let outside = line.json("run/refined/removal/manifest.json");
+    let [inside, outside] = [&rounds, &outside].map(|m| number(&m["outcome"]["rms_nm"]));
+    assert!((inside - outside).abs() < 1e-12, "{inside} {outside}");
+
+    let said = line.expect(0, &format!("refine pareto {inputs} --prices 3 --out run/pareto"));
+    // | price | total time | RMS | limits |: dearer seconds give shorter plans, in the end with a
+    // larger residual; none is shorter than the volume takes, 64 s.
+    let rows: Vec<Vec<f64>> = said
+        .lines()
+        .filter(|l| l.starts_with("| ") && l.ends_with("kept |"))
+        .map(|l| l.split('|').filter_map(|c| c.trim().parse().ok()).collect())
+        .collect();
+    assert_eq!(rows.len(), 4, "{said}");
+    assert!(rows.windows(2).all(|w| w[1][1] <= w[0][1]), "{said}");
+    assert!(rows[3][1] < 0.7 * rows[0][1] && rows[3][2] > rows[0][2], "{said}");
+    assert!(said.contains("volume / VRR: 64.0 s") && rows[3][1] > 64.0, "{said}");
+    assert!(line.path("run/pareto/pareto.svg").exists());
+}

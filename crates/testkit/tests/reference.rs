@@ -14,7 +14,7 @@ use planish_testkit::{
     case_generator, ion_beam,
     mirror::{Mirror, mirror},
 };
-use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
 use planish_types::{DwellTime, Removal, Tif, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
@@ -302,6 +302,9 @@ fn own_raster_own_dwell_executed_by_pvt() {
         scan: Scan::X,
         turn: Turn::Square,
         line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     };
     let path = raster(&mirror.desired, &settings).unwrap();
     let settings =

@@ -535,6 +535,9 @@ fn disk_100_repaired_removes_a_piston_more() {
         scan: planish_toolpath::Scan::X,
         turn: planish_toolpath::Turn::Square,
         line_origin_mm: None,
+        order: planish_toolpath::LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     };
     let path = planish_toolpath::raster(surface, &settings).unwrap();
     // density = z pitch / VRR, z the mean height within 1 mm, continued from the edge outwards.

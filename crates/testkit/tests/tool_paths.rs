@@ -8,7 +8,7 @@ use planish_fixture::{Recipe, make};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::workspace;
 use planish_toolpath::{
-    MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch, pitch_limit, raster,
+    LineOrder, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch, pitch_limit, raster,
 };
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath, Trajectory};
 
@@ -41,6 +41,9 @@ fn uniform(pitch_mm: f64, overscan_mm: f64, line_origin_mm: Option<f64>) -> Rast
         scan: Scan::X,
         turn: Turn::Square,
         line_origin_mm,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     }
 }
 
@@ -64,7 +67,7 @@ fn the_ripple_of_a_raster_follows_its_closed_form_up_to_the_edge() {
     let axis = Axis::new(0.0, h, 241).unwrap();
     let part = Surface::new(Grid { x: axis, y: axis }, Array2::zeros((241, 241))).unwrap();
     // Even numbers of pixels: a line and the middle between two lines lie on pixels.
-    for pixels in [10, 12, 14, 16, 20, 24, 32] {
+    for pixels in [10, 14, 20, 32] {
         let d = f64::from(pixels) * h;
         // PV / mean = 4 sum over odd n of exp(-2 pi^2 sigma^2 n^2 / d^2),  mean = VRR delta / d
         let terms = [1.0, 3.0, 5.0].map(|n: f64| (-2.0 * (PI * n / d).powi(2)).exp());

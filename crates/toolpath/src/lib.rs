@@ -3,7 +3,7 @@
 //! One file per method, all of one shape: `XxxSettings`, and a function from the map (whose valid
 //! pixels are the clear aperture) to a [`planish_types::ToolPath`].
 //!
-//! * [`mod@raster`]: parallel lines, back and forth.
+//! * [`mod@raster`]: parallel lines, back and forth; any angle, order and adaptive pitch.
 //! * [`mod@maze`]: one random closed line through every cell of a lattice.
 //! * [`mod@random_adaptive`]: random directions, denser where more is to be removed.
 //! * [`mod@multi_pitch`]: regions by depth, each a raster of its own pitch.
@@ -28,7 +28,7 @@ pub use multi_pitch::{MultiPitch, MultiPitchReport, MultiPitchSettings, multi_pi
 pub use random_adaptive::{
     Construction, RandomAdaptive, RandomAdaptiveReport, RandomAdaptiveSettings, random_adaptive,
 };
-pub use raster::{RasterSettings, Scan, Turn, raster};
+pub use raster::{LineOrder, RasterSettings, Scan, Turn, raster};
 pub use spiral::{SpiralSettings, spiral};
 pub use statistics::{PathStatistics, PitchLimit, pitch_limit, statistics, time_lower_bound_s};
 

@@ -5,7 +5,7 @@ use std::{fs, io::Write, path::PathBuf, process::ExitCode};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
 use planish_toolpath::{
-    Construction, MazeSettings, MultiPitchSettings, PathStatistics, PitchLimit,
+    Construction, LineOrder, MazeSettings, MultiPitchSettings, PathStatistics, PitchLimit,
     RandomAdaptiveSettings, RasterSettings, Scan, SpiralSettings, Tree, Turn, maze, multi_pitch,
     pitch_limit, random_adaptive, raster, spiral, statistics, svg, time_lower_bound_s,
 };
@@ -73,10 +73,34 @@ struct RasterArgs {
     /// Direction of the lines
     #[arg(long, value_enum, default_value_t = ScanArg::X)]
     scan: ScanArg,
-    /// How consecutive lines are joined
-    #[arg(long, value_enum, default_value_t = TurnArg::Square)]
-    turn: TurnArg,
-    /// Coordinate of one line (y for lines along x), mm [default: lines centred on the region]
+    /// Direction of the lines from x towards y, degrees: 0 and 90 are the scans along x and y
+    #[arg(long, value_name = "A", conflicts_with = "scan", allow_negative_numbers = true)]
+    angle_deg: Option<f64>,
+    /// How consecutive lines are joined [default: square; lift for lines in one direction or in
+    /// random order]
+    #[arg(long, value_enum)]
+    turn: Option<TurnArg>,
+    /// Run all lines in the same direction, and return with the tool off
+    #[arg(long)]
+    one_directional: bool,
+    /// Which line follows which
+    #[arg(long, value_enum, default_value_t = LineOrderArg::Sequential)]
+    line_order: LineOrderArg,
+    /// Seed of the random line order [default: 1]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Let the distance of the lines follow the mean of the map along them, from A to B; then
+    /// --pitch-mm is the distance where that mean is the map's
+    #[arg(
+        long,
+        value_names = ["A", "B"],
+        num_args = 2,
+        conflicts_with = "line_origin_mm",
+        allow_negative_numbers = true
+    )]
+    pitch_range_mm: Option<Vec<f64>>,
+    /// Coordinate of one line across the lines (y for lines along x), mm [default: lines centred
+    /// on the region]
     #[arg(long, value_name = "C", allow_negative_numbers = true)]
     line_origin_mm: Option<f64>,
 }
@@ -93,6 +117,18 @@ enum TurnArg {
     Square,
     /// A semicircle beyond the ends of the lines: no corner
     Semicircle,
+    /// A straight segment with the tool off
+    Lift,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum LineOrderArg {
+    /// The next one
+    Sequential,
+    /// Every other line, then back over the lines between them
+    BiStep,
+    /// A random one; the tool is lifted between lines
+    Random,
 }
 
 #[derive(Debug, Args)]
@@ -255,28 +291,45 @@ fn main() -> ExitCode {
 
 fn raster_stage(args: &RasterArgs) -> Result<Status, Failure> {
     let mut on = Region::read("raster", &args.region)?;
+    let order = match (args.line_order, args.seed) {
+        (LineOrderArg::Sequential, None) => LineOrder::Sequential,
+        (LineOrderArg::BiStep, None) => LineOrder::BiStep,
+        (LineOrderArg::Random, seed) => LineOrder::Random { seed: seed.unwrap_or(1) },
+        (_, Some(_)) => return Err(Failure::new("seed: only --line-order random has one")),
+    };
+    let lifts = args.one_directional || args.line_order == LineOrderArg::Random;
     let settings = RasterSettings {
         pitch_mm: args.region.pitch_mm,
         step_mm: args.step_mm,
         overscan_mm: on.overscan_mm,
-        scan: match args.scan {
-            ScanArg::X => Scan::X,
-            ScanArg::Y => Scan::Y,
+        scan: match (args.angle_deg, args.scan) {
+            (Some(angle_deg), _) => Scan::Angle { angle_deg },
+            (None, ScanArg::X) => Scan::X,
+            (None, ScanArg::Y) => Scan::Y,
         },
         turn: match args.turn {
-            TurnArg::Square => Turn::Square,
-            TurnArg::Semicircle => Turn::Semicircle,
+            None if lifts => Turn::Lift,
+            None | Some(TurnArg::Square) => Turn::Square,
+            Some(TurnArg::Semicircle) => Turn::Semicircle,
+            Some(TurnArg::Lift) => Turn::Lift,
         },
         line_origin_mm: args.line_origin_mm,
+        order,
+        one_directional: args.one_directional,
+        pitch_range_mm: args.pitch_range_mm.as_ref().map(|range| [range[0], range[1]]),
     };
     on.stage.settings(&settings);
     if let Begin::Unchanged(status) = on.stage.begin(&[""], ToolPath::KIND)? {
         return Ok(status);
     }
     let path = raster(&on.surface, &settings)?;
+    // What the warnings compare with is the largest distance of the lines.
+    on.pitch_mm = settings.pitch_range_mm.map_or(settings.pitch_mm, |[_, most]| most);
     let mut warnings = Vec::new();
-    let across = if settings.scan == Scan::X { 1 } else { 0 };
-    if path.point_mm().iter().all(|p| p[across] == path.point_mm()[0][across]) {
+    let across = settings.scan.axes()[1];
+    let w: Vec<f64> = path.point_mm().iter().map(|p| p[0] * across[0] + p[1] * across[1]).collect();
+    // Less than any pitch that can be meant, more than rounding.
+    if w.iter().all(|v| (v - w[0]).abs() < 1e-6 * settings.pitch_mm) {
         warnings.push(format!(
             "one line only: a pitch of {} mm leaves no room for a second one",
             settings.pitch_mm

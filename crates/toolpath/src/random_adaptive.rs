@@ -24,8 +24,9 @@
 //! turn exceeds 90 degrees, but for `corners_kept`. A division into steps of a wanted length makes
 //! steps shorter where the path turns by more than 90 degrees along one; it makes turns of up to
 //! about 125 degrees.
-//! A tour does not pass a hole or a notch where it can avoid it; a step that still goes more than
-//! 2p/3 beyond the region is run with the tool off.
+//! A tour does not pass a hole or a notch where it can avoid it, and a mesh does where its
+//! triangles are larger than these; a step that still goes more than 2p/3 beyond the region is run with the
+//! tool off.
 //! Whatever is done to the path afterwards, steps that would cross are taken back: in the end
 //! nothing crosses.
 //!
@@ -99,7 +100,7 @@ pub enum Construction {
 /// A path and what is known of its making.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RandomAdaptive {
-    /// One pass per island, lifts between them; closed, but for tours that jump over a hole.
+    /// One pass per island, lifts between them; closed, unless it jumps over a hole.
     pub path: ToolPath,
     /// About the path.
     pub report: RandomAdaptiveReport,
@@ -118,7 +119,7 @@ pub struct RandomAdaptiveReport {
     pub largest_spacing_mm: f64,
     /// Largest step with the tool on, as a multiple of the local spacing at its middle.
     pub longest_step_per_spacing: f64,
-    /// Steps of a tour that would leave the region: the tool is off there, and the path open.
+    /// Steps that would leave the region: the tool is off there, and the path open.
     pub steps_off: usize,
     /// Corners that were not cut, because the cut would have crossed another step.
     pub corners_kept: usize,
@@ -171,8 +172,7 @@ pub fn random_adaptive(
         }
     }
     let (_, trial) = best.expect("there is a trial");
-    let lifted =
-        |a: Point, b: Point| settings.construction == Construction::Tour && field.leaves(a, b);
+    let lifted = |a: Point, b: Point| field.leaves(a, b);
     let steps_off = trial.steps().filter(|[a, b]| lifted(*a, *b)).count();
     let report = trial.report(&field, steps_off);
     Ok(RandomAdaptive { path: trial.path(&lifted)?, report })

@@ -1,29 +1,43 @@
-//! The raster: parallel lines at one pitch, scanned back and forth, joined by turn-arounds.
+//! The raster: parallel lines at one pitch, scanned back and forth, joined by turn-arounds; and
+//! its variants: any angle, one direction, another order of the lines, a pitch that follows the
+//! map.
 //!
 //! The valid pixels of a map are the clear aperture, each as its centre. With u along the lines,
 //! w across them, and the overscan o:
 //!
 //! ```text
+//! axes       u = x cos a + y sin a,  w = y cos a - x sin a;  for scans along y w = x
 //! lines      w_k = w_mid + (k - (n-1)/2) p,  n = floor(H/p) + 1,  H = extent of the region
 //!            or w_k = C + k p, every k in the region
-//! interval   union over the pixel rows w with |w - w_k| <= max(o, p/2, h/2) of their runs
-//!            [u_first - o, u_last + o] of valid pixels; touching intervals are one
+//!            or N(w_k) = (N_H - floor(N_H))/2 + k,  N(w) = integral of dw / d(w) over the region,
+//!            d(w) = clamp(p mean r / r(w), d_min, d_max),  r(w) the mean of the map in a row
+//! interval   union over the pixel rows of what they have in |w - w_k| <= max(o, p/2, h/2), as
+//!            [u_first - o, u_last + o]; touching intervals are one
 //! nodes      L / ceil(L/s) apart
 //! ```
 //!
-//! * The region is the aperture dilated by a square of half-width o (h is the pixel). A line
-//!   never serves less than the half pitch beside it, and the first and the last line serve all
-//!   that lies beyond them, so that every pixel is at most p from the path, whatever o.
+//! * The region is the aperture dilated by a square of half-width o along the lines (h is the
+//!   pixel). A line never serves less than the half pitch beside it, and the first and the last
+//!   line serve all that lies beyond them, so that every pixel is at most p from the path,
+//!   whatever o. Where the pitch follows the map, the half pitch is half the way to the
+//!   neighbouring line, and the largest distance d_max takes the place of p.
+//! * d(w) is the distance at which a constant feed removes r(w). Negative maps are lifted to 0.
+//!   The harmonic mean of d between two lines is their distance: from d_min to d_max.
 //! * Gaps along a line that are left after that are bridged with the tool on when they are at
 //!   most one pitch or two pixels wide: dropouts and masked pits. Wider ones are lifts.
 //! * An interval shorter than a pixel is widened to one, so that every pass has a length.
 //! * Consecutive lines whose intervals overlap are joined with the tool on: both are extended to
 //!   the outer of their two ends on that side, so that the turn is perpendicular, and joined by a
-//!   straight step or a semicircle of radius p/2. A line that has several intervals, or does not
-//!   overlap with the next one, ends in a lift: one straight segment with the tool off.
+//!   straight step or a semicircle. A line that has several intervals, or does not overlap with
+//!   the next one, ends in a lift: one straight segment with the tool off. Lines in one direction
+//!   and lines in random order are joined by lifts only.
 //! * The first line has the smallest w and runs towards larger u; every other line runs back,
 //!   lines without an interval included. Each interval is one pass; a link belongs to the pass
 //!   that it leaves.
+//! * Bi-step: every other line, then back over the lines between them. Neighbouring lines are run
+//!   at different times, so that a drift of the tool is spread, and turns are twice as wide. Lines
+//!   do not cross, but lines of the second raster meet links of the first one, and the other way
+//!   round: with an overscan of the TIF's reach that is off the aperture.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -31,7 +45,12 @@
 //! | s | `step_mm` | - | mm |
 //! | o | `overscan_mm` | - | mm |
 //! | C | `line_origin_mm` | - | mm |
+//! | a | `angle_deg` | - | deg |
+//! | d_min, d_max | `pitch_range_mm` | (2) | mm |
 //! | w_k | `lines` | (n) | mm |
+
+mod lines;
+mod runs;
 
 use std::f64::consts::PI;
 
@@ -41,8 +60,9 @@ use serde::Serialize;
 use crate::{
     MAX_SEGMENTS, ToolPathError,
     draft::{Draft, parts},
-    region::{Aperture, Interval, SLACK, check_length},
+    region::{Interval, SLACK, check_length},
 };
+use runs::Runs;
 
 /// Fewest chords of a semicircle: 45 degrees between neighbours.
 const MIN_CHORDS: usize = 4;
@@ -50,7 +70,8 @@ const MIN_CHORDS: usize = 4;
 /// How to scan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RasterSettings {
-    /// Distance between the lines, mm; > 0.
+    /// Distance between the lines, mm; > 0. With a `pitch_range_mm` that where the map has its
+    /// mean.
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0.
     pub step_mm: f64,
@@ -61,12 +82,19 @@ pub struct RasterSettings {
     pub scan: Scan,
     /// How consecutive lines are joined.
     pub turn: Turn,
-    /// Coordinate of one line (y for lines along x), mm; `None` centres the lines.
+    /// Coordinate w of one line (y for lines along x), mm; `None` centres the lines.
     pub line_origin_mm: Option<f64>,
+    /// Which line follows which.
+    pub order: LineOrder,
+    /// Whether all lines run towards larger u; needs [`Turn::Lift`].
+    pub one_directional: bool,
+    /// Least and largest distance between lines that follow the desired removal, mm;
+    /// 0 < least <= largest. `None` for one pitch.
+    pub pitch_range_mm: Option<[f64; 2]>,
 }
 
 /// Direction of the lines.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scan {
     /// Lines along x.
@@ -74,6 +102,47 @@ pub enum Scan {
     X,
     /// Lines along y.
     Y,
+    /// Lines turned from x towards y.
+    Angle {
+        /// Angle, degrees; 0 and 90 are the scans along x and y.
+        angle_deg: f64,
+    },
+}
+
+impl Scan {
+    /// Unit vectors along and across the lines.
+    pub fn axes(self) -> [[f64; 2]; 2] {
+        match self {
+            Self::X => [[1.0, 0.0], [0.0, 1.0]],
+            Self::Y => [[0.0, 1.0], [1.0, 0.0]],
+            Self::Angle { angle_deg } => match angle_deg.rem_euclid(360.0) {
+                0.0 => Self::X.axes(),
+                90.0 => Self::Y.axes(),
+                180.0 => [[-1.0, 0.0], [0.0, -1.0]],
+                270.0 => [[0.0, -1.0], [-1.0, 0.0]],
+                a => {
+                    let (sin, cos) = a.to_radians().sin_cos();
+                    [[cos, sin], [-sin, cos]]
+                }
+            },
+        }
+    }
+}
+
+/// Which line follows which.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LineOrder {
+    /// The next one.
+    #[default]
+    Sequential,
+    /// Every other line, then back over the lines between them.
+    BiStep,
+    /// A random one; needs [`Turn::Lift`].
+    Random {
+        /// Start of the random numbers; the same seed gives the same order.
+        seed: u64,
+    },
 }
 
 /// How consecutive lines are joined.
@@ -85,22 +154,23 @@ pub enum Turn {
     Square,
     /// A semicircle beyond the ends of the lines; no corner.
     Semicircle,
+    /// A straight segment with the tool off.
+    Lift,
 }
 
 /// A raster over the valid pixels of `surface`.
 pub fn raster(surface: &Surface, settings: &RasterSettings) -> Result<ToolPath, ToolPathError> {
     check(settings)?;
-    let (grid, map) = (surface.grid(), surface.height_nm().view());
-    let aperture = match settings.scan {
-        Scan::X => Aperture::new(&grid.x, &grid.y, map),
-        Scan::Y => Aperture::new(&grid.y, &grid.x, map.reversed_axes()),
-    };
-    let lines = lines(&aperture, settings)?;
-    let mut passes = passes(&aperture, &lines, settings)?;
-    let links = link(&mut passes);
-    let mut path = walk(&passes, &links, settings).ok_or_else(|| too_many(&aperture, settings))?;
-    if settings.scan == Scan::Y {
-        path.point_mm.iter_mut().for_each(|p| p.swap(0, 1));
+    let axes = settings.scan.axes();
+    let runs = Runs::new(surface, axes);
+    let too_many = || too_many(&runs, settings);
+    let lines = lines::positions(surface, &runs, settings)?.ok_or_else(too_many)?;
+    let mut passes = passes(&runs, &lines, settings).ok_or_else(too_many)?;
+    let links = link(&mut passes, settings.turn);
+    let mut path = walk(&passes, &links, settings).ok_or_else(too_many)?;
+    for point in &mut path.point_mm {
+        let [u, w] = *point;
+        *point = [0, 1].map(|a| u * axes[0][a] + w * axes[1][a]);
     }
     Ok(path.finish()?)
 }
@@ -109,62 +179,49 @@ fn check(settings: &RasterSettings) -> Result<(), Invalid> {
     check_length("pitch_mm", settings.pitch_mm, false)?;
     check_length("step_mm", settings.step_mm, false)?;
     check_length("overscan_mm", settings.overscan_mm, true)?;
-    match settings.line_origin_mm {
-        Some(c) if !c.is_finite() => Err(Invalid::whole(
-            "line_origin_mm",
-            format!("is {c}"),
-            "give a finite coordinate in mm",
-        )),
+    let finite = |name, value: Option<f64>, remedy: &str| match value {
+        Some(v) if !v.is_finite() => Err(Invalid::whole(name, format!("is {v}"), remedy)),
         _ => Ok(()),
-    }
-}
-
-fn too_many(aperture: &Aperture, settings: &RasterSettings) -> ToolPathError {
-    let along = aperture.along(settings.overscan_mm);
-    let across = aperture.across(settings.overscan_mm);
-    ToolPathError::TooManySegments {
-        pitch_mm: settings.pitch_mm,
-        step_mm: settings.step_mm,
-        extent_mm: [along.high - along.low, across.high - across.low],
-    }
-}
-
-/// Coordinates of the lines, ascending.
-fn lines(aperture: &Aperture, settings: &RasterSettings) -> Result<Vec<f64>, ToolPathError> {
-    let p = settings.pitch_mm;
-    let region = aperture.across(settings.overscan_mm);
-    let (first, spaces) = match settings.line_origin_mm {
-        None => {
-            // w_k = w_mid + (k - (n-1)/2) p,  n = floor(H/p) + 1
-            let spaces = ((region.high - region.low) / p + SLACK).floor();
-            (0.5 * (region.low + region.high) - 0.5 * spaces * p, spaces)
-        }
-        Some(origin) => {
-            // w_k = C + k p in the region
-            let first = ((region.low - origin) / p - SLACK).ceil();
-            let last = ((region.high - origin) / p + SLACK).floor();
-            if first > last {
-                return Err(ToolPathError::NoLine {
-                    origin_mm: origin,
-                    pitch_mm: p,
-                    low_mm: region.low,
-                    high_mm: region.high,
-                });
-            }
-            (origin + first * p, last - first)
-        }
     };
-    // Every line has a segment, and every turn.
-    if spaces.is_nan() || 2.0 * spaces >= MAX_SEGMENTS as f64 {
-        return Err(too_many(aperture, settings));
+    finite("line_origin_mm", settings.line_origin_mm, "give a finite coordinate in mm")?;
+    if let Scan::Angle { angle_deg } = settings.scan {
+        finite("angle_deg", Some(angle_deg), "give a finite angle in degrees")?;
     }
-    Ok((0..=spaces as usize).map(|k| first + k as f64 * p).collect())
+    if let Some([least, most]) = settings.pitch_range_mm {
+        check_length("pitch_range_mm", least, false)?;
+        check_length("pitch_range_mm", most, false)?;
+        if least > most {
+            let problem = format!("is {least} to {most}");
+            return Err(Invalid::whole("pitch_range_mm", problem, "give the smaller pitch first"));
+        }
+        if settings.line_origin_mm.is_some() {
+            let problem = "is given, but the lines follow the map";
+            return Err(Invalid::whole("line_origin_mm", problem, "leave it out"));
+        }
+    }
+    let random = matches!(settings.order, LineOrder::Random { .. });
+    if settings.turn != Turn::Lift && (settings.one_directional || random) {
+        let problem = "joins lines with the tool on, back and forth";
+        let remedy = "lines in one direction or in random order need lifts";
+        return Err(Invalid::whole("turn", problem, remedy));
+    }
+    Ok(())
+}
+
+fn too_many(runs: &Runs, settings: &RasterSettings) -> ToolPathError {
+    let extent = [0, 1].map(|a| runs.extent(a, settings.overscan_mm));
+    ToolPathError::TooManySegments {
+        pitch_mm: settings.pitch_range_mm.map_or(settings.pitch_mm, |[least, _]| least),
+        step_mm: settings.step_mm,
+        extent_mm: extent.map(|e| e.high - e.low),
+    }
 }
 
 /// One stretch of one line with the tool on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Pass {
-    line: usize,
+    /// Place of its line in the order.
+    place: usize,
     across: f64,
     along: Interval,
     /// Towards larger coordinates.
@@ -179,47 +236,44 @@ impl Pass {
     }
 }
 
-/// The passes in the order in which they are run.
-fn passes(
-    aperture: &Aperture,
-    lines: &[f64],
-    settings: &RasterSettings,
-) -> Result<Vec<Pass>, ToolPathError> {
+/// The passes in the order in which they are run; `None` when there are too many segments.
+fn passes(runs: &Runs, lines: &[f64], settings: &RasterSettings) -> Option<Vec<Pass>> {
     let mut passes = Vec::new();
     let mut segments = 0.0;
-    for (line, &across) in lines.iter().enumerate() {
-        let forward = line % 2 == 0;
-        let mut intervals = intervals(aperture, lines, line, settings);
+    for (place, line) in lines::order(lines.len(), settings.order).into_iter().enumerate() {
+        let forward = settings.one_directional || place % 2 == 0;
+        let mut intervals = intervals(runs, lines, line, settings);
         if !forward {
             intervals.reverse();
         }
         for along in intervals {
             segments += ((along.high - along.low) / settings.step_mm).ceil();
-            passes.push(Pass { line, across, along, forward });
+            passes.push(Pass { place, across: lines[line], along, forward });
         }
         if segments > MAX_SEGMENTS as f64 {
-            return Err(too_many(aperture, settings));
+            return None;
         }
     }
-    Ok(passes)
+    Some(passes)
 }
 
 /// Where the tool is on along a line, ascending and apart from each other.
-fn intervals(
-    aperture: &Aperture,
-    lines: &[f64],
-    line: usize,
-    settings: &RasterSettings,
-) -> Vec<Interval> {
+fn intervals(runs: &Runs, lines: &[f64], line: usize, settings: &RasterSettings) -> Vec<Interval> {
     let o = settings.overscan_mm;
-    let [pixel_along, pixel_across] = aperture.pixel_mm;
-    let reach = o.max(0.5 * settings.pitch_mm).max(0.5 * pixel_across);
-    let reach = reach + SLACK * settings.pitch_mm;
-    let low = if line == 0 { f64::NEG_INFINITY } else { lines[line] - reach };
-    let high = if line + 1 == lines.len() { f64::INFINITY } else { lines[line] + reach };
-    let bridge = settings.pitch_mm.max(2.0 * pixel_along) * (1.0 + SLACK);
-    // |w - w_k| <= max(o, p/2, h/2),  [u_first - o, u_last + o]
-    let mut merged = aperture.stretches(low, high, o, bridge);
+    let [pixel_along, pixel_across] = runs.pixel_mm;
+    // The half pitch on either side; none where there is no other line.
+    let half = |a: usize, b: usize| match settings.pitch_range_mm {
+        Some(_) => 0.5 * (lines[b] - lines[a]),
+        None => 0.5 * settings.pitch_mm,
+    };
+    let below = line.checked_sub(1).map_or(f64::INFINITY, |before| half(before, line));
+    let above = if line + 1 < lines.len() { half(line, line + 1) } else { f64::INFINITY };
+    // max(o, p/2, h/2)
+    let reach =
+        [below, above].map(|p| o.max(p).max(0.5 * pixel_across) + SLACK * settings.pitch_mm);
+    let pitch = settings.pitch_range_mm.map_or(settings.pitch_mm, |[_, most]| most);
+    let bridge = pitch.max(2.0 * pixel_along) * (1.0 + SLACK);
+    let mut merged = runs.stretches([lines[line] - reach[0], lines[line] + reach[1]], o, bridge);
     for i in &mut merged {
         // Half a pixel on either side stays clear of the neighbours: gaps exceed two pixels.
         let short = 0.5 * (pixel_along - (i.high - i.low)).max(0.0);
@@ -236,14 +290,14 @@ enum Link {
 }
 
 /// Decides every link (one fewer than passes) and extends the passes to their turn-arounds.
-fn link(passes: &mut [Pass]) -> Vec<Link> {
+fn link(passes: &mut [Pass], turn: Turn) -> Vec<Link> {
     let own: Vec<Interval> = passes.iter().map(|p| p.along).collect();
     (1..passes.len())
         .map(|i| {
             let (a, b) = (passes[i - 1], passes[i]);
             // The extension to an earlier turn-around does not count.
             let overlap = own[i - 1].low.max(own[i].low) <= own[i - 1].high.min(own[i].high);
-            if b.line != a.line + 1 || !overlap {
+            if turn == Turn::Lift || b.place != a.place + 1 || !overlap {
                 return Link::Lift;
             }
             if a.forward {
@@ -260,7 +314,7 @@ fn link(passes: &mut [Pass]) -> Vec<Link> {
 
 /// All nodes in order; `None` when there are too many.
 fn walk(passes: &[Pass], links: &[Link], settings: &RasterSettings) -> Option<Draft> {
-    let (p, s) = (settings.pitch_mm, settings.step_mm);
+    let s = settings.step_mm;
     let mut path = Draft::default();
     for (i, pass) in passes.iter().enumerate() {
         let (begin, end) = pass.ends();
@@ -270,28 +324,23 @@ fn walk(passes: &[Pass], links: &[Link], settings: &RasterSettings) -> Option<Dr
             Some(Link::Lift) => path.to([begin, w], false, i - 1),
             Some(Link::TurnAround) => {
                 let from = passes[i - 1].across;
-                match settings.turn {
-                    Turn::Square => {
-                        let n = parts(p, s, path.tool_on.len())?;
-                        for k in 1..=n {
-                            let f = k as f64 / n as f64;
-                            path.to(
-                                [begin, if k == n { w } else { from + f * (w - from) }],
-                                true,
-                                i - 1,
-                            );
-                        }
+                let apart = (w - from).abs();
+                if settings.turn == Turn::Semicircle {
+                    // The chords of an arc of length pi p/2 are shorter than their arcs.
+                    let n = parts(0.5 * PI * apart, s, path.tool_on.len())?.max(MIN_CHORDS);
+                    let out = if pass.forward { -0.5 * apart } else { 0.5 * apart };
+                    let (middle, half) = (0.5 * (from + w), 0.5 * (w - from));
+                    for k in 1..n {
+                        let (sin, cos) = (PI * k as f64 / n as f64).sin_cos();
+                        path.to([begin + out * sin, middle - half * cos], true, i - 1);
                     }
-                    Turn::Semicircle => {
-                        // The chords of an arc of length pi p/2 are shorter than their arcs.
-                        let n = parts(0.5 * PI * p, s, path.tool_on.len())?.max(MIN_CHORDS);
-                        let (r, outwards) = (0.5 * p, if pass.forward { -1.0 } else { 1.0 });
-                        for k in 1..n {
-                            let (sin, cos) = (PI * k as f64 / n as f64).sin_cos();
-                            let middle = 0.5 * (from + w);
-                            path.to([begin + outwards * r * sin, middle - r * cos], true, i - 1);
-                        }
-                        path.to([begin, w], true, i - 1);
+                    path.to([begin, w], true, i - 1);
+                } else {
+                    let n = parts(apart, s, path.tool_on.len())?;
+                    for k in 1..=n {
+                        let f = k as f64 / n as f64;
+                        let across = if k == n { w } else { from + f * (w - from) };
+                        path.to([begin, across], true, i - 1);
                     }
                 }
             }
@@ -321,17 +370,24 @@ mod tests {
             scan: Scan::X,
             turn: Turn::Square,
             line_origin_mm: None,
+            order: LineOrder::Sequential,
+            one_directional: false,
+            pitch_range_mm: None,
         }
+    }
+
+    /// Pixels of 0.5 mm with the height `z(x, y)`, NaN outside.
+    fn relief(nx: usize, ny: usize, z: impl Fn(f64, f64) -> f64) -> Surface {
+        let grid =
+            Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
+        let height = Array2::from_shape_fn((ny, nx), |(r, c)| z(grid.x.at(c), grid.y.at(r)));
+        Surface::new(grid, height).unwrap()
     }
 
     /// Pixels of 0.5 mm where `inside(x, y)` holds.
     fn map(nx: usize, ny: usize, inside: impl Fn(f64, f64) -> bool) -> Surface {
-        let grid =
-            Grid { x: Axis::new(0.0, 0.5, nx).unwrap(), y: Axis::new(0.0, 0.5, ny).unwrap() };
-        let height = Array2::from_shape_fn((ny, nx), |(r, c)| {
-            if inside(grid.x.at(c), grid.y.at(r)) { 0.0 } else { f64::NAN }
-        });
-        Surface::new(grid, height).unwrap()
+        let z = |x: f64, y: f64| (0.3 * x).sin() + 2.0 * (0.4 * y).cos();
+        relief(nx, ny, |x, y| if inside(x, y) { z(x, y) } else { f64::NAN })
     }
 
     fn disc(x: f64, y: f64) -> bool {
@@ -468,6 +524,147 @@ mod tests {
         assert_eq!(path.point_mm(), [[4.75, 7.5], [5.25, 7.5]]);
     }
 
+    /// Distances of the lines from the first one, in the order in which they are run.
+    fn line_order(path: &ToolPath, scan: Scan) -> Vec<f64> {
+        let across = scan.axes()[1];
+        let w = |i: usize| {
+            path.dwell_point_mm()[i][0] * across[0] + path.dwell_point_mm()[i][1] * across[1]
+        };
+        let on_line = |i: &usize| {
+            let d = path.displacement_mm(*i);
+            path.tool_on()[*i] && (d[0] * across[0] + d[1] * across[1]).abs() < 1e-9
+        };
+        let mut lines: Vec<f64> = (0..path.len()).filter(on_line).map(w).collect();
+        lines.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+        lines
+    }
+
+    fn at_angle(angle_deg: f64) -> RasterSettings {
+        RasterSettings { scan: Scan::Angle { angle_deg }, ..settings(1.0, 1.0, 2.0) }
+    }
+
+    #[test]
+    fn the_angles_0_and_90_are_the_scans_along_x_and_y() {
+        let surface = map(41, 31, |x, y| disc(x + 8.0, y + 12.0) && x != 7.0);
+        for (angle_deg, scan) in [(0.0, Scan::X), (90.0, Scan::Y), (360.0, Scan::X)] {
+            let along = RasterSettings { scan, ..at_angle(0.0) };
+            let turned = raster(&surface, &at_angle(angle_deg)).unwrap();
+            assert_eq!(turned, raster(&surface, &along).unwrap());
+        }
+        // From the other side, in the other direction: the same lines of a rectangle.
+        let rectangle = map(41, 31, |_, _| true);
+        let [a, b] = [0.0, 180.0].map(|a| raster(&rectangle, &at_angle(a)).unwrap());
+        let turned: Vec<_> = a.point_mm().iter().map(|p| [20.0 - p[0], 15.0 - p[1]]).collect();
+        assert_eq!(turned, b.point_mm());
+    }
+
+    #[test]
+    fn lines_at_an_angle_are_parallel_a_pitch_apart_and_as_long_as_the_region() {
+        let surface = map(81, 41, |_, _| true);
+        for angle_deg in [-30.0_f64, 10.0, 45.0, 60.0, 133.0] {
+            let settings = RasterSettings { turn: Turn::Lift, ..at_angle(angle_deg) };
+            let path = raster(&surface, &settings).unwrap();
+            let lines = line_order(&path, settings.scan);
+            let (sin, cos) = angle_deg.to_radians().sin_cos();
+            // H = 40 |sin a| + 20 |cos a| + 2 o
+            let height = 40.0 * sin.abs() + 20.0 * cos.abs() + 4.0;
+            assert_eq!(lines.len(), height as usize + 1, "{angle_deg}");
+            assert!(lines.windows(2).all(|w| (w[1] - w[0] - 1.0).abs() < 1e-9));
+            // A convex region: one stretch each; the first runs along the angle.
+            assert_eq!(lifts(&path), lines.len() - 1);
+            let d = path.displacement_mm(0);
+            let away = d[1].atan2(d[0]).to_degrees() - angle_deg;
+            assert!(away.abs() < 1e-9, "{away}");
+            // The rectangle dilated by a square of half-width o that is turned by a, in lines a
+            // pitch apart: A + o P (|sin| + |cos|) + 4 o^2 up to the rounding of the ends by a
+            // pixel or a pitch, P = 120 mm.
+            let length: f64 = (0..path.len())
+                .filter(|i| path.tool_on()[*i])
+                .map(|i| path.segment_length_mm(i))
+                .sum();
+            let area = 800.0 + 2.0 * 120.0 * (sin.abs() + cos.abs()) + 16.0;
+            assert!((length / area - 1.0).abs() < 0.05, "{angle_deg}: {length} {area}");
+        }
+    }
+
+    #[test]
+    fn one_direction_returns_with_the_tool_off() {
+        let one = RasterSettings { turn: Turn::Lift, one_directional: true, ..at_angle(30.0) };
+        let path = raster(&map(41, 31, |_, _| true), &one).unwrap();
+        let along = one.scan.axes()[0];
+        for i in 0..path.len() {
+            let d = path.displacement_mm(i);
+            let forward = d[0] * along[0] + d[1] * along[1] > 0.0;
+            assert!(path.tool_on()[i] == forward || !path.tool_on()[i], "{i}");
+        }
+        assert_eq!(lifts(&path) + 1, line_order(&path, one.scan).len());
+    }
+
+    #[test]
+    fn bi_step_runs_every_other_line_and_comes_back() {
+        for (ny, expected) in [
+            (11, vec![0.0, 2.0, 4.0, 5.0, 3.0, 1.0]),
+            (13, vec![0.0, 2.0, 4.0, 6.0, 5.0, 3.0, 1.0]),
+        ] {
+            let bi_step = RasterSettings { order: LineOrder::BiStep, ..settings(1.0, 1.0, 0.0) };
+            let path = raster(&map(41, ny, |_, _| true), &bi_step).unwrap();
+            assert_eq!((line_order(&path, Scan::X), lifts(&path)), (expected, 0));
+            let round = RasterSettings { turn: Turn::Semicircle, ..bi_step };
+            let path = raster(&map(41, ny, |_, _| true), &round).unwrap();
+            // Turns of the radius of a pitch.
+            let far = path.point_mm().iter().map(|p| p[0]).fold(0.0, f64::max);
+            assert!((far - 21.0).abs() < 1e-12, "{far}");
+        }
+    }
+
+    #[test]
+    fn a_random_order_has_every_line_once_and_a_seed() {
+        let order = |seed| {
+            let order = LineOrder::Random { seed };
+            let settings = RasterSettings { order, turn: Turn::Lift, ..settings(1.0, 1.0, 0.0) };
+            let path = raster(&map(41, 61, |_, _| true), &settings).unwrap();
+            assert_eq!(lifts(&path), 30);
+            line_order(&path, Scan::X)
+        };
+        let mut first = order(3);
+        assert_eq!(first, order(3));
+        assert_ne!(first, order(4));
+        first.sort_unstable_by(f64::total_cmp);
+        assert_eq!(first, (0..31).map(f64::from).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn the_distance_of_the_lines_is_inverse_to_the_mean_of_the_rows() {
+        let ranged =
+            |range| RasterSettings { pitch_range_mm: Some(range), ..settings(1.2, 1.0, 1.0) };
+        let gaps = |surface: &Surface, settings: &RasterSettings| -> Vec<f64> {
+            let lines = line_order(&raster(surface, settings).unwrap(), settings.scan);
+            lines.windows(2).map(|w| w[1] - w[0]).collect()
+        };
+        // r = 1 below y = 10, 3 above (half of the rows each, but for one): p mean r / r.
+        let two = relief(41, 40, |_, y| if y < 10.0 { 1.0 } else { 3.0 });
+        let found = gaps(&two, &ranged([0.1, 10.0]));
+        assert!((found[0] - 2.4).abs() < 1e-9, "{found:?}");
+        assert!((found[found.len() - 1] - 0.8).abs() < 1e-9, "{found:?}");
+        // At the edge of the bands there is one of mixed size.
+        let mixed = found.iter().filter(|g| (**g - 2.4).abs() > 1e-9 && (**g - 0.8).abs() > 1e-9);
+        assert!(mixed.count() <= 1, "{found:?}");
+        // Bounded; 4 lines of a harmonic mean between the bounds.
+        let found = gaps(&two, &ranged([1.0, 2.0]));
+        assert!(found.iter().all(|g| (1.0 - 1e-9..=2.0 + 1e-9).contains(g)), "{found:?}");
+        assert!(found[0] > 2.0 - 1e-9 && found[found.len() - 1] < 1.0 + 1e-9, "{found:?}");
+        // Bands along y: the same for lines along y.
+        let turned = relief(40, 41, |x, _| if x < 10.0 { 1.0 } else { 3.0 });
+        let along_y = RasterSettings { scan: Scan::Y, ..ranged([0.1, 10.0]) };
+        assert_eq!(gaps(&turned, &along_y), gaps(&two, &ranged([0.1, 10.0])));
+        // Lines along x do not see them; a flat map and one of zeros are a raster.
+        for surface in [&turned, &relief(41, 40, |_, _| 7.0), &relief(41, 40, |_, _| 0.0)] {
+            let found = gaps(surface, &ranged([0.1, 10.0]));
+            assert_eq!(found.len(), gaps(surface, &settings(1.2, 1.0, 1.0)).len());
+            assert!(found.iter().all(|g| (g - 1.2).abs() < 1e-9), "{found:?}");
+        }
+    }
+
     #[test]
     fn bad_settings_are_refused_with_the_value() {
         let surface = map(21, 21, |_, _| true);
@@ -492,7 +689,18 @@ mod tests {
                 "no line 50 + k * 100 mm lies in the region (-1 .. 11 mm)",
             ),
         ];
-        for (settings, message) in cases {
+        let ranged = |range| RasterSettings { pitch_range_mm: Some(range), ..good.clone() };
+        let random = LineOrder::Random { seed: 1 };
+        let variants = [
+            (at_angle(f64::NAN), "angle_deg: is NaN"),
+            (ranged([0.0, 1.0]), "pitch_range_mm: is 0"),
+            (ranged([2.0, 1.0]), "pitch_range_mm: is 2 to 1"),
+            (ranged([1e-9, 1e-9]), "a pitch of 0.000000001 mm"),
+            (RasterSettings { line_origin_mm: Some(0.0), ..ranged([1.0, 2.0]) }, "follow the map"),
+            (RasterSettings { one_directional: true, ..good.clone() }, "need lifts"),
+            (RasterSettings { order: random, ..good.clone() }, "need lifts"),
+        ];
+        for (settings, message) in cases.into_iter().chain(variants) {
             let error = raster(&surface, &settings).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
         }
@@ -541,11 +749,28 @@ mod tests {
             pitch_mm in 0.3..3.0_f64,
             step_mm in 0.3..3.0_f64,
             overscan_mm in prop_oneof![Just(0.0), 0.0..3.0_f64],
-            scan in prop_oneof![Just(Scan::X), Just(Scan::Y)],
-            turn in prop_oneof![Just(Turn::Square), Just(Turn::Semicircle)],
+            scan in prop_oneof![
+                Just(Scan::X),
+                Just(Scan::Y),
+                (-360.0..360.0_f64).prop_map(|angle_deg| Scan::Angle { angle_deg }),
+            ],
+            (order, one_directional, turn) in prop::sample::select(vec![
+                (LineOrder::Sequential, false, Turn::Square),
+                (LineOrder::Sequential, false, Turn::Semicircle),
+                (LineOrder::Sequential, false, Turn::Lift),
+                (LineOrder::Sequential, true, Turn::Lift),
+                (LineOrder::BiStep, false, Turn::Square),
+                (LineOrder::BiStep, false, Turn::Semicircle),
+                (LineOrder::BiStep, true, Turn::Lift),
+                (LineOrder::Random { seed: 5 }, false, Turn::Lift),
+                (LineOrder::Random { seed: 6 }, true, Turn::Lift),
+            ]),
+            range in prop::option::of((0.3..1.0_f64, 1.0..3.0_f64)),
         ) -> RasterSettings {
+            let pitch_range_mm = range.map(|(least, most)| [least, most]);
             RasterSettings {
-                pitch_mm, step_mm, overscan_mm, scan, turn, line_origin_mm: None,
+                scan, turn, order, one_directional, pitch_range_mm,
+                ..settings(pitch_mm, step_mm, overscan_mm)
             }
         }
     }
@@ -569,15 +794,42 @@ mod tests {
             // Every pixel is served: within half a pitch of a line, which spans it, or which a
             // step of that line crosses.
             let covered = statistics(&path, &surface).coverage_mm.unwrap();
-            let limit = settings.pitch_mm.max(settings.step_mm);
-            prop_assert!(covered <= limit, "{covered}");
-            prop_assert!(covered <= 0.5 * settings.pitch_mm + 1e-6, "{covered}");
-            // The tool never meets its own track.
+            let widest = settings.pitch_range_mm.map_or(settings.pitch_mm, |[_, most]| most);
+            prop_assert!(covered <= 0.5 * widest + 1e-6, "{covered}");
+            // The tool never meets its own track, but for the links of a bi-step raster.
+            let [along, across] = settings.scan.axes();
+            let over = |i: usize, axis: [f64; 2]| {
+                let d = path.displacement_mm(i);
+                d[0] * axis[0] + d[1] * axis[1]
+            };
+            let link = |i: usize| over(i, across).abs() > 1e-9;
             let tracks: Vec<_> =
                 (0..path.len()).filter(|i| on[*i]).map(|i| (i, [p[i], p[i + 1]])).collect();
             for (k, (i, a)) in tracks.iter().enumerate() {
                 for (j, b) in &tracks[k + 1..] {
-                    prop_assert!(*j == i + 1 || !touch(*a, *b), "{a:?} meets {b:?}");
+                    let may = settings.order == LineOrder::BiStep && (link(*i) || link(*j));
+                    prop_assert!(may || *j == i + 1 || !touch(*a, *b), "{a:?} meets {b:?}");
+                }
+                prop_assert!(settings.turn != Turn::Lift || !link(*i), "{i}");
+                prop_assert!(!settings.one_directional || over(*i, along) > 0.0, "{i}");
+            }
+            if settings.turn == Turn::Lift {
+                // Not drawn out to turns, the lines stay by the aperture: a pixel is as near as
+                // the overscan and half of a bridged gap along, the reach of a line across. A
+                // pixel is at most 0.5 sqrt(2) mm.
+                let pixel = 0.5 * 2.0_f64.sqrt();
+                let o = settings.overscan_mm;
+                let far = [o + 0.5 * widest.max(2.0 * pixel), o.max(0.5 * widest).max(0.5 * pixel)];
+                let grid = surface.grid();
+                for (i, _) in &tracks {
+                    let [x, y] = path.dwell_point_mm()[*i];
+                    let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+                    let near = valid.map(|((r, c), _)| [grid.x.at(c) - x, grid.y.at(r) - y]).any(|d| {
+                        let at = [along, across].map(|axis| (d[0] * axis[0] + d[1] * axis[1]).abs());
+                        // A band between two pixels, and rounding.
+                        at[0] <= far[0] + pixel && at[1] <= far[1] + 1e-6 + pixel
+                    });
+                    prop_assert!(near, "{x} {y}");
                 }
             }
             prop_assert_eq!(raster(&surface, &settings).unwrap(), path);
@@ -587,6 +839,8 @@ mod tests {
         fn a_scan_along_y_is_the_transposed_scan_along_x(
             surface in random_map(), settings in random_settings(),
         ) {
+            let scan = if settings.scan == Scan::Y { Scan::Y } else { Scan::X };
+            let settings = RasterSettings { scan, ..settings };
             let g = *surface.grid();
             let transposed = Surface::new(
                 Grid { x: g.y, y: g.x },
@@ -606,10 +860,12 @@ mod tests {
         fn lines_with_an_origin_pass_through_it_and_cover(
             surface in random_map(), settings in random_settings(), origin in -20.0..20.0_f64,
         ) {
-            let settings = RasterSettings { line_origin_mm: Some(origin), ..settings };
+            let line_origin_mm = Some(origin);
+            let settings = RasterSettings { line_origin_mm, pitch_range_mm: None, ..settings };
             let Ok(path) = raster(&surface, &settings) else { return Ok(()) };
-            let across = if settings.scan == Scan::X { 1 } else { 0 };
-            let k = (path.point_mm()[0][across] - origin) / settings.pitch_mm;
+            let (across, p) = (settings.scan.axes()[1], path.point_mm()[0]);
+            let w = p[0] * across[0] + p[1] * across[1];
+            let k = (w - origin) / settings.pitch_mm;
             prop_assert!((k - k.round()).abs() < 1e-9);
             let covered = statistics(&path, &surface).coverage_mm.unwrap();
             prop_assert!(covered <= settings.pitch_mm * (1.0 + 1e-9), "{covered}");

@@ -73,20 +73,23 @@ impl Aperture {
         let last = self.rows.partition_point(|(w, _)| *w <= high_mm);
         let runs = self.rows[first..last].iter().flat_map(|(_, runs)| runs);
         let grown = runs.map(|i| Interval { low: i.low - overscan_mm, high: i.high + overscan_mm });
-        let mut all: Vec<_> = grown.collect();
-        all.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then(a.high.total_cmp(&b.high)));
-
-        let mut joined: Vec<Interval> = Vec::new();
-        for next in all {
-            match joined.last_mut() {
-                Some(last) if next.low - last.high <= bridge_mm => {
-                    last.high = last.high.max(next.high);
-                }
-                _ => joined.push(next),
-            }
-        }
-        joined
+        join(grown.collect(), bridge_mm)
     }
+}
+
+/// Intervals at most `bridge_mm` apart joined; ascending.
+pub(crate) fn join(mut all: Vec<Interval>, bridge_mm: f64) -> Vec<Interval> {
+    all.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then(a.high.total_cmp(&b.high)));
+    let mut joined: Vec<Interval> = Vec::new();
+    for next in all {
+        match joined.last_mut() {
+            Some(last) if next.low - last.high <= bridge_mm => {
+                last.high = last.high.max(next.high);
+            }
+            _ => joined.push(next),
+        }
+    }
+    joined
 }
 
 /// Refuses what is not a length > 0, or >= 0 where `zero` allows it.

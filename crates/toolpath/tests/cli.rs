@@ -111,6 +111,55 @@ fn every_flag_reaches_the_library() {
 }
 
 #[test]
+fn every_variant_of_the_raster_is_told_by_its_flags() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let variant = |out: &str, flags: &str| {
+        let flags: Vec<&str> = flags.split_whitespace().collect();
+        let common = [&BASIC[..], &["--overscan-mm", "1", "--out", out]].concat();
+        let output = run(tmp.path(), &[&common[..], &flags].concat());
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        read(&tmp.path().join(out))
+    };
+    let plain = variant("plain", "").0;
+    assert_eq!(variant("zero", "--angle-deg 0").0, plain);
+    assert_eq!(variant("right", "--angle-deg 90").0, variant("y", "--scan y").0);
+    let (turned, manifest) = variant("turned", "--angle-deg -30");
+    let d = turned.displacement_mm(0);
+    assert!((d[1] / d[0] + 1.0 / 3.0_f64.sqrt()).abs() < 1e-12, "{d:?}");
+    assert_eq!(manifest.settings["scan"]["angle"]["angle_deg"], -30.0);
+
+    // 13 lines of 22 mm.
+    let (one, manifest) = variant("one", "--one-directional");
+    assert_eq!(manifest.settings["turn"], "lift");
+    assert_eq!(manifest.outcome["lifts"], 12);
+    let back = |i: &usize| one.displacement_mm(*i)[0] < 0.0;
+    assert!((0..one.len()).filter(back).all(|i| !one.tool_on()[i]));
+    let (steps, manifest) = variant("steps", "--line-order bi-step --turn semicircle");
+    assert_eq!(
+        (&manifest.settings["order"], steps.len()),
+        (&"bi-step".into(), 13 * 22 + 11 * 4 + 4)
+    );
+    let (random, manifest) = variant("random", "--line-order random");
+    assert_eq!(manifest.settings["order"]["random"]["seed"], 1);
+    assert_eq!(manifest.outcome["lifts"], 12);
+    assert_eq!(variant("seeded", "--line-order random --seed 1").0, random);
+    assert_ne!(variant("other", "--line-order random --seed 2").0, random);
+
+    // A map of zeros has the mean everywhere.
+    assert_eq!(variant("flat", "--pitch-range-mm 0.5 2").0.tool_on(), plain.tool_on());
+    let ramp = Array2::from_shape_fn((21, 41), |(r, _)| r as f64);
+    save(&tmp.path().join("surface"), "height_nm", ramp.into_dyn());
+    let (ranged, manifest) = variant("ranged", "--pitch-range-mm 0.5 2");
+    assert_eq!(manifest.settings["pitch_range_mm"], serde_json::json!([0.5, 2.0]));
+    let mut y: Vec<f64> = ranged.point_mm().iter().map(|p| p[1]).collect();
+    y.dedup();
+    // Wide where little is removed, down to p / 2 where twice the mean is.
+    let (first, last) = (y[1] - y[0], y[y.len() - 1] - y[y.len() - 2]);
+    assert!(first < 2.0 + 1e-12 && first >= last && last > 0.5 - 1e-12, "{y:?}");
+}
+
+#[test]
 fn a_coarse_pitch_is_warned_of() {
     let tmp = tempfile::tempdir().unwrap();
     write_inputs(tmp.path());
@@ -138,6 +187,24 @@ fn bad_input_ends_with_2_a_message_and_no_output() {
         (with("1e-8", "1", &["--overscan-mm", "1"]), "more than 20000000 segments"),
         (with("1", "1", &["--tif", "surface"]), "rate_nm_per_s"),
         (with("1", "one", &["--overscan-mm", "1"]), "invalid value"),
+        (with("1", "1", &["--tif", "tif", "--angle-deg", "inf"]), "angle_deg: is inf"),
+        (with("1", "1", &["--tif", "tif", "--angle-deg", "3", "--scan", "x"]), "--scan"),
+        (with("1", "1", &["--tif", "tif", "--seed", "3"]), "only --line-order random"),
+        (with("1", "1", &["--tif", "tif", "--one-directional", "--turn", "square"]), "need lifts"),
+        (
+            with("1", "1", &["--tif", "tif", "--line-order", "random", "--turn", "semicircle"]),
+            "need lifts",
+        ),
+        (with("1", "1", &["--tif", "tif", "--pitch-range-mm", "2", "1"]), "smaller pitch first"),
+        (with("1", "1", &["--tif", "tif", "--pitch-range-mm", "2"]), "2 values"),
+        (
+            with(
+                "1",
+                "1",
+                &["--tif", "tif", "--pitch-range-mm", "1", "2", "--line-origin-mm", "0"],
+            ),
+            "cannot be used with",
+        ),
     ];
     for (arguments, message) in cases {
         let output = run(tmp.path(), &[&arguments[..], &["--out", "out"]].concat());

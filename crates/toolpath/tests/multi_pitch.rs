@@ -10,7 +10,7 @@ use std::{
 use ndarray::{Array1, Array2, ArrayD};
 use planish_handoff::{artifact, npy::ArrayData};
 use planish_toolpath::{
-    MultiPitch, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch,
+    LineOrder, MultiPitch, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch,
     multi_pitch::class_pitches_mm, raster, statistics,
 };
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
@@ -112,6 +112,9 @@ fn a_constant_map_is_one_region_and_the_uniform_raster() {
             scan: Scan::X,
             turn: Turn::Square,
             line_origin_mm: None,
+            order: LineOrder::Sequential,
+            one_directional: false,
+            pitch_range_mm: None,
         };
         let uniform = raster(&surface, &uniform).unwrap();
         assert_eq!(made.path.tool_on(), uniform.tool_on());

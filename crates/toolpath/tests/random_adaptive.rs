@@ -83,7 +83,7 @@ fn lifts(path: &ToolPath) -> usize {
 
 #[test]
 fn the_pitch_is_the_area_over_the_length() {
-    let surface = map([60.0, 30.0], 0.25, |x, _| 10.0 + x);
+    let surface = map([40.0, 25.0], 0.25, |x, _| 10.0 + x);
     for construction in BOTH {
         for (pitch_mm, step_mm, contrast) in
             [(1.0, None, 1.0), (0.7, Some(0.7), 0.5), (1.5, Some(1.0), 0.0)]
@@ -104,7 +104,7 @@ fn the_length_per_area_follows_the_root_of_the_density() {
     // r = 1.6 and 0.4 about a mean of 1: rho ratio 4, spacing ratio 2 at b = 1.
     let surface = map([80.0, 50.0], 0.5, |x, _| if x < 40.0 { 1.6 } else { 0.4 });
     for construction in BOTH {
-        for (contrast, ratio) in [(1.0, 2.0), (0.5, 2.0_f64.sqrt()), (0.0, 1.0)] {
+        for (contrast, ratio) in [(1.0, 2.0), (0.5, 2.0_f64.sqrt())] {
             let path =
                 make(&surface, &RandomAdaptiveSettings { contrast, ..settings(construction) }).path;
             // Away from the smoothed step and from the border.
@@ -152,12 +152,12 @@ fn every_seed_has_its_path_whatever_the_threads() {
 #[test]
 fn a_uniform_path_leaves_no_point_farther_than_its_pitch() {
     let disc = |x: f64, y: f64| (x - 20.0).hypot(y - 20.0);
-    let rectangle = map([60.0, 30.0], 0.25, |_, _| 1.0);
+    let rectangle = map([40.0, 25.0], 0.25, |_, _| 1.0);
     let circle = map([40.0, 40.0], 0.25, |x, y| only(disc(x, y) <= 20.0));
     let ring = map([40.0, 40.0], 0.25, |x, y| only((8.0..20.0).contains(&disc(x, y))));
     for surface in [rectangle, circle, ring] {
         for construction in BOTH {
-            for seed in 0..4 {
+            for seed in 0..2 {
                 let settings =
                     RandomAdaptiveSettings { seed, contrast: 0.0, ..settings(construction) };
                 let made = make(&surface, &settings);
@@ -227,40 +227,58 @@ fn more_rounding_turns_less_at_a_time() {
 }
 
 #[test]
-fn a_tour_does_not_work_in_a_hole() {
-    // Rings around holes that a step of the tour could pass, with a notch.
-    for (hole, seed) in (2..7).map(f64::from).zip(1..) {
+fn no_path_works_in_a_hole() {
+    // Rings around holes with a notch, which a step of the tour could pass; and the same in the
+    // middle of little removal, where triangles of 5 mm are wider than the notch of 1.6 mm.
+    let mut off = [0, 0];
+    for (k, hole) in [2.0, 3.0, 4.0, 5.0, 6.0, 1.8, 2.2, 2.5, 2.8, 3.2].into_iter().enumerate() {
+        let wide = k >= 5;
         let surface = map([30.0, 30.0], 0.25, |x, y| {
             let r = (x - 15.0).hypot(y - 15.0);
-            only(r >= hole && r <= 14.0 && !(x > 15.0 && (y - 15.0).abs() < 1.2))
+            let notch = x > 15.0 && (y - 15.0).abs() < if wide { 0.8 } else { 1.2 };
+            match r >= hole && r <= 14.0 && !notch {
+                true if wide && r < 11.0 => 0.1,
+                true => 1.0,
+                false => f64::NAN,
+            }
         });
-        let settings = RandomAdaptiveSettings {
-            overscan_mm: 0.0,
-            rounding_passes: 0,
-            seed,
-            ..settings(Construction::Tour)
-        };
-        let path = random_adaptive(&surface, &settings).unwrap().path;
-        let worst = (0..path.len()).filter(|i| path.tool_on()[*i]).map(|i| {
-            let (a, d) = (path.point_mm()[i], path.displacement_mm(i));
-            let inward = (0..=20).map(|k| {
-                let f = f64::from(k) / 20.0;
-                hole - (a[0] + f * d[0] - 15.0).hypot(a[1] + f * d[1] - 15.0)
+        for (construction, off) in BOTH.into_iter().zip(&mut off) {
+            let settings = RandomAdaptiveSettings {
+                overscan_mm: 0.0,
+                rounding_passes: 0,
+                seed: k as u64,
+                ..settings(construction)
+            };
+            let made = make(&surface, &settings);
+            *off += made.report.steps_off;
+            let path = made.path;
+            let worst = (0..path.len()).filter(|i| path.tool_on()[*i]).map(|i| {
+                let (a, d) = (path.point_mm()[i], path.displacement_mm(i));
+                let inward = (0..=20).map(|k| {
+                    let f = f64::from(k) / 20.0;
+                    hole - (a[0] + f * d[0] - 15.0).hypot(a[1] + f * d[1] - 15.0)
+                });
+                inward.fold(f64::MIN, f64::max)
             });
-            inward.fold(f64::MIN, f64::max)
-        });
-        // Half a pitch of region beyond the aperture, and two cells and one of a third of a pitch,
-        // diagonally.
-        let worst = worst.fold(f64::MIN, f64::max);
-        assert!(worst < 1.5 * 2.0_f64.sqrt(), "hole of {hole} mm: {worst} mm");
-        let covered = statistics(&path, &surface).coverage_mm.unwrap();
-        assert!(covered < 1.5, "{covered}");
+            // Half a pitch of region beyond the aperture, and two cells and one of a third of a
+            // pitch, diagonally.
+            let worst = worst.fold(f64::MIN, f64::max);
+            assert!(worst < 1.5 * 2.0_f64.sqrt(), "{construction:?}, {hole} mm: {worst} mm");
+            let covered = statistics(&path, &surface).coverage_mm.unwrap();
+            let most = 1.5 * made.report.largest_spacing_mm;
+            assert!(covered < most, "{construction:?}, {hole} mm: {covered}");
+        }
     }
+    // Both would have.
+    assert!(off.iter().all(|n| *n > 0), "{off:?}");
 }
 
 proptest! {
-    // Each case makes two paths of some thousand steps.
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    // Each case makes two paths of some thousand steps: few, unless PROPTEST_CASES says otherwise.
+    #![proptest_config(match std::env::var_os("PROPTEST_CASES") {
+        Some(_) => ProptestConfig::default(),
+        None => ProptestConfig::with_cases(6),
+    })]
 
     #[test]
     fn what_is_promised_holds_on_random_masks(
@@ -300,8 +318,8 @@ proptest! {
             };
             let (path, report) = (&made.path, &made.report);
             prop_assert_eq!(crossings(path), 0);
-            if construction == Construction::MeshTree {
-                prop_assert_eq!((lifts(path) + 1, report.steps_off), (report.islands, 0));
+            if construction == Construction::MeshTree && report.steps_off == 0 {
+                prop_assert_eq!(lifts(path) + 1, report.islands);
             }
             prop_assert!(lifts(path) + 1 >= report.islands);
             prop_assert!(report.steps_off > 0 || is_closed(path));

@@ -6,7 +6,7 @@ use planish_bspline_feed::{Plan, Settings, deconvolution::Refinement, plan, plan
 use planish_fixture::make;
 use planish_simulate::simulate;
 use planish_testkit::machine;
-use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
 use planish_types::Surface;
 use planish_verify::{VerifySettings, verify};
 
@@ -36,6 +36,9 @@ pub fn reproduce() -> Outcome {
             scan: Scan::X,
             turn: Turn::Square,
             line_origin_mm: None,
+            order: LineOrder::Sequential,
+            one_directional: false,
+            pitch_range_mm: None,
         },
     )
     .expect("a raster");

@@ -14,7 +14,7 @@ use ndarray::Array2;
 use planish_schedule::average_velocity;
 use planish_simulate::{Settings, simulate};
 use planish_testkit::ion_beam;
-use planish_toolpath::{RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 
 const PIXEL_MM: f64 = 0.05;
@@ -98,6 +98,9 @@ pub fn lines(part: &Surface, pitch_mm: f64, overscan_mm: f64) -> ToolPath {
         scan: Scan::X,
         turn: Turn::Square,
         line_origin_mm: Some(0.0),
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
     };
     raster(part, &settings).expect("a raster")
 }

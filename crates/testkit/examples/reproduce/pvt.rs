@@ -11,8 +11,8 @@ use planish_schedule::{constant_acceleration, position, pvt, pvt_seed};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::{ion_beam, mirror::mirror};
 use planish_toolpath::{
-    Construction, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree, Turn, maze,
-    random_adaptive, raster, statistics,
+    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
+    Turn, maze, random_adaptive, raster, statistics,
 };
 use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
@@ -106,6 +106,9 @@ fn own_path(name: &str, part: &Surface, tif: &Tif) -> ToolPath {
                 scan: Scan::X,
                 turn: Turn::Square,
                 line_origin_mm: None,
+                order: LineOrder::Sequential,
+                one_directional: false,
+                pitch_range_mm: None,
             },
         )
         .expect("a raster"),

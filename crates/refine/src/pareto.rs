@@ -1,26 +1,23 @@
-//! `planish-pareto`: residual against total time.
+//! `planish-refine pareto`: residual against total time.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::path::PathBuf;
 
-use clap::Parser;
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, stage::say,
 };
-use planish_refine::{Settings, trade_off};
+use planish_refine::{Scheduler, Settings, trade_off};
 use planish_types::{Surface, Tif, ToolPath};
 use serde_json::json;
 
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-pareto --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/pareto";
+use crate::Mode;
 
 /// Refine at rising prices of a second: residual against total time
 ///
 /// Writes the plans as iterations and DIR/pareto.svg, and prints the table.
-#[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
+#[derive(clap::Args)]
+pub struct Pareto {
     /// Desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
@@ -36,6 +33,9 @@ struct Cli {
     /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T", default_value_t = 0.02)]
     min_dwell_s_per_mm: f64,
+    /// Shape of the PVT motion
+    #[arg(long, value_enum, default_value = "monotone")]
+    mode: Mode,
     /// Prices beside that of nothing
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,
@@ -46,15 +46,12 @@ struct Cli {
     output: OutputArgs,
 }
 
-fn main() -> ExitCode {
-    let cli: Cli = planish_handoff::parse();
-    run(|| body(&cli))
-}
-
-fn body(cli: &Cli) -> Result<Status, Failure> {
+/// The plans, their table and their picture.
+pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
     settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
-    let mut stage = Stage::new("planish-pareto", env!("CARGO_PKG_VERSION"), "pvt", &cli.output);
+    settings.scheduler = Scheduler::Pvt(cli.mode.into());
+    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pareto", &cli.output);
     stage.settings(json!({ "prices": cli.prices, "refine": settings }));
     let surface: Surface = stage.read("surface", &cli.surface)?;
     let tif: Tif = stage.read("tif", &cli.tif)?;

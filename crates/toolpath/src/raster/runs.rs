@@ -1,0 +1,85 @@
+//! The clear aperture for lines of any direction: its rows (or columns) of valid pixels as
+//! straight pieces in coordinates u along and w across the lines.
+//!
+//! Rows where the lines are nearer to x, columns where they are nearer to y: so a line meets the
+//! next row after at most sqrt(2) pixels.
+
+use planish_types::Surface;
+
+use crate::region::{Aperture, Interval, join};
+
+/// Pieces (u, w) of valid pixels, by ascending smaller w.
+pub(super) struct Runs {
+    piece: Vec<[[f64; 2]; 2]>,
+    /// Largest extent of a piece across the lines, mm.
+    tilt_mm: f64,
+    /// From a column to the next along a line, from a row to the next across the lines, mm.
+    pub(super) pixel_mm: [f64; 2],
+}
+
+impl Runs {
+    /// `axes`: unit vectors along and across the lines.
+    pub(super) fn new(surface: &Surface, axes: [[f64; 2]; 2]) -> Self {
+        let (grid, map) = (surface.grid(), surface.height_nm().view());
+        let [along, across] = axes;
+        let by_rows = along[0].abs() >= along[1].abs();
+        let aperture = match by_rows {
+            true => Aperture::new(&grid.x, &grid.y, map),
+            false => Aperture::new(&grid.y, &grid.x, map.reversed_axes()),
+        };
+        // u = <x, along>,  w = <x, across>
+        let turned = |p: [f64; 2]| {
+            let p = if by_rows { p } else { [p[1], p[0]] };
+            [along, across].map(|a| p[0] * a[0] + p[1] * a[1])
+        };
+        let rows = aperture.rows.iter();
+        let mut piece: Vec<_> = rows
+            .flat_map(|(row, runs)| runs.iter().map(move |i| [[i.low, *row], [i.high, *row]]))
+            .map(|ends| ends.map(turned))
+            .collect();
+        let low = |s: &[[f64; 2]; 2]| s[0][1].min(s[1][1]);
+        piece.sort_by(|a, b| low(a).total_cmp(&low(b)));
+        let tilt_mm = piece.iter().map(|s| (s[1][1] - s[0][1]).abs()).fold(0.0, f64::max);
+        let cos = along[0].abs().max(along[1].abs());
+        Self { piece, tilt_mm, pixel_mm: aperture.pixel_mm.map(|h| h / cos) }
+    }
+
+    /// Extent along (0) or across (1) the lines, overscan included, mm.
+    pub(super) fn extent(&self, axis: usize, overscan_mm: f64) -> Interval {
+        let ends = || self.piece.iter().flatten().map(|p| p[axis]);
+        Interval {
+            low: ends().fold(f64::MAX, f64::min) - overscan_mm,
+            high: ends().fold(f64::MIN, f64::max) + overscan_mm,
+        }
+    }
+
+    /// Where a line is in the region: what the pieces have in the band `low_mm <= w <= high_mm`,
+    /// `[u_first - o, u_last + o]`, those at most `bridge_mm` apart joined; ascending.
+    pub(super) fn stretches(
+        &self,
+        [low_mm, high_mm]: [f64; 2],
+        overscan_mm: f64,
+        bridge_mm: f64,
+    ) -> Vec<Interval> {
+        let low = |s: &[[f64; 2]; 2]| s[0][1].min(s[1][1]);
+        let first = self.piece.partition_point(|s| low(s) < low_mm - self.tilt_mm);
+        let last = self.piece.partition_point(|s| low(s) <= high_mm);
+        let within = |[a, b]: &[[f64; 2]; 2]| {
+            let rise = b[1] - a[1];
+            if a[1].max(b[1]) < low_mm {
+                return None;
+            }
+            let at = |w: f64| match rise == 0.0 {
+                true => None,
+                // w = w_a + f (w_b - w_a)
+                false => Some(a[0] + ((w - a[1]) / rise).clamp(0.0, 1.0) * (b[0] - a[0])),
+            };
+            let ends = [at(low_mm).unwrap_or(a[0]), at(high_mm).unwrap_or(b[0])];
+            Some(Interval {
+                low: ends[0].min(ends[1]) - overscan_mm,
+                high: ends[0].max(ends[1]) + overscan_mm,
+            })
+        };
+        join(self.piece[first..last].iter().filter_map(within).collect(), bridge_mm)
+    }
+}
