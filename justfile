@@ -66,12 +66,17 @@ quantisation: build
     just run raster surface=out/quantisation/mirror/surface tif=out/quantisation/mirror/tif out=out/quantisation/raster
     pipelines/quantisation.sh out/quantisation/raster out/quantisation/mirror/tif
 
+# The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction.md
+reproduce paper="all":
+    @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ paper }}
+
 # Everything that must pass before a change lands
 ci: test
     cargo fmt --all --check
     cargo clippy --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --quiet
     just docs
+    just reproduce
     git diff --exit-code docs
     just run raster fixture=coupon out=out/ci
     just run maze fixture=coupon refine=no export=galil out=out/ci-maze

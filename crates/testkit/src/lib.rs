@@ -6,6 +6,10 @@
 //! * `programs`: random motions exported to every controller and read back.
 //! * `end_to_end`: a fixture through all binaries.
 //! * `reference`: the reference mirror, where `PLANISH_REFERENCE` names its folder.
+//!
+//! `examples/reproduce` computes the claims of the papers (docs/reproduction.md).
+
+pub mod mirror;
 
 use std::path::{Path, PathBuf};
 

@@ -4,92 +4,31 @@
 //! `PLANISH_REFERENCE` names the folder that holds `nsls2-mirror/`; without it the tests say so
 //! and pass.
 
-use std::path::{Path, PathBuf};
-
-use ndarray::{Array2, Ix2};
 use planish_dwell::{
     bounded_least_squares::{self, Bound},
     columns::Columns,
 };
-use planish_handoff::{
-    kind::Dtype,
-    npy::{self, ArrayData},
-};
 use planish_schedule::{constant_acceleration, position, pvt, pvt_seed, trig_spline};
 use planish_simulate::{direct, simulate};
-use planish_testkit::{case_generator, ion_beam};
+use planish_testkit::{
+    case_generator, ion_beam,
+    mirror::{Mirror, mirror},
+};
 use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
-use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{DwellTime, Removal, Tif, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
 use rayon::prelude::*;
 
 const GRIDDED: planish_simulate::Settings = planish_simulate::Settings::Gridded;
 
-/// The mirror, its TIF, and where the other files are.
-struct Mirror {
-    dir: PathBuf,
-    desired: Surface,
-    tif: Tif,
-}
-
-/// The mirror; `None` when `PLANISH_REFERENCE` is not set.
-fn mirror() -> Option<Mirror> {
-    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
-        println!("skipped: PLANISH_REFERENCE is not set");
-        return None;
-    };
-    let dir = Path::new(&reference).join("nsls2-mirror");
-    let desired = Surface::new(grid(&dir, ""), map(&dir, "height_nm")).unwrap();
-    let tif = Tif::new(grid(&dir, "tif_"), map(&dir, "tif_nm_per_s")).unwrap();
-    Some(Mirror { dir, desired, tif })
-}
-
-fn load(dir: &Path, name: &str) -> ndarray::ArrayD<f64> {
-    match npy::read(&dir.join(format!("{name}.npy")), Dtype::F64).unwrap().0 {
-        ArrayData::F64(a) => a,
-        other => panic!("{name}: {:?}", other.dtype()),
-    }
-}
-
-fn map(dir: &Path, name: &str) -> Array2<f64> {
-    load(dir, name).into_dimensionality::<Ix2>().unwrap()
-}
-
-fn grid(dir: &Path, prefix: &str) -> Grid {
-    let axis = |name: &'static str| {
-        let mm: Vec<f64> = load(dir, &format!("{prefix}{name}")).iter().copied().collect();
-        Axis::from_coordinates(name, &mm).unwrap()
-    };
-    Grid { x: axis("x_mm"), y: axis("y_mm") }
-}
-
-impl Mirror {
-    fn points(&self, name: &str) -> Vec<[f64; 2]> {
-        map(&self.dir, name).outer_iter().map(|p| [p[0], p[1]]).collect()
-    }
-
-    /// The published path; a missing last control point mirrors the one before about the last
-    /// dwell point.
-    fn path(&self, name: &str) -> ToolPath {
-        let mut points = self.points(&format!("{name}_path_mm"));
-        let dwell_points = self.points(&format!("{name}_dwell_point_mm"));
-        let n = dwell_points.len();
-        if points.len() == n {
-            let (p, d) = (points[n - 1], dwell_points[n - 1]);
-            points.push([2.0 * d[0] - p[0], 2.0 * d[1] - p[1]]);
-        }
-        ToolPath::new(points, dwell_points, vec![true; n], vec![0; n]).unwrap()
-    }
-
-    fn dwell(&self, name: &str) -> DwellTime {
-        let dwell_s = load(&self.dir, &format!("{name}_udo_dwell_s"));
-        DwellTime::new(dwell_s.iter().copied().collect()).unwrap()
-    }
-
-    fn simulate(&self, trajectory: &Trajectory, settings: planish_simulate::Settings) -> Removal {
-        simulate(trajectory, &self.tif, &self.desired, settings).unwrap().removal
-    }
+/// Removal of `trajectory` on the mirror.
+fn simulated(
+    mirror: &Mirror,
+    trajectory: &Trajectory,
+    settings: planish_simulate::Settings,
+) -> Removal {
+    simulate(trajectory, &mirror.tif, &mirror.desired, settings).unwrap().removal
 }
 
 fn smooth(path: &ToolPath, dwell: &DwellTime) -> pvt::Schedule {
@@ -118,12 +57,12 @@ fn published_dwell_at_the_dwell_points_gives_the_published_maps() {
     let Some(mirror) = mirror() else { return };
     for (name, rms) in [("raster", 0.20434), ("maze", 0.26263)] {
         let trajectory = position::schedule(&mirror.path(name), &mirror.dwell(name)).unwrap();
-        let published = map(&mirror.dir, &format!("{name}_udo_removal_nm"));
+        let published = mirror.map(&format!("{name}_udo_removal_nm"));
         // Term by term the sum is the published one up to rounding. The gridded method takes the
         // samples of the TIF, whose pitch differs from the map's by 2.5e-8, for its pixels.
         let direct = planish_simulate::Settings::Direct { steps: 1 };
         for (method, tolerance_nm) in [(direct, 1e-9), (GRIDDED, 1e-5)] {
-            let removal = mirror.simulate(&trajectory, method);
+            let removal = simulated(&mirror, &trajectory, method);
             near(name, removal.residual().detilted_rms_nm(), rms, 1e-5);
             let off = (removal.removal_nm() - &published).fold(0.0, |m: f64, v| m.max(v.abs()));
             near(&format!("{name}: largest difference, nm, {method:?}"), off, 0.0, tolerance_nm);
@@ -146,7 +85,7 @@ fn published_dwell_executed_by_pvt() {
             let (found, expected) = (verdict.max_acceleration_mm_per_s2[axis], acceleration[axis]);
             near(&format!("{name}: acceleration of axis {axis}"), found, expected, 0.02 * expected);
         }
-        let residual = mirror.simulate(&schedule.trajectory, GRIDDED);
+        let residual = simulated(&mirror, &schedule.trajectory, GRIDDED);
         near(name, residual.residual().detilted_rms_nm(), rms, 0.003);
     }
 }
@@ -156,7 +95,7 @@ fn published_maze_executed_by_constant_acceleration() {
     let Some(mirror) = mirror() else { return };
     let (path, dwell) = (mirror.path("maze"), mirror.dwell("maze"));
     let schedule = constant_acceleration::schedule(&path, &dwell, &ion_beam()).unwrap();
-    let residual = mirror.simulate(&schedule.trajectory, GRIDDED);
+    let residual = simulated(&mirror, &schedule.trajectory, GRIDDED);
     near("maze", residual.residual().detilted_rms_nm(), 0.223, 0.003);
     // The count of an independent prototype, at its threshold of 1 nm: they are integers.
     let report = &schedule.report;
@@ -194,7 +133,7 @@ fn the_seed_formulation_and_its_defects() {
         // The seed's acceleration steps by more than 100 mm/s^2, the spline's by rounding.
         assert!(step(&seed.trajectory).iter().all(|s| *s > 100.0));
         assert!(step(&hermite.trajectory).iter().all(|s| *s < 1e-6));
-        let residual = mirror.simulate(&seed.trajectory, GRIDDED);
+        let residual = simulated(&mirror, &seed.trajectory, GRIDDED);
         near(name, residual.residual().detilted_rms_nm(), rms, 0.003);
     }
 }
@@ -223,7 +162,7 @@ fn published_dwell_executed_by_the_trigonometric_spline() {
         let verdict = judge(&s.trajectory);
         assert!(verdict.limits_respected, "{:?}", verdict.violations);
         assert_eq!((s.report.offset_added_s, s.report.slowed_corners), (0.0, 0), "{:?}", s.report);
-        let residual = mirror.simulate(&s.trajectory, GRIDDED);
+        let residual = simulated(&mirror, &s.trajectory, GRIDDED);
         near(name, residual.residual().detilted_rms_nm(), rms, 0.003);
     }
 }
@@ -234,7 +173,7 @@ fn published_dwell_executed_by_the_trigonometric_spline() {
 fn gridded_agrees_with_direct_quadrature() {
     let Some(mirror) = mirror() else { return };
     let trajectory = smooth(&mirror.path("raster"), &mirror.dwell("raster")).trajectory;
-    let gridded = mirror.simulate(&trajectory, GRIDDED);
+    let gridded = simulated(&mirror, &trajectory, GRIDDED);
     let grid = mirror.desired.grid();
     let mut generator = case_generator(2023, 0, 0);
     let (ny, nx) = grid.shape();
@@ -292,7 +231,7 @@ fn best_dwell_on_the_published_raster_points() {
     let solution =
         bounded_least_squares::solve(&mirror.desired, &mirror.tif, &path, None, &settings).unwrap();
     let trajectory = position::schedule(&path, &solution.dwell).unwrap();
-    let removal = mirror.simulate(&trajectory, GRIDDED);
+    let removal = simulated(&mirror, &trajectory, GRIDDED);
     near("total time, s", solution.dwell.total_s(), 434.7, 0.5);
     near("residual, nm detilted", removal.residual().detilted_rms_nm(), 0.14845, 2e-5);
 }
@@ -340,7 +279,8 @@ fn refined_on_the_published_paths() {
             )
             .unwrap();
             assert!(judge(&refined.trajectory).limits_respected);
-            let found = mirror.simulate(&refined.trajectory, GRIDDED).residual().statistics().rms;
+            let found =
+                simulated(&mirror, &refined.trajectory, GRIDDED).residual().statistics().rms;
             let took = refined.trajectory.total_time_s() / 60.0;
             println!("{name} {min_dwell:?}: {found} nm in {took} min");
             assert!(
@@ -374,7 +314,7 @@ fn own_raster_own_dwell_executed_by_pvt() {
     let schedule = smooth(&path, &solution.dwell);
     let verdict = judge(&schedule.trajectory);
     assert!(verdict.limits_respected, "{:?}", verdict.violations);
-    let rms = mirror.simulate(&schedule.trajectory, GRIDDED).residual().statistics().rms;
+    let rms = simulated(&mirror, &schedule.trajectory, GRIDDED).residual().statistics().rms;
     let minutes = schedule.trajectory.total_time_s() / 60.0;
     println!("executed {rms} nm RMS in {minutes} min, {} points", path.len());
     assert!(rms <= 0.150, "{rms} nm");

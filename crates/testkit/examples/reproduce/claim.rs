@@ -1,0 +1,126 @@
+//! A claim of a paper beside what is computed here.
+
+/// How the two compare.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    Agrees,
+    Better,
+    Differs,
+}
+
+/// One row of a table.
+pub struct Claim {
+    what: String,
+    paper: String,
+    ours: String,
+    ratio: Option<f64>,
+    found: Verdict,
+    expected: Verdict,
+    why: &'static str,
+}
+
+impl Claim {
+    /// A number that ours agrees with `within` a part of it.
+    pub fn number(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
+        let ratio = ours / paper;
+        let digits = if within < 0.01 { 4 } else { 3 };
+        let agrees = (ratio - 1.0).abs() <= within;
+        Self {
+            what: what.into(),
+            paper: format!("{paper}{}{unit}", space(unit)),
+            ours: format!("{}{}{unit}", significant(ours, digits), space(unit)),
+            ratio: Some(ratio),
+            found: if agrees { Verdict::Agrees } else { Verdict::Differs },
+            expected: Verdict::Agrees,
+            why: "",
+        }
+    }
+
+    /// A number that should be small: below it is better.
+    pub fn small(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
+        let mut claim = Self::number(what, unit, paper, ours, within);
+        if ours < paper * (1.0 - within) {
+            claim.found = Verdict::Better;
+        }
+        claim
+    }
+
+    /// A statement, which `holds` here or not.
+    pub fn statement(what: &str, paper: &str, ours: String, holds: bool) -> Self {
+        Self {
+            what: what.into(),
+            paper: paper.into(),
+            ours,
+            ratio: None,
+            found: if holds { Verdict::Agrees } else { Verdict::Differs },
+            expected: Verdict::Agrees,
+            why: "",
+        }
+    }
+
+    /// Expected to differ, because ...
+    pub fn differs(self, why: &'static str) -> Self {
+        Self { expected: Verdict::Differs, why, ..self }
+    }
+
+    /// Expected to be better, because ...
+    pub fn better(self, why: &'static str) -> Self {
+        Self { expected: Verdict::Better, why, ..self }
+    }
+
+    /// Expected to agree, with a remark.
+    pub fn remark(self, why: &'static str) -> Self {
+        Self { why, ..self }
+    }
+
+    /// Whether the verdict is the expected one.
+    pub fn as_expected(&self) -> bool {
+        self.found == self.expected
+    }
+
+    fn cells(&self) -> [String; 5] {
+        let verdict = match self.found {
+            Verdict::Agrees => "agrees",
+            Verdict::Better => "better",
+            Verdict::Differs => "differs",
+        };
+        let remark = match (self.as_expected(), self.found, self.why) {
+            (false, ..) => format!("{verdict}; EXPECTED: {:?}", self.expected),
+            (true, _, "") => verdict.into(),
+            (true, Verdict::Agrees, why) => format!("{verdict}; {why}"),
+            (true, _, why) => format!("{verdict}: {why}"),
+        };
+        let ratio = self.ratio.map_or(String::new(), |r| significant(r, 3));
+        [self.what.clone(), self.paper.clone(), self.ours.clone(), ratio, remark]
+    }
+}
+
+fn space(unit: &str) -> &'static str {
+    if unit.is_empty() { "" } else { " " }
+}
+
+/// `value` with `digits` significant digits.
+pub fn significant(value: f64, digits: usize) -> String {
+    if value == 0.0 {
+        return "0".into();
+    }
+    // The exponent after rounding: 0.99996 has four digits as 1.000.
+    let scientific = format!("{:.*e}", digits - 1, value);
+    let exponent: i32 =
+        scientific.split('e').nth(1).and_then(|e| e.parse().ok()).expect("it has an exponent");
+    if !(-4..=6).contains(&exponent) {
+        return scientific;
+    }
+    let decimals = (digits as i32 - 1 - exponent).max(0) as usize;
+    format!("{value:.decimals$}")
+}
+
+/// The claims as a table in Markdown.
+pub fn table(claims: &[Claim]) -> String {
+    let mut text =
+        String::from("| claim | paper | ours | ratio | verdict |\n|---|---|---|---|---|\n");
+    for claim in claims {
+        text.push_str(&format!("| {} |\n", claim.cells().join(" | ")));
+    }
+    text
+}

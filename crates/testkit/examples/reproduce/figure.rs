@@ -1,0 +1,108 @@
+//! A chart as SVG: curves and dots over two axes.
+
+use std::fmt::Write;
+
+const SIZE: [f64; 2] = [640.0, 320.0];
+/// Left, right, top, bottom.
+const MARGIN: [f64; 4] = [64.0, 16.0, 16.0, 44.0];
+const COLOURS: [&str; 4] = ["#888888", "#c2410c", "#1d4ed8", "#15803d"];
+
+/// Points in the order of x.
+pub struct Series {
+    pub name: &'static str,
+    pub points: Vec<[f64; 2]>,
+    pub dots: bool,
+}
+
+/// An axis with the values at its ticks; `log` for powers of ten.
+pub struct Axis {
+    pub label: &'static str,
+    pub ticks: Vec<f64>,
+    pub log: bool,
+}
+
+impl Axis {
+    fn place(&self, value: f64) -> f64 {
+        let of = |v: f64| if self.log { v.log10() } else { v };
+        let (first, last) = (self.ticks[0], self.ticks[self.ticks.len() - 1]);
+        ((of(value) - of(first)) / (of(last) - of(first))).clamp(0.0, 1.0)
+    }
+
+    fn text(&self, tick: f64) -> String {
+        if self.log { format!("{tick:e}") } else { format!("{tick}") }
+    }
+}
+
+/// The chart; what lies beyond the ticks is drawn at the edge.
+pub fn chart(x: &Axis, y: &Axis, series: &[Series]) -> String {
+    let [left, right, top, bottom] = MARGIN;
+    let px = |v: f64| left + x.place(v) * (SIZE[0] - left - right);
+    let py = |v: f64| SIZE[1] - bottom - y.place(v) * (SIZE[1] - top - bottom);
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" \
+         font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" \
+         fill=\"white\"/>\n",
+        SIZE[0], SIZE[1]
+    );
+    let mut add = |line: String| {
+        let _ = writeln!(svg, "{line}");
+    };
+    let (x0, x1) = (left, SIZE[0] - right);
+    let (y0, y1) = (SIZE[1] - bottom, top);
+    for tick in &x.ticks {
+        let at = px(*tick);
+        add(format!("<path d=\"M{at:.1} {y0}V{y1}\" stroke=\"#e5e5e5\"/>"));
+        let text = x.text(*tick);
+        add(format!(
+            "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{text}</text>",
+            y0 + 16.0
+        ));
+    }
+    for tick in &y.ticks {
+        let at = py(*tick);
+        add(format!("<path d=\"M{x0} {at:.1}H{x1}\" stroke=\"#e5e5e5\"/>"));
+        let text = y.text(*tick);
+        add(format!(
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{text}</text>",
+            x0 - 6.0,
+            at + 4.0
+        ));
+    }
+    let middle = 0.5 * (x0 + x1);
+    add(format!(
+        "<text x=\"{middle:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+        SIZE[1] - 8.0,
+        x.label
+    ));
+    let middle = 0.5 * (y0 + y1);
+    add(format!(
+        "<text transform=\"translate(14 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+        y.label
+    ));
+    for (i, (s, colour)) in series.iter().zip(COLOURS).enumerate() {
+        if s.dots {
+            for [u, v] in &s.points {
+                add(format!(
+                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\" fill=\"{colour}\"/>",
+                    px(*u),
+                    py(*v)
+                ));
+            }
+        } else {
+            let places: Vec<String> =
+                s.points.iter().map(|[u, v]| format!("{:.1} {:.1}", px(*u), py(*v))).collect();
+            add(format!(
+                "<path d=\"M{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\"/>",
+                places.join("L")
+            ));
+        }
+        let at = top + 16.0 + 16.0 * i as f64;
+        add(format!(
+            "<text x=\"{:.1}\" y=\"{at:.1}\" text-anchor=\"end\" fill=\"{colour}\">{}</text>",
+            x1 - 8.0,
+            s.name
+        ));
+    }
+    svg.push_str("</svg>\n");
+    svg
+}

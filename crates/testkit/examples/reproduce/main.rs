@@ -1,0 +1,96 @@
+//! The claims of the four papers, computed: `reproduce [pvt|trig-spline|bspline|multi-pitch]`, all
+//! of them without an argument.
+//!
+//! Prints a table per paper, writes it between its markers in `docs/reproduction.md`, and the
+//! figures to `docs/reproduction/`. Tables of the reference mirror are made when `PLANISH_REFERENCE`
+//! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
+//!
+//! A number of a paper is only ever on the side that ours is compared with.
+
+mod bspline;
+mod claim;
+mod figure;
+mod lines;
+mod multi_pitch;
+mod pvt;
+mod trig_spline;
+
+use std::{env, fs, process::ExitCode, time::Instant};
+
+use claim::{Claim, table};
+use planish_fixture::{Fixture, Recipe, make};
+use planish_testkit::workspace;
+
+/// What a paper's module computes.
+#[derive(Default)]
+pub struct Outcome {
+    /// Marker in the page, and the rows there.
+    pub tables: Vec<(&'static str, Vec<Claim>)>,
+    /// Name, and SVG.
+    pub figures: Vec<(&'static str, String)>,
+}
+
+type Paper = (&'static str, fn() -> Outcome);
+
+const PAPERS: [Paper; 4] = [
+    ("pvt", pvt::reproduce),
+    ("trig-spline", trig_spline::reproduce),
+    ("bspline", bspline::reproduce),
+    ("multi-pitch", multi_pitch::reproduce),
+];
+
+/// The recipe of a fixture.
+pub fn recipe(name: &str) -> Recipe {
+    let file = workspace().join("fixtures").join(format!("{name}.json"));
+    let text = fs::read_to_string(file).expect("the recipe is in fixtures/");
+    serde_json::from_str(&text).expect("a recipe")
+}
+
+/// A fixture.
+pub fn fixture(name: &str) -> Fixture {
+    make(&recipe(name)).expect("a fixture")
+}
+
+/// `page` with `text` between the markers of `name`.
+fn filled(page: &str, name: &str, text: &str) -> String {
+    let begin = format!("<!-- table: {name} -->\n");
+    let start = page.find(&begin).expect("the page has a marker for every table") + begin.len();
+    let end = start + page[start..].find("<!-- end -->").expect("every marker has an end");
+    format!("{}{text}{}", &page[..start], &page[end..])
+}
+
+fn main() -> ExitCode {
+    let wanted = env::args().nth(1).filter(|name| !name.is_empty() && name != "all");
+    let chosen: Vec<&Paper> =
+        PAPERS.iter().filter(|(name, _)| wanted.as_deref().is_none_or(|w| w == *name)).collect();
+    if chosen.is_empty() {
+        let names: Vec<&str> = PAPERS.iter().map(|(name, _)| *name).collect();
+        eprintln!("there is no paper {:?}; give one of {}", wanted, names.join(", "));
+        return ExitCode::from(2);
+    }
+    let docs = workspace().join("docs");
+    let file = docs.join("reproduction.md");
+    let mut page = fs::read_to_string(&file).expect("docs/reproduction.md");
+    let mut changed = 0;
+    for (name, reproduce) in chosen {
+        let start = Instant::now();
+        let outcome = reproduce();
+        for (marker, claims) in &outcome.tables {
+            let text = table(claims);
+            println!("{marker}\n\n{text}");
+            changed += claims.iter().filter(|c| !c.as_expected()).count();
+            page = filled(&page, marker, &text);
+        }
+        for (figure, svg) in &outcome.figures {
+            let file = docs.join("reproduction").join(format!("{figure}.svg"));
+            fs::write(file, svg).expect("docs/reproduction is writable");
+        }
+        println!("{name}: {:.1} s\n", start.elapsed().as_secs_f64());
+    }
+    fs::write(&file, page).expect("docs/reproduction.md is writable");
+    if changed > 0 {
+        eprintln!("{changed} verdict(s) are not the expected ones");
+        return ExitCode::from(1);
+    }
+    ExitCode::SUCCESS
+}

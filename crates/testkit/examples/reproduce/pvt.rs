@@ -1,0 +1,434 @@
+//! PVT for ion beams: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005.
+
+use ndarray::Array2;
+use planish_dwell::{
+    bounded_least_squares::{self, Bound},
+    columns::Columns,
+    problem::Problem,
+    udo,
+};
+use planish_schedule::{constant_acceleration, position, pvt, pvt_seed};
+use planish_simulate::{Settings, simulate};
+use planish_testkit::{ion_beam, mirror::mirror};
+use planish_toolpath::{
+    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
+    Turn, maze, random_adaptive, raster, statistics,
+};
+use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
+use planish_verify::{Verdict, VerifySettings, verify};
+
+use crate::{
+    Outcome,
+    claim::{Claim, significant},
+    figure::{Axis, Series, chart},
+    fixture,
+};
+
+const NAMES: [&str; 3] = ["raster", "maze", "random"];
+
+/// A path with dwell times for a part.
+struct Run<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    path: ToolPath,
+    dwell: DwellTime,
+}
+
+impl Run<'_> {
+    /// Residual of a motion, plane removed, nm RMS.
+    fn residual_nm(&self, trajectory: &Trajectory) -> f64 {
+        let done = simulate(trajectory, self.tif, self.desired, Settings::Gridded);
+        done.expect("a removal").removal.residual().detilted_rms_nm()
+    }
+
+    fn position(&self) -> Trajectory {
+        position::schedule(&self.path, &self.dwell).expect("a schedule")
+    }
+
+    fn pvt(&self, mode: pvt::Mode) -> Trajectory {
+        let settings = pvt::Settings { mode, stretch: true };
+        pvt::schedule(&self.path, &self.dwell, &ion_beam(), &settings).expect("a motion").trajectory
+    }
+
+    fn constant_acceleration(&self) -> constant_acceleration::Schedule {
+        constant_acceleration::schedule(&self.path, &self.dwell, &ion_beam()).expect("a motion")
+    }
+}
+
+fn judge(trajectory: &Trajectory) -> Verdict {
+    verify(trajectory, &ion_beam(), &VerifySettings::default()).expect("a verdict")
+}
+
+fn largest(of: [f64; 2]) -> f64 {
+    of[0].max(of[1])
+}
+
+fn overshoot_um(trajectory: &Trajectory) -> f64 {
+    1e3 * largest(judge(trajectory).max_overshoot_mm)
+}
+
+/// Largest step of the acceleration between segments of a motion, mm/s^2.
+fn acceleration_step(t: &Trajectory) -> f64 {
+    let step = |a: usize| {
+        t.segments().zip(t.segments().skip(1)).map(move |(s, n)| {
+            let (c, d) = (s.coefficient_mm[a], n.coefficient_mm[a]);
+            (2.0 * d[2] - 2.0 * c[2] - 6.0 * c[3] * s.duration_s).abs()
+        })
+    };
+    step(0).chain(step(1)).fold(0.0, f64::max)
+}
+
+/// RMS of the acceleration over time, both axes, mm/s^2.
+fn rms_acceleration(t: &Trajectory) -> f64 {
+    // a is linear on a segment: integral a^2 = (h/3) (a0^2 + a0 a1 + a1^2)
+    let energy: f64 = t
+        .segments()
+        .flat_map(|s| {
+            s.coefficient_mm.map(|c| {
+                let (a0, a1) = (2.0 * c[2], 2.0 * c[2] + 6.0 * c[3] * s.duration_s);
+                s.duration_s / 3.0 * (a0 * a0 + a0 * a1 + a1 * a1)
+            })
+        })
+        .sum();
+    (energy / t.total_time_s()).sqrt()
+}
+
+/// The three kinds of path with lines 1 mm apart.
+fn own_path(name: &str, part: &Surface, tif: &Tif) -> ToolPath {
+    let overscan_mm = largest(tif.half_size_mm());
+    match name {
+        "raster" => raster(
+            part,
+            &RasterSettings {
+                pitch_mm: 1.0,
+                step_mm: 1.0,
+                overscan_mm,
+                scan: Scan::X,
+                turn: Turn::Square,
+                line_origin_mm: None,
+                order: LineOrder::Sequential,
+                one_directional: false,
+                pitch_range_mm: None,
+            },
+        )
+        .expect("a raster"),
+        "maze" => {
+            maze(
+                part,
+                &MazeSettings {
+                    pitch_mm: 1.0,
+                    step_mm: 1.0,
+                    overscan_mm,
+                    corner_radius_mm: 0.0,
+                    tree: Tree::DepthFirst { straightness: 0.0 },
+                    open: false,
+                    seed: 1,
+                },
+            )
+            .expect("a maze")
+            .path
+        }
+        _ => {
+            random_adaptive(
+                part,
+                &RandomAdaptiveSettings {
+                    pitch_mm: 1.0,
+                    overscan_mm,
+                    step_mm: None,
+                    contrast: 0.0,
+                    construction: Construction::Tour,
+                    rounding_passes: 0,
+                    seed: 1,
+                },
+            )
+            .expect("a path")
+            .path
+        }
+    }
+}
+
+/// UDO as the source ran it: the floor of 0.1 s by a shift at the end.
+fn udo_dwell(part: &Surface, tif: &Tif, path: &ToolPath, iterations: usize) -> DwellTime {
+    let problem = Problem {
+        desired: part,
+        tif,
+        path,
+        weight: None,
+        columns: Columns::Point,
+        min_dwell: Bound::Seconds(0.1),
+    };
+    let settings = udo::Settings {
+        floor: udo::Floor::Shift,
+        max_iterations: iterations,
+        ..udo::Settings::default()
+    };
+    udo::solve(&problem, &settings).expect("dwell times").dwell
+}
+
+fn statement(what: &str, paper: &str, ours: String, holds: bool) -> Claim {
+    Claim::statement(what, paper, ours, holds)
+}
+
+fn nm(values: &[f64]) -> String {
+    let text: Vec<String> = values.iter().map(|v| significant(*v, 3)).collect();
+    format!("{} nm", text.join(" / "))
+}
+
+fn ascending(v: &[f64]) -> bool {
+    v.windows(2).all(|w| w[0] < w[1])
+}
+
+pub fn reproduce() -> Outcome {
+    let part = fixture("flat-92x16");
+    let runs = NAMES.map(|name| {
+        let path = own_path(name, &part.surface, &part.tif);
+        let dwell = udo_dwell(&part.surface, &part.tif, &path, 10);
+        Run { desired: &part.surface, tif: &part.tif, path, dwell }
+    });
+    let mut tables = vec![("pvt", on_the_fixture(&runs))];
+    tables.extend(on_the_mirror().map(|rows| ("pvt-mirror", rows)));
+    Outcome { tables, figures: vec![("pvt-velocity", velocities(&runs[1]))] }
+}
+
+fn on_the_fixture(runs: &[Run; 3]) -> Vec<Claim> {
+    let smooth = runs.each_ref().map(|r| r.pvt(pvt::Mode::Smooth));
+    let monotone = runs[1].pvt(pvt::Mode::Monotone);
+    let constant = runs[1].constant_acceleration();
+    let residual: Vec<f64> = runs.iter().zip(&smooth).map(|(r, t)| r.residual_nm(t)).collect();
+    let variation: Vec<f64> = smooth.iter().map(rms_acceleration).collect();
+    let ideal = runs[0].residual_nm(&runs[0].position());
+    let steps = [&smooth[1], &constant.trajectory].map(acceleration_step);
+    let [smooth_um, monotone_um] = [&smooth[1], &monotone].map(overshoot_um);
+    // A segment of this motion has two pieces; its own report counts by segment.
+    let constant_um = 1e3 * largest(constant.report.largest_overshoot_mm);
+    let executed = residual[0] / ideal;
+    vec![
+        statement(
+            "the executed raster leaves what dwelling at the points leaves",
+            "the same",
+            format!("{} of it", significant(executed, 3)),
+            (executed - 1.0).abs() < 0.1,
+        ),
+        statement(
+            "velocity varies more on raster, maze, random path (RMS acceleration)",
+            "in this order",
+            format!(
+                "{} mm/s^2",
+                variation.iter().map(|v| significant(*v, 3)).collect::<Vec<_>>().join(" / ")
+            ),
+            ascending(&variation),
+        ),
+        statement(
+            "PVT is smoother than constant acceleration (largest step of the acceleration, maze)",
+            "continuous; steps",
+            format!("{}; {:.0} mm/s^2", tiny(steps[0]), steps[1]),
+            steps[0] < 1e-6 && steps[1] > 100.0,
+        ),
+        statement(
+            "constant acceleration overshoots (maze, segments in x and y)",
+            "it does",
+            format!(
+                "{} and {}, up to {} um",
+                constant.report.overshoot_segments[0],
+                constant.report.overshoot_segments[1],
+                significant(constant_um, 3)
+            ),
+            constant.report.overshoot_segments.iter().all(|n| *n > 0),
+        ),
+        statement(
+            "PVT avoids the overshoot (maze, smooth: continuous acceleration)",
+            "less than constant acceleration",
+            format!("{} um against {} um", significant(smooth_um, 3), significant(constant_um, 3)),
+            smooth_um < constant_um,
+        )
+        .differs("a motion with continuous acceleration swings beyond the corners"),
+        statement(
+            "PVT avoids the overshoot (maze, monotone)",
+            "none",
+            format!("{} um", tiny(monotone_um)),
+            monotone_um < 1e-6,
+        )
+        .remark("at the price of steps in the acceleration"),
+    ]
+}
+
+fn tiny(value: f64) -> String {
+    if value < 1e-6 { "below 1e-6".into() } else { significant(value, 3) }
+}
+
+/// RMS without the pit: pixels within 1.2 mm of the one with the lowest residual do not count.
+fn without_pit_nm(run: &Run<'_>, trajectory: &Trajectory) -> f64 {
+    let done = simulate(trajectory, run.tif, run.desired, Settings::Gridded).expect("a removal");
+    let residual = done.removal.residual();
+    let (z, grid) = (residual.height_nm(), residual.grid());
+    let mean = residual.statistics().mean;
+    let far = z.indexed_iter().max_by(|a, b| (a.1 - mean).abs().total_cmp(&(b.1 - mean).abs()));
+    let ((row, column), _) = far.expect("a map has pixels");
+    let masked = Array2::from_shape_fn(z.dim(), |(r, c)| {
+        let (dy, dx) = (grid.y.at(r) - grid.y.at(row), grid.x.at(c) - grid.x.at(column));
+        if dx.abs().max(dy.abs()) <= 1.2 { f64::NAN } else { z[[r, c]] }
+    });
+    Surface::new(*grid, masked).expect("a map").detilted_rms_nm()
+}
+
+fn on_the_mirror() -> Option<Vec<Claim>> {
+    let mirror = mirror()?;
+    let (desired, tif) = (&mirror.desired, &mirror.tif);
+    let run = |path: ToolPath, dwell: DwellTime| Run { desired, tif, path, dwell };
+    let raster = run(mirror.path("raster"), mirror.dwell("raster"));
+    let maze = run(mirror.path("maze"), mirror.dwell("maze"));
+    let path = own_path("random", desired, tif);
+    let dwell = udo_dwell(desired, tif, &path, 10);
+    let random = run(path, dwell);
+    let runs = [&raster, &maze, &random];
+
+    let smooth = runs.map(|r| r.pvt(pvt::Mode::Smooth));
+    let residual: Vec<f64> = runs.iter().zip(&smooth).map(|(r, t)| r.residual_nm(t)).collect();
+    let variation: Vec<f64> = smooth.iter().map(rms_acceleration).collect();
+    let position = runs.map(|r| r.residual_nm(&r.position()));
+    let constant = maze.constant_acceleration();
+    let monotone = maze.pvt(pvt::Mode::Monotone);
+    let [smooth_um, monotone_um] = [&smooth[1], &monotone].map(overshoot_um);
+    // A segment of this motion has two pieces; its own report counts by segment.
+    let constant_um = 1e3 * largest(constant.report.largest_overshoot_mm);
+    let steps = [&smooth[1], &constant.trajectory].map(acceleration_step);
+    let seed = pvt_seed::schedule(&maze.path, &maze.dwell, &ion_beam()).expect("a motion").report;
+    let one = udo_dwell(desired, tif, &raster.path, 1);
+    let again = Run { desired, tif, path: raster.path.clone(), dwell: one };
+    let again_nm = again.residual_nm(&again.position());
+    let best = bounded_least_squares::solve(
+        desired,
+        tif,
+        &raster.path,
+        None,
+        &bounded_least_squares::Settings {
+            columns: Columns::Point,
+            min_dwell: Bound::Seconds(0.1),
+            tikhonov: 1e-6,
+            smoothness: 0.0,
+            ..bounded_least_squares::Settings::default()
+        },
+    )
+    .expect("dwell times");
+    let best = run(raster.path.clone(), best.dwell);
+    let best_nm = best.residual_nm(&best.position());
+    let (ny, nx) = desired.grid().shape();
+    let minutes = |r: &Run<'_>| r.dwell.total_s() / 60.0;
+    let paths = [&raster, &maze].map(|r| statistics(&r.path, desired));
+    Some(vec![
+        // The paper states three digits: half of the last one is the tolerance.
+        Claim::number("initial error, RMS", "nm", 6.32, desired.statistics().rms, 1e-3),
+        statement("size of the map", "168 x 985 px", format!("{ny} x {nx} px"), (ny, nx) == (168, 985)),
+        Claim::number("distance of the dwell points", "mm", 0.5, paths[0].median_step_mm, 1e-2)
+            .differs("the published points are 1 mm apart, on both paths"),
+        Claim::number("total time, raster", "min", 8.15, minutes(&raster), 1e-3),
+        Claim::number("total time, maze", "min", 8.17, minutes(&maze), 1e-3),
+        Claim::number("total time, random path", "min", 7.64, minutes(&random), 0.1)
+            .differs("own path and own dwell times: the published ones are not in the mirror"),
+        Claim::number("published dwell times at the points, raster, RMS", "nm", 0.204, position[0], 3e-3),
+        Claim::number("the same, maze", "nm", 0.263, position[1], 3e-3),
+        Claim::number("the same, random path", "nm", 0.513, position[2], 0.05)
+            .remark("own path and own dwell times"),
+        statement(
+            "the raster's residual is the mirror's, not the polish's",
+            "not discussed",
+            format!("{} nm without the pit of 0.6 mm", significant(without_pit_nm(&raster, &raster.position()), 3)),
+            true,
+        )
+        .remark("one pit is two fifths of the variance"),
+        Claim::number("raster executed by PVT, RMS", "nm", 0.19, residual[0], 0.05),
+        statement(
+            "residual of PVT on raster, maze, random path",
+            "in this order",
+            nm(&residual),
+            ascending(&residual),
+        ),
+        statement(
+            "velocity varies more in the same order (RMS acceleration)",
+            "in this order",
+            format!("{} mm/s^2", variation.iter().map(|v| significant(*v, 3)).collect::<Vec<_>>().join(" / ")),
+            ascending(&variation),
+        ),
+        Claim::small(
+            "maze executed by constant acceleration, RMS",
+            "nm",
+            0.330,
+            maze.residual_nm(&constant.trajectory),
+            0.01,
+        )
+        .better("the published map was sampled too coarsely in time; this one is the integral"),
+        statement(
+            "constant acceleration overshoots (maze, segments in x and y)",
+            "it does",
+            format!("{} and {}, up to {} um", constant.report.overshoot_segments[0], constant.report.overshoot_segments[1], significant(constant_um, 3)),
+            constant.report.overshoot_segments.iter().all(|n| *n > 0),
+        ),
+        statement(
+            "PVT is smoother (largest step of the acceleration, maze)",
+            "continuous; steps",
+            format!("{}; {:.0} mm/s^2", tiny(steps[0]), steps[1]),
+            steps[0] < 1e-6 && steps[1] > 100.0,
+        ),
+        statement(
+            "PVT avoids the overshoot (maze, smooth)",
+            "less than constant acceleration",
+            format!("{} um against {} um", significant(smooth_um, 3), significant(constant_um, 3)),
+            smooth_um < constant_um,
+        )
+        .differs("a motion with continuous acceleration swings beyond the corners"),
+        statement(
+            "PVT avoids the overshoot (maze, monotone)",
+            "none",
+            format!("{} um", tiny(monotone_um)),
+            monotone_um < 1e-6,
+        )
+        .remark("at the price of steps in the acceleration"),
+        statement(
+            "the least squares of Eq. 14 pass through the points (maze)",
+            "they do",
+            format!("up to {} mm off", significant(largest(seed.largest_position_error_mm), 2)),
+            largest(seed.largest_position_error_mm) < 1e-6,
+        )
+        .differs("the objective adds lengths, velocities and accelerations; lengths in metres weigh least"),
+        Claim::number("UDO on the raster, one round, RMS", "nm", 0.204, again_nm, 0.08)
+            .remark("the source's interpolation beyond the edge is another one"),
+        Claim::small("least squares with the same floor on the same points, RMS", "nm", 0.204, best_nm, 0.01)
+            .better("it minimises what UDO only lowers"),
+        Claim::small("the same, total time", "min", 8.15, minutes(&best), 0.01)
+            .better("the floor is part of the problem, not added afterwards"),
+    ])
+}
+
+/// x velocity in the middle of the maze.
+fn velocities(run: &Run<'_>) -> String {
+    let constant = run.constant_acceleration().trajectory;
+    let (smooth, monotone) = (run.pvt(pvt::Mode::Smooth), run.pvt(pvt::Mode::Monotone));
+    let middle = constant.break_time_s()[constant.len() / 2];
+    let curve = |name, t: &Trajectory| {
+        let mut points = Vec::new();
+        for s in t.segments() {
+            for k in 0..10 {
+                let u = s.duration_s * f64::from(k) / 10.0;
+                let at = s.start_s + u - middle;
+                let c = s.coefficient_mm[0];
+                if (0.0..=4.0).contains(&at) {
+                    points.push([at, c[1] + 2.0 * c[2] * u + 3.0 * c[3] * u * u]);
+                }
+            }
+        }
+        Series { name, points, dots: false }
+    };
+    chart(
+        &Axis { label: "time, s", ticks: vec![0.0, 1.0, 2.0, 3.0, 4.0], log: false },
+        &Axis {
+            label: "velocity along x, mm/s",
+            ticks: vec![-8.0, -4.0, 0.0, 4.0, 8.0, 12.0],
+            log: false,
+        },
+        &[
+            curve("constant acceleration", &constant),
+            curve("PVT, smooth", &smooth),
+            curve("PVT, monotone", &monotone),
+        ],
+    )
+}
