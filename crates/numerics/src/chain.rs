@@ -259,7 +259,7 @@ impl Scaled {
                 .collect();
             let step = self.step(&factor, &at, &r, &target);
             let a = (at.longest(&step) * (1.0 - r.mu).clamp(0.995, 0.9999)).min(1.0);
-            if !(a > 1e-13) {
+            if a.is_nan() || a <= 1e-13 {
                 break;
             }
             at.advance(&step, a);

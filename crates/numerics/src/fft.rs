@@ -248,7 +248,7 @@ impl RowConvolution {
         }
         // The transform of a real line: these two are real but for rounding.
         work.sum[0].im = 0.0;
-        if work.line.len() % 2 == 0 {
+        if work.line.len().is_multiple_of(2) {
             work.sum.last_mut().expect("one at least").im = 0.0;
         }
         self.inverse
