@@ -177,3 +177,9 @@ browser:
 # Run the benchmarks
 bench:
     cargo bench --locked -p planish-testkit --bench stages
+
+# The same work by NumPy, SciPy and Clarabel (makes its own virtual environment)
+bench-peers:
+    @test -d target/peers || python3 -m venv target/peers
+    @target/peers/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 clarabel==0.11.1
+    @target/peers/bin/python benches/peers.py

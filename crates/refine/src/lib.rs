@@ -36,7 +36,7 @@ use planish_dwell::{
     columns,
 };
 use planish_schedule::{ScheduleError, constant_acceleration, pvt};
-use planish_simulate::simulate;
+use planish_simulate::{Plan, Settings as Simulation};
 use planish_types::{DwellTime, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
@@ -211,6 +211,7 @@ pub fn refine(
     let mut iterates: Vec<Iterate> = Vec::new();
     let mut best: Option<(usize, Trajectory)> = None;
     let mut without_progress = 0;
+    let simulation = Plan::new(tif, desired.grid(), Simulation::Gridded)?;
     let mut end = "round-limit";
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
@@ -219,8 +220,7 @@ pub fn refine(
         for (segment, took) in &motion.stretched {
             h[*segment] = *took;
         }
-        let predicted =
-            simulate(&motion.trajectory, tif, desired, planish_simulate::Settings::Gridded)?;
+        let predicted = simulation.predict(&motion.trajectory, desired)?;
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
         let rms_nm = predicted.removal.residual().statistics().rms;
         let total_time_s = motion.trajectory.total_time_s();

@@ -18,7 +18,7 @@ use ndarray::{Array2, Array3, Axis as NdAxis, s};
 use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory};
 
-use crate::{Settings, removal_nm};
+use crate::{Plan, Settings};
 
 /// Most pixels of a frame: 24 frames take 4 MB.
 pub const MAX_PIXELS: usize = 20_000;
@@ -60,6 +60,7 @@ pub fn frames(
     };
     let grid = Grid { x: thin(&full.x, stride[0])?, y: thin(&full.y, stride[1])? };
 
+    let plan = Plan::new(tif, full, settings)?;
     let start_s = trajectory.break_time_s()[0];
     let (total_s, m) = (trajectory.total_time_s(), count as f64);
     let mut removal: Array2<f64> = Array2::zeros(full.shape());
@@ -68,7 +69,7 @@ pub fn frames(
     for i in 0..count {
         let until_s = start_s + total_s * (i + 1) as f64 / m;
         if let Some(part) = part_of(trajectory, before_s, until_s)? {
-            removal += &removal_nm(&part, tif, full, settings)?.0;
+            removal += &plan.removal_nm(&part)?.0;
         }
         kept.index_axis_mut(NdAxis(0), i).assign(&removal.slice(s![..;stride[1], ..;stride[0]]));
         before_s = until_s;
@@ -157,7 +158,8 @@ mod tests {
         assert_eq!((calls, f.stride), (vec![1, 2, 3, 4, 5], [1, 1]));
         assert_eq!(f.time_s.len(), 5);
         assert!((f.time_s[4] - 7.1).abs() < 1e-12);
-        let (whole, _) = removal_nm(&motion(), &tif, surface.grid(), Settings::Gridded).unwrap();
+        let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
+        let (whole, _) = plan.removal_nm(&motion()).unwrap();
         let last = f.removal_nm.index_axis(NdAxis(0), 4);
         // The cuts between the frames move the points of the quadrature, whose remainder of the
         // degrees above 5 is 2.6e-7 nm here.
@@ -182,7 +184,8 @@ mod tests {
         let (surface, tif) = (desired(301, 203), tif());
         let f = frames(&motion(), &tif, &surface, Settings::Gridded, 1, |_| ()).unwrap();
         assert_eq!((f.stride, f.grid.shape()), ([2, 2], (102, 151)));
-        let (whole, _) = removal_nm(&motion(), &tif, surface.grid(), Settings::Gridded).unwrap();
+        let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
+        let (whole, _) = plan.removal_nm(&motion()).unwrap();
         for ((_, r, c), v) in f.removal_nm.indexed_iter() {
             let e = (v - whole[[2 * r, 2 * c]]).abs();
             assert!(e < 1e-6, "{e}");

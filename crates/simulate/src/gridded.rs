@@ -29,6 +29,10 @@
 //! g[j, :]`: convolutions along one axis. The last term is a few pixels at the corners of the
 //! TIF and is added point by point.
 //!
+//! Each row of seconds and of the leak is the work of one thread, from the points that reach it in
+//! the order of time: the result does not depend on the number of threads. What depends on the TIF
+//! and the map only (lattice, spectra) is a [`Plan`], which many trajectories share.
+//!
 //! # Other pixels
 //!
 //! A TIF sampled at another pitch is first sampled anew, by its own interpolation, on a lattice
@@ -37,7 +41,7 @@
 //! interpolation is measured; the lattice is refined until it is below [`TIF_TOLERANCE`] of the
 //! peak or the lattice too large, and what was reached is reported.
 
-use ndarray::{Array1, Array2, Axis as NdAxis, s};
+use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
 use planish_numerics::{fft, keys};
 use planish_types::{Axis, Grid, Invalid, Tif, Trajectory};
 use rayon::prelude::*;
@@ -60,57 +64,99 @@ pub const TIF_TOLERANCE: f64 = 2.5e-5;
 const MAX_REFINED: usize = 1 << 25;
 const MAX_LATTICE: usize = 1 << 28;
 
+/// What depends on the TIF and the map only: for many trajectories.
+pub struct Plan {
+    x: Lattice,
+    y: Lattice,
+    /// Samples of the TIF on the lattice, with ghost nodes.
+    samples: Array2<f64>,
+    tif_interpolation_error: f64,
+    convolution: fft::Convolution,
+    /// `E ly` and `E lx`, transposed; `None` where nothing leaks.
+    border: Option<[Leak; 2]>,
+}
+
+impl Plan {
+    /// Plans the removal of `tif` on `grid`.
+    pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
+        let own = [grid.x, grid.y].into_iter().zip([tif.grid().x, tif.grid().y]);
+        let subdivision: Vec<usize> = own.map(|(map, tif)| least_subdivision(&map, &tif)).collect();
+        let mut refinement = 1;
+        let (x, y, samples, tif_interpolation_error) = loop {
+            let x = Lattice::new(&grid.x, &tif.grid().x, subdivision[0] * refinement);
+            let y = Lattice::new(&grid.y, &tif.grid().y, subdivision[1] * refinement);
+            let points = x.source_nodes().saturating_mul(y.source_nodes());
+            if points > MAX_LATTICE {
+                return Err(too_fine(tif, grid, &x, &y));
+            }
+            let samples = sample_anew(tif, &x, &y);
+            let error = interpolation_error(tif, &x, &y, &samples);
+            if error <= TIF_TOLERANCE || points > MAX_REFINED / 4 {
+                break (x, y, samples, error);
+            }
+            refinement *= 2;
+        };
+        let shape = (y.source_nodes(), x.source_nodes());
+        let convolution = fft::Convolution::new(samples.view(), shape);
+        let border = has_border(tif, &x, &y, &samples)
+            .then(|| [Leak::new(&x, &y, samples.view()), Leak::new(&y, &x, samples.t())]);
+        Ok(Self { x, y, samples, tif_interpolation_error, convolution, border })
+    }
+
+    /// Removal (ny, nx) of `trajectory`, nm.
+    pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
+        let (x, y) = (&self.x, &self.y);
+        let lines: Vec<Lines> = x.lines(0).into_iter().chain(y.lines(1)).collect();
+        let low_mm = [x.low_mm(), y.low_mm()];
+        let high_mm = [x.high_mm(), y.high_mm()];
+        let points = quadrature::samples(trajectory, &lines, low_mm, high_mm);
+        let placed: Vec<Placed> = points.par_iter().map(|s| Placed::new(s, x, y)).collect();
+
+        // R = E - E ly - E lx + E ly lx                                              (2)
+        let by_row = ByCell::new(placed.clone());
+        let mut removal = self.convolution(&by_row);
+        if let Some([rows, columns]) = &self.border {
+            removal -= &rows.of(&by_row, x, y);
+            let swapped = ByCell::new(placed.iter().map(Placed::swapped).collect());
+            removal -= &columns.of(&swapped, y, x).t();
+            add_corners(&mut removal, &placed, x, y, &self.samples);
+        }
+        let numerics = Numerics {
+            quadrature_points: points.len(),
+            subdivision: [x.subdivision, y.subdivision],
+            tif_interpolation_error: self.tif_interpolation_error,
+        };
+        (removal, numerics)
+    }
+
+    /// E of (2): every pixel of the map, whether or not it is beyond the samples.
+    fn convolution(&self, placed: &ByCell) -> Array2<f64> {
+        let (x, y) = (&self.x, &self.y);
+        let mut seconds = Array2::zeros((y.source_nodes(), x.source_nodes()));
+        seconds.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
+            let row = row.as_slice_mut().expect("in C order");
+            let node = r as isize - y.last;
+            for d in -1..=2 {
+                for p in placed.at(node - d) {
+                    p.spread(p.time_s * weight_of(&p.weight[1], d), x, row);
+                }
+            }
+        });
+        let all = self.convolution.valid(seconds.view());
+        if x.subdivision == 1 && y.subdivision == 1 {
+            return all;
+        }
+        all.slice(s![..;y.subdivision, ..;x.subdivision]).to_owned()
+    }
+}
+
 /// Removal (ny, nx) in nm on `grid`.
 pub fn removal_nm(
     trajectory: &Trajectory,
     tif: &Tif,
     grid: &Grid,
 ) -> Result<(Array2<f64>, Numerics), Invalid> {
-    let own = [grid.x, grid.y].into_iter().zip([tif.grid().x, tif.grid().y]);
-    let subdivision: Vec<usize> = own.map(|(map, tif)| least_subdivision(&map, &tif)).collect();
-    let mut refinement = 1;
-    let (lattice, samples_on_lattice, tif_interpolation_error) = loop {
-        let lattice = [
-            Lattice::new(&grid.x, &tif.grid().x, subdivision[0] * refinement),
-            Lattice::new(&grid.y, &tif.grid().y, subdivision[1] * refinement),
-        ];
-        let [x, y] = &lattice;
-        let points = x.source_nodes().saturating_mul(y.source_nodes());
-        if points > MAX_LATTICE {
-            return Err(too_fine(tif, grid, x, y));
-        }
-        let samples = sample_anew(tif, x, y);
-        let error = interpolation_error(tif, x, y, &samples);
-        if error <= TIF_TOLERANCE || points > MAX_REFINED / 4 {
-            break (lattice, samples, error);
-        }
-        refinement *= 2;
-    };
-    let [x, y] = &lattice;
-
-    let lines: Vec<Lines> = (0..2).flat_map(|a| lattice[a].lines(a)).collect();
-    let low_mm = [x.low_mm(), y.low_mm()];
-    let high_mm = [x.high_mm(), y.high_mm()];
-    let samples = quadrature::samples(trajectory, &lines, low_mm, high_mm);
-    let placed: Vec<Placed> = samples.iter().map(|s| Placed::new(s, x, y)).collect();
-
-    // R = E - E ly - E lx + E ly lx                                                  (2)
-    let mut removal = convolution(&placed, x, y, &samples_on_lattice);
-    if has_border(tif, x, y, &samples_on_lattice) {
-        let swapped: Vec<Placed> = placed.iter().map(Placed::swapped).collect();
-        let turned = samples_on_lattice.t().as_standard_layout().into_owned();
-        let rows = leaking_rows(&placed, x, y, &samples_on_lattice);
-        let columns = leaking_rows(&swapped, y, x, &turned);
-        removal -= &rows;
-        removal -= &columns.t();
-        add_corners(&mut removal, &placed, x, y, &samples_on_lattice);
-    }
-    let numerics = Numerics {
-        quadrature_points: samples.len(),
-        subdivision: [x.subdivision, y.subdivision],
-        tif_interpolation_error,
-    };
-    Ok((removal, numerics))
+    Ok(Plan::new(tif, grid)?.removal_nm(trajectory))
 }
 
 fn too_fine(tif: &Tif, grid: &Grid, x: &Lattice, y: &Lattice) -> Invalid {
@@ -284,6 +330,47 @@ impl Placed {
             time_s: self.time_s,
         }
     }
+
+    /// Adds `seconds` to a row of sources, with the weights along x.
+    fn spread(&self, seconds: f64, x: &Lattice, row: &mut [f64]) {
+        let first = self.cell[0] - 1 + x.last;
+        if let Some(nodes) = usize::try_from(first).ok().and_then(|i| row.get_mut(i..i + 4)) {
+            nodes.iter_mut().zip(self.weight[0]).for_each(|(n, w)| *n += seconds * w);
+            return;
+        }
+        for (a, w) in self.weight[0].iter().enumerate() {
+            if let Some(c) = x.source_index(self.cell[0] + a as isize - 1) {
+                row[c] += seconds * w;
+            }
+        }
+    }
+}
+
+/// Quadrature points by their cell along y; in the order of time within one.
+struct ByCell {
+    lowest: isize,
+    /// Where the points of `lowest + i` start; one more at the end.
+    start: Vec<usize>,
+    placed: Vec<Placed>,
+}
+
+impl ByCell {
+    fn new(mut placed: Vec<Placed>) -> Self {
+        placed.sort_by_key(|p| p.cell[1]);
+        let lowest = placed.first().map_or(0, |p| p.cell[1]);
+        let cells = placed.last().map_or(0, |p| (p.cell[1] - lowest + 1) as usize);
+        let before = |i| placed.partition_point(|p| p.cell[1] < lowest + i as isize);
+        Self { lowest, start: (0..=cells).map(before).collect(), placed }
+    }
+
+    /// The points of one cell.
+    fn at(&self, cell: isize) -> &[Placed] {
+        let Ok(i) = usize::try_from(cell - self.lowest) else { return &[] };
+        match self.start.get(i..i.saturating_add(2)) {
+            Some(&[from, to]) => &self.placed[from..to],
+            _ => &[],
+        }
+    }
 }
 
 /// `w_d` for d = -1..2, else 0.
@@ -342,23 +429,6 @@ fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> 
     worst / tif.peak_nm_per_s()
 }
 
-/// E of (2): every pixel of the map, whether or not it is beyond the samples.
-fn convolution(placed: &[Placed], x: &Lattice, y: &Lattice, g: &Array2<f64>) -> Array2<f64> {
-    let mut seconds = Array2::zeros((y.source_nodes(), x.source_nodes()));
-    for p in placed {
-        for (b, wy) in p.weight[1].iter().enumerate() {
-            let Some(r) = y.source_index(p.cell[1] + b as isize - 1) else { continue };
-            for (a, wx) in p.weight[0].iter().enumerate() {
-                if let Some(c) = x.source_index(p.cell[0] + a as isize - 1) {
-                    seconds[[r, c]] += p.time_s * wy * wx;
-                }
-            }
-        }
-    }
-    let all = fft::Convolution::new(g.view(), seconds.dim()).valid(seconds.view());
-    all.slice(s![..;y.subdivision, ..;x.subdivision]).to_owned()
-}
-
 /// Whether anything leaks: some sample next to the border is not negligible.
 fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
     let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
@@ -371,38 +441,58 @@ fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
 ///
 /// For each sample row j next to the border, the seconds w_{k-j}(f_y) go to the pixel row C + k
 /// that leaks; the row is then convolved with g[j, :] along x.
-fn leaking_rows(placed: &[Placed], x: &Lattice, y: &Lattice, g: &Array2<f64>) -> Array2<f64> {
-    let border = y.border();
-    let mut leak = Array2::zeros((y.pixels, x.pixels));
-    for j in y.border_samples() {
-        // Seconds of this sample row, only for pixel rows that get any.
-        let mut rows: Vec<Option<Vec<f64>>> = vec![None; y.pixels];
-        for p in placed {
-            for &k in &border {
-                let wy = weight_of(&p.weight[1], k - j);
-                if wy == 0.0 || !y.is_beyond(k, p.offset[1]) {
-                    continue;
-                }
-                let Some(r) = y.pixel(p.cell[1] + k) else { continue };
-                let row = rows[r].get_or_insert_with(|| vec![0.0; x.source_nodes()]);
-                for (a, wx) in p.weight[0].iter().enumerate() {
-                    if let Some(c) = x.source_index(p.cell[0] + a as isize - 1) {
-                        row[c] += p.time_s * wy * wx;
+struct Leak {
+    border: Vec<isize>,
+    border_samples: Vec<isize>,
+    convolution: fft::RowConvolution,
+}
+
+impl Leak {
+    fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>) -> Self {
+        let border_samples = y.border_samples();
+        let rows: Vec<usize> = border_samples.iter().map(|j| (j + 1) as usize).collect();
+        let kernels = g.select(NdAxis(0), &rows);
+        let convolution = fft::RowConvolution::new(kernels.view(), x.source_nodes());
+        Self { border: y.border(), border_samples, convolution }
+    }
+
+    /// (ny, nx) for points by their cell along y.
+    fn of(&self, placed: &ByCell, x: &Lattice, y: &Lattice) -> Array2<f64> {
+        let mut leak = Array2::zeros((y.pixels, x.pixels));
+        leak.outer_iter_mut().into_par_iter().enumerate().for_each_init(
+            || {
+                let sources = Array2::zeros((self.border_samples.len(), x.source_nodes()));
+                (sources, vec![false; self.border_samples.len()], self.convolution.workspace())
+            },
+            |(sources, used, work), (r, mut out)| {
+                used.fill(false);
+                let node = (r * y.subdivision) as isize;
+                for &k in &self.border {
+                    for p in placed.at(node - k).iter().filter(|p| y.is_beyond(k, p.offset[1])) {
+                        for (i, j) in self.border_samples.iter().enumerate() {
+                            let wy = weight_of(&p.weight[1], k - j);
+                            if wy == 0.0 {
+                                continue;
+                            }
+                            let mut source = sources.row_mut(i);
+                            let source = source.as_slice_mut().expect("in C order");
+                            if !used[i] {
+                                source.fill(0.0);
+                                used[i] = true;
+                            }
+                            p.spread(p.time_s * wy, x, source);
+                        }
                     }
                 }
-            }
-        }
-        let kernel = g.row((j + 1) as usize).insert_axis(NdAxis(0));
-        let plan = fft::Convolution::new(kernel, (1, x.source_nodes()));
-        leak.outer_iter_mut().into_par_iter().zip(rows).for_each(|(mut out, row)| {
-            if let Some(row) = row {
-                let row = Array1::from(row).insert_axis(NdAxis(0));
-                let all = plan.valid(row.view());
-                out += &all.slice(s![0, ..;x.subdivision]);
-            }
-        });
+                let valid = self.convolution.valid_sum(sources.view(), used, work);
+                if let Some(valid) = valid {
+                    let pixels = valid.iter().step_by(x.subdivision);
+                    out.iter_mut().zip(pixels).for_each(|(o, v)| *o = *v);
+                }
+            },
+        );
+        leak
     }
-    leak
 }
 
 /// Adds `E ly lx` of (2): the pixels diagonally beyond the corners of the TIF.

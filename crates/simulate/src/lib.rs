@@ -64,6 +64,49 @@ pub struct Numerics {
     pub tif_interpolation_error: f64,
 }
 
+/// What depends on the TIF and the map only: for many trajectories.
+pub enum Plan<'a> {
+    /// [`Settings::Gridded`].
+    Gridded(Box<gridded::Plan>),
+    /// [`Settings::Direct`], which has nothing to plan.
+    Direct {
+        /// TIF.
+        tif: &'a Tif,
+        /// Pixels of the map.
+        grid: &'a Grid,
+        /// Time steps per segment.
+        steps: usize,
+    },
+}
+
+impl<'a> Plan<'a> {
+    /// Plans the removal of `tif` on `grid`.
+    pub fn new(tif: &'a Tif, grid: &'a Grid, settings: Settings) -> Result<Self, Invalid> {
+        Ok(match settings {
+            Settings::Gridded => Self::Gridded(Box::new(gridded::Plan::new(tif, grid)?)),
+            Settings::Direct { steps } => Self::Direct { tif, grid, steps },
+        })
+    }
+
+    /// Removal (ny, nx) of `trajectory`, nm.
+    pub fn removal_nm(&self, trajectory: &Trajectory) -> Result<(Array2<f64>, Numerics), Invalid> {
+        match self {
+            Self::Gridded(plan) => Ok(plan.removal_nm(trajectory)),
+            Self::Direct { tif, grid, steps } => direct::removal_nm(trajectory, tif, grid, *steps),
+        }
+    }
+
+    /// Removal of `trajectory` and the residual of `desired`, which is on the planned pixels.
+    pub fn predict(
+        &self,
+        trajectory: &Trajectory,
+        desired: &Surface,
+    ) -> Result<Prediction, Invalid> {
+        let (removal_nm, numerics) = self.removal_nm(trajectory)?;
+        Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
+    }
+}
+
 /// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`.
 pub fn simulate(
     trajectory: &Trajectory,
@@ -71,19 +114,5 @@ pub fn simulate(
     desired: &Surface,
     settings: Settings,
 ) -> Result<Prediction, Invalid> {
-    let (removal_nm, numerics) = removal_nm(trajectory, tif, desired.grid(), settings)?;
-    Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
-}
-
-/// Removal (ny, nx) in nm on `grid`.
-fn removal_nm(
-    trajectory: &Trajectory,
-    tif: &Tif,
-    grid: &Grid,
-    settings: Settings,
-) -> Result<(Array2<f64>, Numerics), Invalid> {
-    match settings {
-        Settings::Gridded => gridded::removal_nm(trajectory, tif, grid),
-        Settings::Direct { steps } => direct::removal_nm(trajectory, tif, grid, steps),
-    }
+    Plan::new(tif, desired.grid(), settings)?.predict(trajectory, desired)
 }

@@ -9,8 +9,11 @@ use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::{Recipe, make};
 use planish_numerics::envelope::Envelope;
-use planish_schedule::pvt::{self, Mode};
-use planish_simulate::{Settings, simulate};
+use planish_schedule::{
+    pvt::{self, Mode},
+    trig_spline,
+};
+use planish_simulate::{Plan, Settings, simulate};
 use planish_testkit::{ion_beam, workspace};
 use planish_toolpath::{LineOrder, MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
@@ -75,6 +78,46 @@ fn schedule_pvt(mode: Mode) {
 fn simulate_gridded() {
     let c = &*CASE;
     black_box(simulate(&c.trajectory, &c.tif, &c.surface, Settings::Gridded).unwrap());
+}
+
+/// The plan of the TIF and the map is made before.
+#[divan::bench(sample_count = 20)]
+fn simulate_planned(bencher: Bencher) {
+    let c = &*CASE;
+    let plan = Plan::new(&c.tif, c.surface.grid(), Settings::Gridded).unwrap();
+    bencher.bench_local(|| black_box(plan.removal_nm(&c.trajectory).unwrap()));
+}
+
+/// Lines of 1000 points at a distance of 1 mm, to and fro, 0.25 to 0.75 s per point.
+fn long_path(segments: usize) -> (ToolPath, DwellTime) {
+    let points = (0..=segments)
+        .map(|i| {
+            let (line, k) = (i / 1000, i % 1000);
+            [(if line % 2 == 0 { k } else { 999 - k }) as f64, line as f64]
+        })
+        .collect();
+    let path = ToolPath::through(points, vec![true; segments], vec![0; segments]).unwrap();
+    let dwell = (0..segments).map(|i| 0.5 + 0.25 * (0.1 * i as f64).sin()).collect();
+    (path, DwellTime::new(dwell).unwrap())
+}
+
+const LENGTHS: [usize; 3] = [2678, 62_500, 1_000_000];
+
+#[divan::bench(args = LENGTHS, consts = [false, true], sample_count = 3)]
+fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
+    let (path, dwell) = long_path(segments);
+    let mode = if MONOTONE { Mode::Monotone } else { Mode::Smooth };
+    let how = pvt::Settings { mode, stretch: true };
+    bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
+}
+
+#[divan::bench(args = [2678, 42_848], sample_count = 3)]
+fn schedule_trig_spline_long(bencher: Bencher, segments: usize) {
+    let (path, dwell) = long_path(segments);
+    let how = trig_spline::Settings::default();
+    bencher.bench_local(|| {
+        black_box(trig_spline::schedule(&path, &dwell, &ion_beam(), &how).unwrap())
+    });
 }
 
 #[divan::bench(sample_count = 20)]

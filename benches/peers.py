@@ -1,0 +1,109 @@
+"""The work of the kernels by NumPy, SciPy and Clarabel, on cases of the same size: `just bench-peers`.
+
+Removal: Keys' weights spread 8434 points on 168 x 985 pixels, one FFT convolution with a TIF of
+107 x 107 pixels. Lucy-Richardson: 20 iterations by FFT. Node velocities: the quadratic program of
+schedule/src/pvt.rs (4) for one axis, bounds on the velocity only. Prints a table: the least and the
+median of five runs, s.
+"""
+
+import statistics
+import time
+
+import clarabel
+import numpy as np
+from scipy import fft, sparse
+
+rng = np.random.default_rng(1)
+
+
+def timed(name, work):
+    work()
+    seconds = []
+    for _ in range(5):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    print(f"| {name} | {min(seconds):.4f} | {statistics.median(seconds):.4f} |", flush=True)
+
+
+def keys(f):
+    return np.stack([
+        ((-0.5 * f + 1) * f - 0.5) * f,
+        (1.5 * f - 2.5) * f * f + 1,
+        ((-1.5 * f + 2) * f + 0.5) * f,
+        (0.5 * f - 0.5) * f * f,
+    ])
+
+
+def tif(n):
+    x = np.linspace(-3, 3, n)
+    return np.exp(-(x[:, None] ** 2 + x**2) / 2)
+
+
+def removal(points=8434, shape=(168, 985), n=107):
+    ny, nx = shape[0] + n + 2, shape[1] + n + 2
+    p = rng.random((points, 2)) * [ny - 4, nx - 4] + 1
+    seconds, rate = rng.random(points), tif(n)
+    size = [fft.next_fast_len(ny, True), fft.next_fast_len(nx, True)]
+
+    def work():
+        cell = np.floor(p).astype(int)
+        wy, wx = keys(p[:, 0] - cell[:, 0]), keys(p[:, 1] - cell[:, 1])
+        index = [(cell[:, 0] + b - 1) * nx + cell[:, 1] + a - 1 for b in range(4) for a in range(4)]
+        weight = [seconds * wy[b] * wx[a] for b in range(4) for a in range(4)]
+        field = np.bincount(np.concatenate(index), np.concatenate(weight), ny * nx)
+        spectrum = fft.rfft2(field.reshape(ny, nx), size, workers=2)
+        return fft.irfft2(spectrum * fft.rfft2(rate, size, workers=2), size, workers=2)
+
+    timed(f"removal, {points} points, {shape[0]} x {shape[1]}", work)
+
+
+def lucy_richardson(side, n, dtype):
+    rate = tif(n)
+    rate = (rate / rate.sum()).astype(dtype)
+    desired = (1 + rng.random((side, side))).astype(dtype)
+    size = [fft.next_fast_len(side + n - 1, True)] * 2
+    spectrum, cut = fft.rfft2(rate, size, workers=2), (n - 1) // 2
+
+    def convolve(image, kernel):
+        whole = fft.irfft2(fft.rfft2(image, size, workers=2) * kernel, size, workers=2)
+        return whole[cut : cut + side, cut : cut + side]
+
+    def work():
+        t = np.ones_like(desired)
+        for _ in range(20):
+            # the TIF is symmetric: its adjoint is the same convolution
+            t *= convolve(desired / convolve(t, spectrum), spectrum)
+        return t
+
+    timed(f"Lucy-Richardson, 20 iterations, {side} x {side}, {np.dtype(dtype).name}", work)
+
+
+def velocities(segments):
+    h = 0.5 + 0.25 * np.sin(0.1 * np.arange(segments))
+    dp = np.where(np.arange(segments) // 1000 % 2 == 0, 1.0, -1.0)
+    main = 4 / h[:-1] + 4 / h[1:]
+    g = 6 * dp[:-1] / h[:-1] ** 2 + 6 * dp[1:] / h[1:] ** 2
+    off = 2 / h[1:-1]
+    n = segments - 1
+    hessian = sparse.triu(sparse.diags([off, main, off], [-1, 0, 1]), format="csc")
+    identity = sparse.identity(n, format="csc")
+    bounds = sparse.vstack([identity, -identity], format="csc")
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+
+    def work():
+        cones = [clarabel.NonnegativeConeT(2 * n)]
+        limit = np.full(2 * n, 250.0)
+        return clarabel.DefaultSolver(2 * hessian, -2 * g, bounds, limit, cones, settings).solve()
+
+    timed(f"node velocities of one axis, {segments} segments, Clarabel", work)
+
+
+print("| work | least, s | median of 5, s |")
+print("|---|---|---|")
+removal()
+for dtype in (np.float32, np.float64):
+    lucy_richardson(1641, 131, dtype)
+for segments in (2678, 62_500):
+    velocities(segments)
