@@ -229,8 +229,8 @@ fn on_the_fixture(runs: &[Run; 3]) -> Vec<Claim> {
             "it does",
             format!(
                 "{} and {}, up to {} um",
-                constant.report.overshoot_segments[0],
-                constant.report.overshoot_segments[1],
+                constant.report.visible_overshoot_segments[0],
+                constant.report.visible_overshoot_segments[1],
                 significant(constant_um, 3)
             ),
             constant.report.overshoot_segments.iter().all(|n| *n > 0),
