@@ -1005,6 +1005,9 @@ const ROWS = [
   ["largest acceleration x, y (mm/s²)", "max_acceleration_mm_per_s2", 1],
   ["largest velocity step x, y (mm/s)", "max_velocity_step_mm_per_s", 3],
   ["largest acceleration step x, y (mm/s²)", "max_acceleration_step_mm_per_s2", 1],
+  ["largest jerk x, y (mm/s³)", "max_jerk_mm_per_s3", 0],
+  ["dwell error, RMS (s)", "dwell_error_rms_s", 6], ["dwell error, worst (s)", "dwell_error_worst_s", 6],
+  ["points with overshoot x, y", "overshoot_points", 0], ["largest overshoot x, y (mm)", "max_overshoot_mm", 6],
   ["limits of the machine", "limits_respected"],
   ["schedule (s of computing)", "schedule_wall_s", 3], ["simulate (s of computing)", "simulate_wall_s", 3],
 ];
@@ -1015,7 +1018,7 @@ function fillSummary() {
   for (const e of ENTRIES) head.append(element("th", e.label, { scope: "col" }));
   table.append(element("thead"), element("tbody"));
   table.tHead.append(head);
-  const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]);
+  const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]).map((m) => ({ ...m, ...m.execution }));
   const kept = numbers.map((m) => m.limits_respected);
   const rated = kept.some(Boolean) ? kept : kept.map(() => true);
   for (const [title, key, decimals] of ROWS) {
