@@ -25,9 +25,9 @@ const OVERSHOOT_MM: f64 = 1e-6;
 /// What the motion does with the plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Execution {
-    /// RMS of the dwell error over the points, s; `null` when the run has no dwell times.
+    /// RMS of the dwell error over the points, s; `null` without dwell times, or when no segment names one.
     pub dwell_error_rms_s: Option<f64>,
-    /// Dwell error of the largest magnitude, s; `null` when the run has no dwell times.
+    /// Dwell error of the largest magnitude, s; `null` without dwell times, or when no segment names one.
     pub dwell_error_worst_s: Option<f64>,
     /// Dwell points whose segments overshoot by more than 1 nm along [x, y].
     pub overshoot_points: [usize; 2],
@@ -41,7 +41,9 @@ impl Execution {
     /// Of `trajectory`, which serves the points of `dwell`; refuses a dwell index beyond them.
     pub fn of(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
         let mut execution = Self::default();
-        if let Some(dwell) = dwell {
+        // A motion read back from a controller's program serves no points.
+        let serves = trajectory.dwell_index().iter().any(|i| *i >= 0);
+        if let Some(dwell) = dwell.filter(|_| serves) {
             let errors = dwell_errors(trajectory, dwell)?;
             let squares: f64 = errors.iter().map(|e| e * e).sum();
             let worst = errors.iter().fold(0.0, |m: f64, e| if e.abs() > m.abs() { *e } else { m });

@@ -1025,11 +1025,11 @@ function fillSummary() {
     const row = element("tr"), values = numbers.map((m) => m[key]);
     row.append(element("th", title, { scope: "row" }));
     // Equal where the digits shown are: a step of 1e-13 is none.
-    const size = (v) => +Math.max(...[v].flat()).toFixed(decimals);
+    const size = (v) => +Math.max(...[v].flat().map(Math.abs)).toFixed(decimals);
     const counts = (i) => values[i] !== null && (key.endsWith("wall_s") || rated[i]);
     const best = key === "limits_respected" ? null : Math.min(...values.filter((_, i) => counts(i)).map(size));
     values.forEach((v, i) => {
-      const one = (u) => (u === null ? "-" : u.toFixed(decimals));
+      const one = (u) => (u === null ? "-" : (+u.toFixed(decimals) + 0).toFixed(decimals)); // no -0
       const text = key === "limits_respected" ? (v ? "kept" : "exceeded") : Array.isArray(v) ? v.map(one).join(", ") : one(v);
       const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: JSON.stringify(v) });
       if (key === "limits_respected") cell.className = v ? "" : "bad";
