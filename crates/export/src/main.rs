@@ -8,7 +8,7 @@ use std::{
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_export::{Common, Controller, Origin, Program, csv, galil, gcode, pmac, program, xps};
-use planish_handoff::{Failure, OutputArgs, Stage, Status, artifact, run, stage::say};
+use planish_handoff::{Failure, OutputArgs, Stage, Status, artifact, pair, run, stage::say};
 use planish_types::{Limits, Trajectory};
 
 const EXAMPLES: &str = "Examples:\n\
@@ -186,15 +186,6 @@ fn make(controller: &Controller, args: &CommonArgs) -> Result<Program, Failure> 
 }
 
 /// `X,Y`, or one number for both.
-fn pair(text: &str) -> Result<[f64; 2], String> {
-    let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
-    match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
-        Ok([both]) => Ok([*both; 2]),
-        Ok([x, y]) => Ok([*x, *y]),
-        _ => Err("give a number, or two as X,Y".into()),
-    }
-}
-
 /// A killed run leaves the old file or the new one.
 fn put(path: &Path, text: &str) -> Result<(), Failure> {
     let beside = PathBuf::from(format!("{}.part", path.display()));

@@ -33,6 +33,16 @@ pub fn parse<C: Parser>() -> C {
     C::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut C::command()).exit())
 }
 
+/// The value of a flag for x and y: a number for both, or two as `X,Y`.
+pub fn pair(text: &str) -> Result<[f64; 2], String> {
+    let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
+    match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
+        Ok([both]) => Ok([*both; 2]),
+        Ok([x, y]) => Ok([*x, *y]),
+        _ => Err("give a number, or two as X,Y".into()),
+    }
+}
+
 /// The examples of the program, and [`ALSO`].
 fn after_help<C: CommandFactory>() -> String {
     let examples = C::command().get_after_help().map(ToString::to_string);
@@ -90,6 +100,15 @@ mod tests {
         /// Distance of the lines [mm]
         #[arg(long)]
         pitch_mm: f64,
+    }
+
+    #[test]
+    fn one_number_or_two() {
+        assert_eq!(pair("0.5"), Ok([0.5, 0.5]));
+        assert_eq!(pair("-1, 2e3"), Ok([-1.0, 2000.0]));
+        for wrong in ["", "1,", "1,2,3", "x"] {
+            assert!(pair(wrong).is_err(), "{wrong}");
+        }
     }
 
     fn ask(arguments: &[&str]) -> Option<Result<String, String>> {

@@ -17,7 +17,7 @@ pub mod npy;
 pub mod stage;
 
 pub use artifact::{Arrays, Artifact, Manifest};
-pub use command_line::parse;
+pub use command_line::{pair, parse};
 pub use stage::{Begin, Failure, OutputArgs, Stage, Status, run};
 
 /// A file or directory that cannot be used. The message names the file, the place, the value and

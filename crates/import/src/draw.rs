@@ -6,6 +6,7 @@
 use std::fmt::Write;
 
 use ndarray::Array2;
+use planish_numerics::ticks::round_numbers;
 use planish_types::Grid;
 
 /// Larger side of the map, in pixels of the picture.
@@ -78,7 +79,7 @@ pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String 
              fill=\"none\" stroke=\"#000000\"/>\n"
         ),
     );
-    for v in ticks(low[0], low[0] + size[0]) {
+    for v in round_numbers(low[0], low[0] + size[0], 8.0) {
         let [x, y] = at(v, low[1]);
         put(
             &mut out,
@@ -89,7 +90,7 @@ pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String 
             ),
         );
     }
-    for v in ticks(low[1], low[1] + size[1]) {
+    for v in round_numbers(low[1], low[1] + size[1], 8.0) {
         let [x, y] = at(low[0], v);
         put(
             &mut out,
@@ -208,20 +209,6 @@ fn colour(share: f64) -> String {
     let [r, g, b] =
         [0, 1, 2].map(|k| (COLOURS[i][k] + f * (COLOURS[i + 1][k] - COLOURS[i][k])).round() as u8);
     format!("#{r:02x}{g:02x}{b:02x}")
-}
-
-/// Round numbers within an interval, four to ten: steps of 1, 2 or 5 times a power of ten.
-fn ticks(low: f64, high: f64) -> Vec<f64> {
-    let least = (high - low) / 8.0;
-    let power = least.log10().floor() as i32;
-    let ten = 10_f64.powi(power);
-    let step = [1.0, 2.0, 5.0].map(|f| f * ten).into_iter().find(|s| *s >= least);
-    let step = step.unwrap_or(10.0 * ten);
-    let decimals = usize::try_from(-power).unwrap_or(0);
-    let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
-    let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
-    // -0 is written as 0.
-    (first..=last).map(|k| round(k as f64 * step) + 0.0).collect()
 }
 
 fn escaped(text: &str) -> String {

@@ -9,7 +9,7 @@ use std::{
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::Array2;
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
+use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, pair, run, stage::say};
 use planish_import::{
     Alignment, Baseline, FirstRow, Format, Origin, Pick, Reading, Rotation, Scale, Settings,
     SpotSettings, Statement, Unit,
@@ -436,15 +436,6 @@ fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
 }
 
 /// `X,Y`, or one number for both.
-fn pair(text: &str) -> Result<[f64; 2], String> {
-    let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
-    match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
-        Ok([both]) => Ok([*both; 2]),
-        Ok([x, y]) => Ok([*x, *y]),
-        _ => Err("give a number, or two as X,Y".into()),
-    }
-}
-
 fn pick(args: &FileArgs, is_tif: bool) -> Pick {
     Pick { data: args.dataset.clone(), x: args.x.clone(), y: args.y.clone(), is_tif }
 }

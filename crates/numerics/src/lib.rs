@@ -19,3 +19,4 @@ pub mod orthogonal;
 pub mod polynomial;
 pub mod quadrature;
 pub mod statistics;
+pub mod ticks;

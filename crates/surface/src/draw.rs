@@ -6,6 +6,7 @@
 use std::fmt::Write;
 
 use ndarray::{Array2, s};
+use planish_numerics::ticks::round_numbers;
 use planish_types::{Axis, Grid};
 
 use crate::psd::Psd;
@@ -351,7 +352,7 @@ impl Area {
     }
 
     fn linear_axes(&self, out: &mut String, x_name: &str, y_name: &str) {
-        let fewer = |range: [f64; 2], px: f64| ticks(range, (px / 45.0).max(2.0));
+        let fewer = |[low, high]: [f64; 2], px: f64| round_numbers(low, high, (px / 45.0).max(2.0));
         let label = |v: &f64| (*v, v.to_string());
         let x: Vec<_> = fewer(self.x, self.width).iter().map(label).collect();
         let y: Vec<_> = fewer(self.y, self.height).iter().map(label).collect();
@@ -463,20 +464,6 @@ impl Area {
     }
 }
 
-/// Round numbers within a range, at most `most`: steps of 1, 2 or 5 times a power of ten.
-fn ticks([low, high]: [f64; 2], most: f64) -> Vec<f64> {
-    let least = (high - low) / most;
-    let power = least.log10().floor() as i32;
-    let ten = 10_f64.powi(power);
-    let step = [1.0, 2.0, 5.0].map(|f| f * ten).into_iter().find(|s| *s >= least);
-    let step = step.unwrap_or(10.0 * ten);
-    // Without the digits of rounding: 0.3, not 0.30000000000000004.
-    let decimals = usize::try_from(-power).unwrap_or(0);
-    let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
-    let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
-    (first..=last).map(|k| round(k as f64 * step)).collect()
-}
-
 fn text(out: &mut String, x: f64, y: f64, anchor: &str, words: &str) {
     put(
         out,
@@ -550,13 +537,11 @@ mod tests {
     }
 
     #[test]
-    fn colours_get_lighter_and_ticks_are_round() {
+    fn colours_get_lighter() {
         let light = |k: usize| {
             let c = u32::from_str_radix(&colour(k)[1..], 16).unwrap();
             (c >> 16) * 3 + ((c >> 8) & 255) * 6 + (c & 255)
         };
         assert!((1..BANDS).all(|k| light(k) > light(k - 1)));
-        assert_eq!(ticks([-0.05, 0.35], 4.0), [0.0, 0.1, 0.2, 0.3]);
-        assert_eq!(ticks([-3.0, 13.0], 8.0), [-2.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]);
     }
 }

@@ -6,9 +6,10 @@
 
 use std::fmt::Write;
 
+use planish_numerics::ticks::round_numbers;
 use planish_types::{Surface, ToolPath};
 
-use crate::region::{Aperture, Interval, SLACK};
+use crate::region::{Aperture, Interval};
 
 /// Larger side of the region, in pixels of the picture.
 const SIZE_PX: f64 = 1000.0;
@@ -112,7 +113,7 @@ impl Frame {
                 bottom - top
             ),
         );
-        for v in ticks(self.x_mm) {
+        for v in round_numbers(self.x_mm.low, self.x_mm.high, 10.0) {
             let x = self.at([v, 0.0])[0];
             put(
                 out,
@@ -123,7 +124,7 @@ impl Frame {
                 ),
             );
         }
-        for v in ticks(self.y_mm) {
+        for v in round_numbers(self.y_mm.low, self.y_mm.high, 10.0) {
             let y = self.at([0.0, v])[1];
             put(
                 out,
@@ -206,22 +207,6 @@ impl Frame {
     }
 }
 
-/// Round numbers within an interval, five to ten: steps of 1, 2 or 5 times a power of ten.
-fn ticks(mm: Interval) -> Vec<f64> {
-    let least = (mm.high - mm.low) / 10.0;
-    let power = least.log10().floor() as i32;
-    let ten = 10_f64.powi(power);
-    let step = [1.0, 2.0, 5.0, 10.0].map(|f| f * ten).into_iter().find(|s| *s >= least);
-    let step = step.unwrap_or(10.0 * ten);
-    // Without the digits of rounding: 0.3, not 0.30000000000000004.
-    let decimals = usize::try_from(-power).unwrap_or(0);
-    let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
-    // A tick on the end of the interval is in it, whatever its rounding.
-    let first = (mm.low / step - SLACK).ceil() as i64;
-    let last = (mm.high / step + SLACK).floor() as i64;
-    (first..=last).map(|k| round(k as f64 * step)).collect()
-}
-
 /// Writing to a string does not fail.
 fn put(out: &mut String, text: std::fmt::Arguments) {
     let _ = out.write_fmt(text);
@@ -232,14 +217,6 @@ mod tests {
     use super::*;
     use ndarray::array;
     use planish_types::{Axis, Grid};
-
-    #[test]
-    fn ticks_are_round() {
-        let at = |low, high| ticks(Interval { low, high });
-        assert_eq!(at(-0.05, 0.35), [-0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35]);
-        assert_eq!(at(-3.0, 13.0), [-2.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]);
-        assert_eq!(at(0.0, 1e4).len(), 11);
-    }
 
     #[test]
     fn y_goes_up_lifts_are_dashed_and_passes_change_colour() {

@@ -3,6 +3,8 @@
 
 use std::fmt::Write;
 
+use planish_numerics::ticks::round_numbers;
+
 use super::{MethodView, View, map::ScreenMap};
 
 /// Blue, white, brown: heights below and above their mean.
@@ -657,13 +659,7 @@ fn ticks([low, high]: [f64; 2], log: bool, length_px: f64) -> Vec<f64> {
         let every = (f64::from(last - first + 1) / most).ceil().max(1.0) as usize;
         return (first..=last).step_by(every).map(|e| 10.0_f64.powi(e)).collect();
     }
-    let raw = (high - low) / most;
-    let power = 10.0_f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= raw);
-    let step = step.unwrap_or(10.0 * power);
-    let first = (low / step - 1e-9).ceil() as i64;
-    let last = (high / step + 1e-9).floor() as i64;
-    (first..=last).map(|i| i as f64 * step).collect()
+    round_numbers(low, high, most)
 }
 
 /// A number for an axis.

@@ -13,11 +13,10 @@
 use ndarray::{Array2, ArrayView2};
 use planish_numerics::{
     fft::smooth_size,
+    fourier::{forward, frequency},
     statistics::{fit_plane, statistics, subtract_plane},
 };
 use planish_types::Grid;
-use rayon::prelude::*;
-use rustfft::{FftPlanner, num_complex::Complex64};
 use serde::Serialize;
 
 /// Periods that separate the bands, mm.
@@ -46,20 +45,18 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Spectrum {
     };
     let (wx, wy) = (hann(x.len()), hann(y.len()));
     let mut weight = 0.0;
-    let windowed = Array2::from_shape_fn(map.dim(), |(r, c)| {
-        let z = level[[r, c]];
-        if z.is_nan() {
-            return 0.0;
-        }
+    // Padded with zeros to sizes that are fast.
+    let (py, px) = (smooth_size(y.len()), smooth_size(x.len()));
+    let mut windowed = Array2::zeros((py, px));
+    for ((r, c), z) in level.indexed_iter().filter(|(_, z)| !z.is_nan()) {
         let w = wx[c] * wy[r];
         weight += w * w;
-        w * z
-    });
+        windowed[[r, c]] = w * z;
+    }
 
-    let (field, [py, px]) = transform(&windowed);
+    let field = forward(windowed.view());
     let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
     let (dfx, dfy) = (1.0 / (px as f64 * dx), 1.0 / (py as f64 * dy));
-    let signed = |k: usize, n: usize| if 2 * k <= n { k as f64 } else { k as f64 - n as f64 };
     // Frequencies below that of the map itself are not resolved.
     let lowest = 1.0 / (dx * x.len() as f64).max(dy * y.len() as f64);
     let highest = 0.5 / dx.max(dy);
@@ -67,7 +64,7 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Spectrum {
     let mut sums = vec![[0.0_f64; 3]; rings]; // S, |f|, count
     let mut band_power = [0.0; 3];
     for ((ky, kx), a) in field.indexed_iter() {
-        let f = (signed(kx, px) * dfx).hypot(signed(ky, py) * dfy);
+        let f = (frequency(kx, px) / dx).hypot(frequency(ky, py) / dy);
         let s = a.norm_sqr() * dx * dy / weight.max(f64::MIN_POSITIVE);
         let band = BAND_PERIOD_MM.iter().filter(|period| f * *period > 1.0).count();
         band_power[band] += s * dfx * dfy;
@@ -88,30 +85,6 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Spectrum {
 fn hann(n: usize) -> Vec<f64> {
     let phase = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) / n as f64;
     (0..n).map(|i| phase(i).sin().powi(2)).collect()
-}
-
-/// Two-dimensional transform, padded with zeros to sizes (ny, nx) that are fast.
-fn transform(map: &Array2<f64>) -> (Array2<Complex64>, [usize; 2]) {
-    let (ny, nx) = map.dim();
-    let (py, px) = (smooth_size(ny), smooth_size(nx));
-    let mut planner = FftPlanner::new();
-    let (along_x, along_y) = (planner.plan_fft_forward(px), planner.plan_fft_forward(py));
-    let mut columns = vec![Complex64::default(); px * py];
-    let rows: Vec<Vec<Complex64>> = (0..ny)
-        .into_par_iter()
-        .map(|r| {
-            let mut line = vec![Complex64::default(); px];
-            line.iter_mut().zip(map.row(r)).for_each(|(l, v)| l.re = *v);
-            along_x.process(&mut line);
-            line
-        })
-        .collect();
-    columns.par_chunks_mut(py).enumerate().for_each(|(k, column)| {
-        column.iter_mut().zip(&rows).for_each(|(c, row)| *c = row[k]);
-        along_y.process(column);
-    });
-    let field = Array2::from_shape_vec((px, py), columns).expect("px columns of py");
-    (field.reversed_axes(), [py, px])
 }
 
 #[cfg(test)]

@@ -1,0 +1,39 @@
+//! Round numbers for the axis of a picture.
+
+/// Part of a step by which a number may lie outside: the rounding of an end of the interval.
+const SLACK: f64 = 1e-9;
+
+/// The multiples of 1, 2 or 5 times a power of ten from `low` to `high` (both finite, `low` <
+/// `high`), ascending, at most about `most` + 1 of them.
+pub fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
+    let least = (high - low) / most;
+    let power = least.log10().floor() as i32;
+    let ten = 10.0_f64.powi(power);
+    let step = [1.0, 2.0, 5.0].map(|f| f * ten).into_iter().find(|s| *s >= least);
+    let step = step.unwrap_or(10.0 * ten);
+    // Without the digits of rounding: 0.3, not 0.30000000000000004.
+    let decimals = usize::try_from(-power).unwrap_or(0);
+    let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
+    let first = (low / step - SLACK).ceil() as i64;
+    let last = (high / step + SLACK).floor() as i64;
+    // -0 is written as 0.
+    (first..=last).map(|k| round(k as f64 * step) + 0.0).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_round_and_an_end_counts() {
+        assert_eq!(
+            round_numbers(-0.05, 0.35, 10.0),
+            [-0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35]
+        );
+        assert_eq!(round_numbers(-0.05, 0.35, 4.0), [0.0, 0.1, 0.2, 0.3]);
+        assert_eq!(round_numbers(-3.0, 13.0, 8.0), [-2.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]);
+        assert_eq!(round_numbers(0.0, 1e4, 10.0).len(), 11);
+        assert_eq!(round_numbers(0.0, 92.3, 5.0), [0.0, 20.0, 40.0, 60.0, 80.0]);
+        assert!(round_numbers(-0.3, 0.3, 2.0)[0].is_sign_positive());
+    }
+}
