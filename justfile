@@ -179,7 +179,15 @@ bench:
     cargo bench --locked -p planish-testkit --bench stages
 
 # The same work by NumPy, SciPy and Clarabel (makes its own virtual environment)
-bench-peers:
+bench-peers: peers
+    @target/peers/bin/python benches/peers.py
+
+[private]
+peers:
     @test -d target/peers || python3 -m venv target/peers
     @target/peers/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 clarabel==0.11.1
-    @target/peers/bin/python benches/peers.py
+
+# Benchmarks, peers and whole processes in one run; writes the tables of docs/performance.md
+performance: build peers
+    @mkdir -p out/performance
+    @target/peers/bin/python benches/performance.py target/release out/performance docs/performance.md

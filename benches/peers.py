@@ -3,7 +3,7 @@
 Removal: Keys' weights spread 8434 points on 168 x 985 pixels, one FFT convolution with a TIF of
 107 x 107 pixels. Lucy-Richardson: 20 iterations by FFT. Node velocities: the quadratic program of
 schedule/src/pvt.rs (4) for one axis, bounds on the velocity only. Prints a table: the least and the
-median of five runs, s.
+median of the runs, ms; performance.py puts it beside Planish.
 """
 
 import statistics
@@ -16,14 +16,15 @@ from scipy import fft, sparse
 rng = np.random.default_rng(1)
 
 
-def timed(name, work):
+def timed(name, work, runs=5):
+    """Name, runs, least and median seconds; the first run warms up."""
     work()
     seconds = []
-    for _ in range(5):
+    for _ in range(runs):
         start = time.perf_counter()
         work()
         seconds.append(time.perf_counter() - start)
-    print(f"| {name} | {min(seconds):.4f} | {statistics.median(seconds):.4f} |", flush=True)
+    return name, runs, min(seconds), statistics.median(seconds)
 
 
 def keys(f):
@@ -40,7 +41,7 @@ def tif(n):
     return np.exp(-(x[:, None] ** 2 + x**2) / 2)
 
 
-def removal(points=8434, shape=(168, 985), n=107):
+def removal(points, shape, n, runs=5):
     ny, nx = shape[0] + n + 2, shape[1] + n + 2
     p = rng.random((points, 2)) * [ny - 4, nx - 4] + 1
     seconds, rate = rng.random(points), tif(n)
@@ -55,7 +56,7 @@ def removal(points=8434, shape=(168, 985), n=107):
         spectrum = fft.rfft2(field.reshape(ny, nx), size, workers=2)
         return fft.irfft2(spectrum * fft.rfft2(rate, size, workers=2), size, workers=2)
 
-    timed(f"removal, {points} points, {shape[0]} x {shape[1]}", work)
+    return timed(f"NumPy: removal, {points} resting points, {shape[0]} x {shape[1]}", work, runs)
 
 
 def lucy_richardson(side, n, dtype):
@@ -76,7 +77,7 @@ def lucy_richardson(side, n, dtype):
             t *= convolve(desired / convolve(t, spectrum), spectrum)
         return t
 
-    timed(f"Lucy-Richardson, 20 iterations, {side} x {side}, {np.dtype(dtype).name}", work)
+    return timed(f"SciPy: Lucy-Richardson, 20 iterations, {side} x {side}, {np.dtype(dtype).name}", work)
 
 
 def velocities(segments):
@@ -97,13 +98,22 @@ def velocities(segments):
         limit = np.full(2 * n, 250.0)
         return clarabel.DefaultSolver(2 * hessian, -2 * g, bounds, limit, cones, settings).solve()
 
-    timed(f"node velocities of one axis, {segments} segments, Clarabel", work)
+    return timed(f"Clarabel: node velocities of one axis, {segments} segments", work)
 
 
-print("| work | least, s | median of 5, s |")
-print("|---|---|---|")
-removal()
-for dtype in (np.float32, np.float64):
-    lucy_richardson(1641, 131, dtype)
-for segments in (2678, 62_500):
-    velocities(segments)
+def measure():
+    return [
+        removal(8434, (168, 985), 107),
+        removal(250_000, (4096, 4096), 131, runs=3),
+        removal(1_000_000, (8192, 8192), 131, runs=3),
+        lucy_richardson(1641, 131, np.float32),
+        lucy_richardson(1641, 131, np.float64),
+        velocities(2678),
+        velocities(62_500),
+    ]
+
+
+if __name__ == "__main__":
+    print("| work | runs | least, ms | median, ms |\n|---|---|---|---|")
+    for name, runs, least, median in measure():
+        print(f"| {name} | {runs} | {1e3 * least:.1f} | {1e3 * median:.1f} |")

@@ -1,0 +1,218 @@
+"""Measures Planish and its peers in one run and writes the tables of docs/performance.md: `just performance`.
+
+    performance.py STAGES OUT PAGE
+
+STAGES is the directory of the binaries, OUT where the cases are made, PAGE the page whose tables
+are replaced. Whole processes: wall time (median and least of the runs) and the most memory held
+(`ru_maxrss` of wait4). In process: the lines of `cargo bench` (divan), with peers.py beside them.
+"""
+
+import json
+import math
+import os
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import peers
+
+MACHINE = "fixtures/machines/ion-beam.json"
+# Disks of one pixel spacing: (pixels per side, width, mm). The work grows with the area.
+DISKS = [(1641, 100.0), (4096, 249.6), (8192, 499.2)]
+
+
+def run(command):
+    """Seconds and mebibytes of one process. A negative verdict (exit code 1) is a result."""
+    start = time.perf_counter()
+    process = subprocess.Popen([str(part) for part in command])
+    _, status, usage = os.wait4(process.pid, 0)
+    seconds = time.perf_counter() - start
+    code = os.waitstatus_to_exitcode(status)
+    if code not in (0, 1):
+        raise SystemExit(f"{' '.join(map(str, command))}: exit code {code}")
+    return seconds, usage.ru_maxrss / 1024
+
+
+class Whole:
+    """Stages as whole processes."""
+
+    def __init__(self, stages, out):
+        self.stages, self.out, self.rows = stages, out, []
+
+    def measure(self, work, size, stage, *flags, runs=5):
+        command = [self.stages / f"planish-{stage}", *flags, "--force"]
+        samples = [run(command) for _ in range(runs)]
+        seconds = [s for s, _ in samples]
+        row = {
+            "work": work,
+            "size": size,
+            "runs": runs,
+            "median_s": statistics.median(seconds),
+            "least_s": min(seconds),
+            "memory_mib": max(m for _, m in samples),
+        }
+        self.rows.append(row)
+        print(row, flush=True)
+        return row
+
+    def line(self, name, recipe, path_flags, dwell, runs):
+        """One mirror through every stage; `dwell` is the solver with its flags."""
+        at = self.out / name
+        at.mkdir(parents=True, exist_ok=True)
+        (at / "recipe.json").write_text(json.dumps(recipe))
+        nx, ny = recipe["pixels"]
+        pixels, out = f"{ny} x {nx} px", lambda artifact: ["--out", at / artifact]
+        self.measure("fixture", pixels, "fixture", at / "recipe.json", *out("fixture"), runs=1)
+        mirror = ["--surface", at / "fixture/surface", "--tif", at / "fixture/tif"]
+        self.measure("tool path, raster", pixels, "toolpath", "raster", *mirror, *path_flags, *out("path"), runs=runs)
+        points = len(np.load(at / "path/dwell_point_mm.npy", mmap_mode="r"))
+        both, path = f"{pixels}, {points} points", ["--tool-path", at / "path"]
+        solved = self.measure(f"dwell, {dwell[0]}", both, "dwell", *dwell, *mirror, *path, *out("dwell"), runs=runs)
+        planned = ["--dwell", at / "dwell", "--machine", MACHINE]
+        for mode in ("smooth", "monotone"):
+            moved = self.measure(f"schedule, PVT {mode}", f"{points} segments", "schedule", "pvt", "--mode", mode, *path, *planned, *out("trajectory"), runs=runs)
+        motion = ["--trajectory", at / "trajectory"]
+        removed = self.measure("simulate", both, "simulate", *motion, *mirror, *out("removal"), runs=runs)
+        self.measure("verify", f"{points} segments", "verify", *motion, "--machine", MACHINE, *out("verdict"), runs=runs)
+        return {"pixels": nx * ny, "points": points, "dwell": solved, "schedule": moved, "simulate": removed}
+
+
+def exponent(sizes, times):
+    """Slope of log(time) against log(size), least squares."""
+    return np.polyfit(np.log(sizes), np.log(times), 1)[0]
+
+
+def disk(side, width):
+    recipe = json.loads(Path("fixtures/disk-100-1641.json").read_text())
+    recipe.update(name=f"disk-{side}", pixels=[side, side], width_mm=width)
+    recipe["aperture"]["circle"]["diameter_mm"] = width
+    return recipe
+
+
+UNITS = {"ns": 1e-9, "µs": 1e-6, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+def divan(text):
+    """Name, runs, least and median seconds of every line of a divan table."""
+    rows, names = [], []
+    for line in text.splitlines():
+        found = re.match(r"^([│ ]*)[├╰]─ (\S+(?: \S+)*?)\s{2,}(.*)$", line)
+        if not found:
+            continue
+        depth, name, rest = len(found[1]) // 3, found[2], found[3]
+        names[depth:] = [name]
+        cells = [c.strip() for c in rest.split("│")]
+        times = [re.match(r"([\d.]+) (\S+)", c) for c in cells[:3]]
+        if len(cells) >= 5 and times[0] and times[2]:
+            least, median = (float(t[1]) * UNITS[t[2]] for t in (times[0], times[2]))
+            rows.append((" ".join(names), int(cells[4]), least, median))
+    return rows
+
+
+def figures(x):
+    """Three significant digits, no exponent."""
+    return f"{x:.{max(0, 2 - math.floor(math.log10(abs(x))))}f}"
+
+
+def table(head, rows):
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(str, cells)) + " |" for cells in lines)
+
+
+def replace(page, name, text):
+    """Puts a table between its two marks."""
+    pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
+    after, count = re.subn(pattern, lambda m: f"{m[1]}{text}\n{m[2]}", page, flags=re.DOTALL)
+    if count != 1:
+        raise SystemExit(f"the page has no table {name}")
+    return after
+
+
+def versions():
+    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    names = ("numpy", "scipy", "clarabel")
+    return f"{os.cpu_count()} cores ({cpu[1] if cpu else 'unknown'}); " + ", ".join(
+        f"{n} {__import__(n).__version__}" for n in names
+    )
+
+
+def main():
+    stages, out, page = map(Path, sys.argv[1:])
+    load = os.getloadavg()[0]
+    bench = subprocess.run(
+        ["cargo", "bench", "--locked", "-p", "planish-testkit", "--bench", "stages"],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    ).stdout
+    kernels = divan(bench)
+    beside = peers.measure()
+
+    whole = Whole(stages, out)
+    flat = json.loads(Path("fixtures/flat-92x16.json").read_text())
+    pitch = ["--pitch-mm", "1", "--step-mm", "1"]
+    solver = ["bounded-least-squares", "--min-dwell-s", "0.1"]
+    whole.line("flat-92x16", flat, pitch, solver, runs=5)
+    fine = ["--pitch-mm", "0.5", "--step-mm", "0.4"]
+    solver = ["lucy-richardson", "--unknowns", "map"]
+    disks = [
+        whole.line(f"disk-{side}", disk(side, width), fine, solver, runs=5 if side < 8192 else 3)
+        for side, width in DISKS
+    ]
+    pipeline = ["just", "run", "raster", "refine=no", f"out={out / 'raster'}"]
+    samples = []
+    for _ in range(5):
+        shutil.rmtree(out / "raster", ignore_errors=True)
+        samples.append(run(pipeline)[0])
+    whole.rows.append({
+        "work": "`just run raster refine=no`, every stage, 24 frames and the page",
+        "size": "168 x 985 px",
+        "runs": 5,
+        "median_s": statistics.median(samples),
+        "least_s": min(samples),
+        "memory_mib": None,
+    })
+
+    text = page.read_text()
+    text = replace(text, "machine", f"{versions()}; load when it began: {load:.1f}.")
+    text = replace(text, "kernels", table(
+        ["work", "runs", "least, ms", "median, ms"],
+        [(f"`{n}`", r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in kernels],
+    ))
+    text = replace(text, "peers", table(
+        ["work", "runs", "least, ms", "median, ms"],
+        [(n, r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in beside],
+    ))
+    text = replace(text, "whole", table(
+        ["work", "size", "runs", "least, s", "median, s", "memory, MiB"],
+        [
+            (r["work"], r["size"], r["runs"], figures(r["least_s"]), figures(r["median_s"]),
+             figures(r["memory_mib"]) if r["memory_mib"] else "")
+            for r in whole.rows
+        ],
+    ))
+    text = replace(text, "growth", growth(disks))
+    page.write_text(text)
+
+
+def growth(disks):
+    """Exponents fitted to the whole processes, and what 16 times the work costs by them."""
+    rows = []
+    for stage, size in (("dwell", "pixels"), ("schedule", "points"), ("simulate", "pixels")):
+        sizes = [d[size] for d in disks]
+        for what in ("median_s", "memory_mib"):
+            slope = exponent(sizes, [d[stage][what] for d in disks])
+            name = "time" if what == "median_s" else "memory"
+            unit = size if size == "pixels" else "segments"
+            rows.append((stage, name, f"{unit}: {sizes[0]:.2g} to {sizes[-1]:.2g}", f"{slope:.2f}", figures(16**slope)))
+    return table(["stage", "of", "against", "exponent", "16 x the work"], rows)
+
+
+if __name__ == "__main__":
+    main()
