@@ -146,9 +146,8 @@ fn one_piece() -> Vec<Claim> {
         printed = printed.max(eq5.abs());
     }
     vec![
-        Claim::statement(
+        Claim::check(
             "peak acceleration in closed form against differences of the feed (0.02 to 0.05 s/mm, 0.2 mm)",
-            "not given",
             format!("{} mm/s^2", significant(piece.peak_acceleration(), 4)),
             (piece.peak_acceleration() / numeric - 1.0).abs() < 1e-5,
         ),
