@@ -58,12 +58,13 @@ pub fn stacked(height: f64, charts: &[(&Axis, &Axis, Vec<Series>)]) -> String {
 }
 
 /// Maps (title, heights in nm) one beside the other on one scale, of means over `block` x `block`
-/// pixels, and their section at `section_y_mm`.
-pub fn maps(maps: &[(String, &Surface)], block: usize, section_y_mm: f64) -> String {
+/// pixels cut at +-`cut_nm`, and their section at `section_y_mm`.
+pub fn maps(maps: &[(String, &Surface)], block: usize, cut_nm: f64, section_y_mm: f64) -> String {
     let panels: Vec<Panel> = maps
         .iter()
         .map(|(title, map)| {
             let (grid, map) = coarse(map, block);
+            let map = map.mapv(|v| v.clamp(-cut_nm, cut_nm));
             Panel { title: title.clone(), grid, map }
         })
         .collect();
