@@ -172,7 +172,7 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
     let [a, b] = titles;
     let deepest = deepest_ripple(&uniform.ripple_nm, &inside);
     let figures = vec![
-        ("plate", maps(&[(a, &uniform.residual), (b, &multi.residual)], 10, 12.0, SECTION_MM)),
+        ("plate", maps(&[(a, &uniform.residual), (b, &multi.residual)], 20, 20.0, SECTION_MM)),
         ("plate-ripple", ripple_figure(&[&uniform, &multi], deepest)),
     ];
     (rows, figures)
@@ -206,7 +206,7 @@ fn ripple_figure(runs: &[&Run; 2], (row, column): (usize, usize)) -> String {
         },
         &Axis {
             label: "ripple where most is removed, nm",
-            ticks: vec![-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0],
+            ticks: vec![-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0],
             log: false,
         },
         &[series("uniform, 0.8 mm", runs[0]), series("multi-pitch, 0.13 mm there", runs[1])],

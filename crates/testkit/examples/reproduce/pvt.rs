@@ -249,12 +249,12 @@ pub fn reproduce() -> Outcome {
     Outcome { tables, figures }
 }
 
-/// Fig. 6: what PVT leaves along the three paths.
+/// Fig. 6: what PVT leaves along the three paths, with its RMS.
 fn residual_maps(runs: &[Run<'_>; 3], smooth: &[Trajectory; 3]) -> String {
     let left = [0, 1, 2].map(|k| without_plane(&runs[k].residual(&smooth[k])));
     let titled = [0, 1, 2].map(|k| {
         let rms = significant(left[k].detilted_rms_nm(), 3);
-        (format!("{}, {rms} nm RMS", NAMES[k]), &left[k])
+        (format!("{}, {rms} nm", NAMES[k]), &left[k])
     });
     maps(&titled, 5, 1.0, 8.0)
 }
@@ -457,11 +457,11 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
             .differs("the published points are 1 mm apart, on both paths"),
         Claim::number("total time, raster", "min", 8.15, minutes(&raster), 1e-3),
         Claim::number("total time, maze", "min", 8.17, minutes(&maze), 1e-3),
-        Claim::number("total time, random path", "min", 7.64, minutes(&random), 0.1)
+        Claim::number("total time, random path", "min", 7.64, minutes(&random), 0.02)
             .differs("own path and own dwell times: the published ones are not in the mirror"),
         Claim::number("published dwell times at the points, raster, RMS", "nm", 0.204, position[0], 3e-3),
         Claim::number("the same, maze", "nm", 0.263, position[1], 3e-3),
-        Claim::number("the same, random path", "nm", 0.513, position[2], 0.05)
+        Claim::number("the same, random path", "nm", 0.513, position[2], 0.2)
             .remark("own path and own dwell times"),
         Claim::check(
             "one pit of 0.6 mm is two fifths of the variance that the raster leaves (RMS without it)",

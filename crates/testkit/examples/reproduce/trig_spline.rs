@@ -50,7 +50,14 @@ pub fn reproduce() -> Outcome {
             ticks: vec![1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3],
             log: true,
         },
-        &[Series { name: "TIF of 4 mm half-size", points, dots: true }],
+        &[
+            Series {
+                name: "the paper: 0.067 nm",
+                points: vec![[1.0, 0.067], [6.0, 0.067]],
+                dots: false,
+            },
+            Series { name: "TIF of 4 mm half-size", points, dots: true },
+        ],
     );
     Outcome { tables: vec![("trig-spline", rows)], figures: vec![("overscan", figure)] }
 }
@@ -197,6 +204,12 @@ fn solvers(part: &planish_fixture::Fixture) -> Vec<Claim> {
             "it does",
             format!("{} against {} nm RMS", significant(proposed.0, 3), significant(bounded.0, 3)),
             proposed.0 < bounded.0,
+        ),
+        Claim::statement(
+            "and takes less time on the machine than BCLS",
+            "it does",
+            format!("{} against {} s", significant(proposed.1, 3), significant(bounded.1, 3)),
+            proposed.1 < bounded.1,
         ),
     ]
 }
