@@ -115,8 +115,8 @@ fn space(unit: &str) -> &'static str {
 
 /// `value` with `digits` significant digits.
 pub fn significant(value: f64, digits: usize) -> String {
-    if value == 0.0 {
-        return "0".into();
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
     }
     // The exponent after rounding: 0.99996 has four digits as 1.000.
     let scientific = format!("{:.*e}", digits - 1, value);
