@@ -110,7 +110,7 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
     };
     let below = |nm: &[f64], limit: f64| nm.iter().all(|v| *v < limit * WAVE_NM);
     let ascending = of_uniform.windows(2).all(|w| w[0] < w[1]);
-    let rms = [&uniform, &multi].map(|r| r.residual.statistics().rms);
+    let rms = [&uniform, &multi, &linked].map(|r| r.residual.statistics().rms);
     let mean_feed = [&uniform, &multi].map(|r| r.length_mm / r.time_s / max_velocity_mm_per_s);
     // Eq. 12 at the largest feed: r = s / (d v)
     let least_um = |d: f64| 1e-3 * vrr / (d * max_velocity_mm_per_s);
@@ -128,10 +128,11 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
             "links along a border remove beside the lines; Eq. 12 does not know them, a dwell solver does",
         ),
         Claim::check(
-            "the multi-pitch path converges as far as the uniform one (RMS, uniform against multi-pitch)",
-            format!("{} against {} nm", significant(rms[0], 3), significant(rms[1], 3)),
+            "the multi-pitch path converges as far as the uniform one (RMS; uniform, multi-pitch with the tool off and on on the links)",
+            format!("{} / {} / {} nm", significant(rms[0], 3), significant(rms[1], 3), significant(rms[2], 3)),
             rms[1] < 1.1 * rms[0],
-        ),
+        )
+        .remark("only with the tool off on the links"),
         Claim::statement(
             "ripple of the uniform path rises with the depth, beyond 0.01 lambda (largest PV in the four classes of depth)",
             "0.008 / 0.02 / 0.04 / 0.06 lambda",

@@ -462,7 +462,7 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
         Claim::number("published dwell times at the points, raster, RMS", "nm", 0.204, position[0], 3e-3),
         Claim::number("the same, maze", "nm", 0.263, position[1], 3e-3),
         Claim::number("the same, random path", "nm", 0.513, position[2], 0.2)
-            .remark("own path and own dwell times"),
+            .remark("within a fifth; own path and own dwell times"),
         Claim::check(
             "one pit of 0.6 mm is two fifths of the variance that the raster leaves (RMS without it)",
             format!("{} nm", significant(without_pit, 3)),
