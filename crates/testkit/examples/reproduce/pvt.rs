@@ -275,7 +275,7 @@ fn velocities_along(smooth: &[Trajectory; 3]) -> String {
         log: false,
     });
     let charts = [0, 1, 2].map(|k| {
-        let along = |axis, name| velocity(&smooth[k], axis, name, 6.0);
+        let along = |axis, name| velocity(&smooth[k], axis, name, [middle_s(&smooth[k]), 6.0]);
         (&x, &y[k], vec![along(1, "along y"), along(0, "along x")])
     });
     stacked(200.0, &charts)
@@ -545,16 +545,21 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
     ])
 }
 
-/// Velocity of an axis in the middle of a motion.
-fn velocity(t: &Trajectory, axis: usize, name: &'static str, duration_s: f64) -> Series {
-    let middle = t.break_time_s()[t.len() / 2];
+/// When half of the segments are done, s.
+fn middle_s(t: &Trajectory) -> f64 {
+    t.break_time_s()[t.len() / 2]
+}
+
+/// Velocity of an axis in a part of a motion, (start, duration) in s.
+fn velocity(t: &Trajectory, axis: usize, name: &'static str, part_s: [f64; 2]) -> Series {
+    let [start, duration] = part_s;
     let mut points = Vec::new();
     for s in t.segments() {
         for k in 0..10 {
             let u = s.duration_s * f64::from(k) / 10.0;
-            let at = s.start_s + u - middle;
+            let at = s.start_s + u - start;
             let c = s.coefficient_mm[axis];
-            if (0.0..=duration_s).contains(&at) {
+            if (0.0..=duration).contains(&at) {
                 points.push([at, c[1] + 2.0 * c[2] * u + 3.0 * c[3] * u * u]);
             }
         }
@@ -566,7 +571,8 @@ fn velocity(t: &Trajectory, axis: usize, name: &'static str, duration_s: f64) ->
 fn velocities(run: &Run<'_>) -> String {
     let constant = run.constant_acceleration().trajectory;
     let (smooth, monotone) = (run.pvt(pvt::Mode::Smooth), run.pvt(pvt::Mode::Monotone));
-    let curve = |name, t| velocity(t, 0, name, 4.0);
+    let middle = middle_s(&constant);
+    let curve = |name, t| velocity(t, 0, name, [middle, 4.0]);
     chart(
         &Axis { label: "time, s", ticks: vec![0.0, 1.0, 2.0, 3.0, 4.0], log: false },
         &Axis {
