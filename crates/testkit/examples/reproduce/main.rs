@@ -66,7 +66,8 @@ fn main() -> ExitCode {
         PAPERS.iter().filter(|(name, _)| wanted.as_deref().is_none_or(|w| w == *name)).collect();
     if chosen.is_empty() {
         let names: Vec<&str> = PAPERS.iter().map(|(name, _)| *name).collect();
-        eprintln!("there is no paper {:?}; give one of {}", wanted, names.join(", "));
+        let wanted = wanted.unwrap_or_default();
+        eprintln!("there is no paper {wanted:?}; give one of {}", names.join(", "));
         return ExitCode::from(2);
     }
     let docs = workspace().join("docs");
