@@ -6,7 +6,12 @@ use std::{fs, sync::LazyLock};
 use divan::{Bencher, black_box};
 use nalgebra::DMatrix;
 use ndarray::Array2;
-use planish_dwell::bounded_least_squares::{self, Bound};
+use planish_dwell::{
+    bounded_least_squares::{self, Bound},
+    columns::Columns,
+    lucy_richardson,
+    problem::Problem,
+};
 use planish_fixture::{Recipe, make};
 use planish_numerics::envelope::Envelope;
 use planish_schedule::{
@@ -111,13 +116,50 @@ fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 
-#[divan::bench(args = [2678, 42_848], sample_count = 3)]
+#[divan::bench(args = [2678, 42_848, 685_568], sample_count = 3)]
 fn schedule_trig_spline_long(bencher: Bencher, segments: usize) {
     let (path, dwell) = long_path(segments);
     let how = trig_spline::Settings::default();
     bencher.bench_local(|| {
         black_box(trig_spline::schedule(&path, &dwell, &ion_beam(), &how).unwrap())
     });
+}
+
+/// The part of the trigonometric-spline paper on `side` x `side` pixels: 60 steps of Lucy-Richardson
+/// on the map.
+#[divan::bench(args = [411, 1641], sample_count = 2, sample_size = 1)]
+fn dwell_lucy_richardson_map(bencher: Bencher, side: usize) {
+    let name = if side == 411 { "disk-100" } else { "disk-100-1641" };
+    let recipe = fs::read_to_string(workspace().join(format!("fixtures/{name}.json"))).unwrap();
+    let recipe: Recipe = serde_json::from_str(&recipe).unwrap();
+    let fixture = make(&recipe).unwrap();
+    let settings = RasterSettings {
+        pitch_mm: 1.0,
+        step_mm: 1.0,
+        overscan_mm: 5.0,
+        scan: Scan::X,
+        turn: Turn::Square,
+        line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
+    };
+    let path = raster(&fixture.surface, &settings).unwrap();
+    let problem = Problem {
+        desired: &fixture.surface,
+        tif: &fixture.tif,
+        path: &path,
+        weight: None,
+        columns: Columns::Segment,
+        min_dwell: Bound::Seconds(0.0),
+    };
+    let how = lucy_richardson::Settings {
+        unknowns: lucy_richardson::Unknowns::Map,
+        max_iterations: 60,
+        tolerance: 0.0,
+        ..Default::default()
+    };
+    bencher.bench_local(|| black_box(lucy_richardson::solve(&problem, &how).unwrap()));
 }
 
 #[divan::bench(sample_count = 20)]

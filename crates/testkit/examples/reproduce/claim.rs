@@ -1,5 +1,8 @@
 //! A claim of a paper beside what is computed here.
 
+/// In the place of the paper's number.
+const NOT_GIVEN: &str = "not given";
+
 /// How the two compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -58,6 +61,11 @@ impl Claim {
         }
     }
 
+    /// What a paper does not give, and `holds` here or not.
+    pub fn check(what: &str, ours: String, holds: bool) -> Self {
+        Self::statement(what, NOT_GIVEN, ours, holds)
+    }
+
     /// Expected to differ, because ...
     pub fn differs(self, why: &'static str) -> Self {
         Self { expected: Verdict::Differs, why, ..self }
@@ -80,6 +88,7 @@ impl Claim {
 
     fn cells(&self) -> [String; 5] {
         let verdict = match self.found {
+            Verdict::Agrees if self.paper == NOT_GIVEN => "holds",
             Verdict::Agrees => "agrees",
             Verdict::Better => "better",
             Verdict::Differs => "differs",
@@ -95,14 +104,19 @@ impl Claim {
     }
 }
 
+/// How many verdicts are not the expected ones.
+pub fn changed(claims: &[Claim]) -> usize {
+    claims.iter().filter(|c| !c.as_expected()).count()
+}
+
 fn space(unit: &str) -> &'static str {
     if unit.is_empty() { "" } else { " " }
 }
 
 /// `value` with `digits` significant digits.
 pub fn significant(value: f64, digits: usize) -> String {
-    if value == 0.0 {
-        return "0".into();
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
     }
     // The exponent after rounding: 0.99996 has four digits as 1.000.
     let scientific = format!("{:.*e}", digits - 1, value);

@@ -12,6 +12,7 @@ mod claim;
 mod figure;
 mod lines;
 mod multi_pitch;
+mod plate;
 mod pvt;
 mod trig_spline;
 
@@ -65,7 +66,8 @@ fn main() -> ExitCode {
         PAPERS.iter().filter(|(name, _)| wanted.as_deref().is_none_or(|w| w == *name)).collect();
     if chosen.is_empty() {
         let names: Vec<&str> = PAPERS.iter().map(|(name, _)| *name).collect();
-        eprintln!("there is no paper {:?}; give one of {}", wanted, names.join(", "));
+        let wanted = wanted.unwrap_or_default();
+        eprintln!("there is no paper {wanted:?}; give one of {}", names.join(", "));
         return ExitCode::from(2);
     }
     let docs = workspace().join("docs");
@@ -78,7 +80,7 @@ fn main() -> ExitCode {
         for (marker, claims) in &outcome.tables {
             let text = table(claims);
             println!("{marker}\n\n{text}");
-            changed += claims.iter().filter(|c| !c.as_expected()).count();
+            changed += claim::changed(claims);
             page = filled(&page, marker, &text);
         }
         for (figure, svg) in &outcome.figures {
