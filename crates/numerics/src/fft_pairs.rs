@@ -154,7 +154,7 @@ impl PairConvolution {
 pub struct LineConvolution {
     size: usize,
     transform: Transform,
-    /// Spectra of the kernels, [k][j], scaled by 1 / (number of elements).
+    /// Spectra of the kernels, [j][k], scaled by 1 / (number of elements).
     spectrum: Vec<Complex64>,
     kernels: usize,
 }
@@ -174,12 +174,10 @@ impl LineConvolution {
         assert!(g >= 1 && size >= g, "kernel exceeds the line");
         let transform = Transform::new(&mut FftPlanner::new(), size);
         let mut spectrum = vec![Complex64::default(); m * size];
-        let (mut line, mut scratch) = (vec![Complex64::default(); size], transform.scratch());
-        for (j, g) in kernels.outer_iter().enumerate() {
-            line.fill(Complex64::default());
+        let mut scratch = transform.scratch();
+        for (line, g) in spectrum.chunks_mut(size).zip(kernels.outer_iter()) {
             line.iter_mut().zip(g).for_each(|(l, g)| l.re = g / size as f64);
-            transform.forward.process_with_scratch(&mut line, &mut scratch);
-            line.iter().enumerate().for_each(|(k, v)| spectrum[k * m + j] = *v);
+            transform.forward.process_with_scratch(line, &mut scratch);
         }
         Self { size, transform, spectrum, kernels: m }
     }
@@ -196,22 +194,22 @@ impl LineConvolution {
 
     /// The circular convolution, and empty sources again; `None` when no source was used.
     pub fn sum<'a>(&self, work: &'a mut LineWorkspace) -> Option<&'a [Complex64]> {
-        let (n, m) = (self.size, self.kernels);
+        let n = self.size;
         if !work.used.contains(&true) {
             return None;
         }
         work.sum.fill(Complex64::default());
-        for j in 0..m {
+        for j in 0..self.kernels {
             if !work.used[j] {
                 continue;
             }
             let source = &mut work.sources[j * n..(j + 1) * n];
             self.transform.forward.process_with_scratch(source, &mut work.scratch);
-            let spectrum = self.spectrum[j..].iter().step_by(m);
-            work.sum.iter_mut().zip(source.iter().zip(spectrum)).for_each(|(sum, (s, g))| {
-                *sum += s * g;
+            let terms = source.iter_mut().zip(&self.spectrum[j * n..(j + 1) * n]);
+            work.sum.iter_mut().zip(terms).for_each(|(sum, (s, g))| {
+                *sum += *s * g;
+                *s = Complex64::default();
             });
-            source.fill(Complex64::default());
             work.used[j] = false;
         }
         self.transform.inverse.process_with_scratch(&mut work.sum, &mut work.scratch);

@@ -47,7 +47,7 @@
 //! interpolation is measured; the lattice is refined until it is below [`TIF_TOLERANCE`] of the
 //! peak or the lattice too large, and what was reached is reported.
 
-use std::ops::Range;
+use std::{ops::Range, sync::Mutex};
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
 use planish_numerics::fft_pairs::{PairConvolution, is_quick_size, quick_size};
@@ -79,6 +79,8 @@ pub struct Plan {
     pub(crate) border: Option<Border>,
     /// Pixels per strip along x and per band along y.
     pixels: [usize; 2],
+    /// Buffers that no thread uses at the moment.
+    idle: Mutex<Vec<Workspace>>,
 }
 
 impl Plan {
@@ -105,7 +107,15 @@ impl Plan {
         let (pixels, size) = layout(&x, &y, leaks);
         let convolution = PairConvolution::new(samples.view(), size);
         let border = leaks.then(|| Border::new(&x, &y, samples.view(), size));
-        Ok(Self { x, y, tif_interpolation_error, convolution, border, pixels })
+        Ok(Self {
+            x,
+            y,
+            tif_interpolation_error,
+            convolution,
+            border,
+            pixels,
+            idle: Mutex::default(),
+        })
     }
 
     /// Removal (ny, nx) of `trajectory`, nm.
@@ -135,13 +145,17 @@ impl Plan {
             }
         }
         let alone = jobs.len() == 1;
+        let idle = || self.idle.lock().expect("no thread panics with the lock");
         let quadrature_points = jobs
             .into_par_iter()
             .with_max_len(1)
-            .map_init(
-                || Workspace::new(self),
-                |work, (tile, segments, part)| tile.run(trajectory, segments, part, work, alone),
-            )
+            .map(|(tile, segments, part)| {
+                let work = idle().pop();
+                let mut work = work.unwrap_or_else(|| Workspace::new(self));
+                let points = tile.run(trajectory, segments, part, &mut work, alone);
+                idle().push(work);
+                points
+            })
             .sum();
         Numerics {
             quadrature_points,

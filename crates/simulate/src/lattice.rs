@@ -94,8 +94,7 @@ impl Lattice {
 
     /// Whether the node k beyond the tool's cell, at the offset f in it, is beyond R's edges:
     /// s = k - f outside [0, edge].
-    #[inline]
-    pub fn is_beyond(&self, k: isize, f: f64) -> bool {
+    fn is_beyond(&self, k: isize, f: f64) -> bool {
         let s = k as f64 - f;
         s < -keys::SNAP || s > self.edge + keys::SNAP
     }
@@ -115,7 +114,12 @@ impl Lattice {
             .map(|k| {
                 let weight = |j: isize| usize::try_from(k - j + 1).ok().filter(|d| *d < 4);
                 let with = |(slot, j): (usize, &isize)| weight(*j).map(|w| (slot, w));
-                BorderNode { k, terms: samples.iter().enumerate().filter_map(with).collect() }
+                let always = self.is_beyond(k, 0.0) && self.is_beyond(k, 1.0 - keys::SNAP);
+                BorderNode {
+                    k,
+                    always,
+                    terms: samples.iter().enumerate().filter_map(with).collect(),
+                }
             })
             .collect()
     }
@@ -126,9 +130,19 @@ impl Lattice {
 pub struct BorderNode {
     /// Steps from the tool's cell.
     pub k: isize,
+    /// Whether it is beyond wherever in its cell the tool is.
+    pub always: bool,
     /// What it gets by (1): position in [`Lattice::border_samples`] of the sample j, and the index
     /// d + 1 of the weight with d = k - j.
     pub terms: Vec<(usize, usize)>,
+}
+
+impl BorderNode {
+    /// Whether it is beyond with the tool at the offset `f` in its cell.
+    #[inline]
+    pub fn is_beyond(&self, lattice: &Lattice, f: f64) -> bool {
+        self.always || lattice.is_beyond(self.k, f)
+    }
 }
 
 /// Samples j = -1 ..= last of both axes; [j + 1] in the array. On the TIF's own lattice these are

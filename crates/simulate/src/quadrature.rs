@@ -105,9 +105,10 @@ impl Cutter {
                 continue;
             }
             let middle = start + 0.5 * duration;
-            let at = [0, 1].map(|axis| keys::split(polynomial::evaluate(&c[axis], middle)));
+            let split = |axis: usize| keys::split(polynomial::evaluate(&c[axis], middle));
+            let at = [split(0), split(1)];
             if let Some(cell) = window.cell(at) {
-                let offset = at.map(|(_, f)| f);
+                let offset = [at[0].1, at[1].1];
                 let mut piece = Piece { cell, offset, seconds: [[0.0; 4]; 4], points: POINTS };
                 for (node, weight) in self.rule {
                     let u = start + node * duration;
@@ -158,7 +159,7 @@ impl Cutter {
 impl Window {
     /// The cell of two split coordinates, if it is inside.
     fn cell(&self, at: [(isize, f64); 2]) -> Option<[i64; 2]> {
-        let cell = at.map(|(i, _)| i as i64);
+        let cell = [at[0].0 as i64, at[1].0 as i64];
         let inside = |a: usize| cell[a] >= self.low[a] && cell[a] < self.high[a];
         (inside(0) && inside(1)).then_some(cell)
     }

@@ -107,6 +107,8 @@ pub struct Workspace {
     field: Array2<Complex64>,
     cutter: Cutter,
     pieces: Vec<Piece>,
+    /// Their cells, to be sorted by.
+    cells: Vec<[i64; 2]>,
 }
 
 impl Workspace {
@@ -116,6 +118,7 @@ impl Workspace {
             field: Array2::zeros(plan.convolution.size()),
             cutter: Cutter::new([plan.x.cells(), plan.y.cells()]),
             pieces: Vec::new(),
+            cells: Vec::new(),
         }
     }
 }
@@ -173,8 +176,8 @@ impl<'a> Tile<'a> {
             );
         }
         if let Some(border) = &self.plan.border {
-            self.subtract_rows(&border.rows, &work.pieces, out.view_mut(), alone);
-            self.subtract_columns(&border.columns, &work.pieces, out.view_mut(), alone);
+            self.subtract_rows(&border.rows, work, out.view_mut(), alone);
+            self.subtract_columns(&border.columns, work, out.view_mut(), alone);
             if let Some(corners) = &border.corners {
                 self.add_corners(border, corners, &work.pieces, out);
             }
@@ -190,11 +193,12 @@ impl<'a> Tile<'a> {
         segments: &[Reach],
         work: &mut Workspace,
     ) -> (usize, bool) {
-        let Workspace { field, cutter, pieces } = work;
+        let Workspace { field, cutter, pieces, cells } = work;
         let keep = self.plan.border.is_some();
         let width = field.ncols();
         field.fill(Complex64::default());
         pieces.clear();
+        cells.clear();
         let nodes = field.as_slice_mut().expect("in C order");
         let x = self.window.low[0]..self.window.high[0];
         let (mut points, mut reached) = (0, false);
@@ -215,6 +219,7 @@ impl<'a> Tile<'a> {
                 }
                 if keep {
                     pieces.push(*piece);
+                    cells.push(piece.cell);
                 }
             });
         }
@@ -260,12 +265,12 @@ impl<'a> Tile<'a> {
     fn subtract_rows(
         &self,
         edge: &Edge,
-        pieces: &[Piece],
+        Workspace { pieces, cells, .. }: &Workspace,
         mut out: ArrayViewMut2<f64>,
         alone: bool,
     ) {
         let y = &self.plan.y;
-        let cells = ByCell::new(pieces, 1, self.window.low[1]..self.window.high[1]);
+        let cells = ByCell::new(cells, 1, self.window.low[1]..self.window.high[1]);
         let first = self.rows.start;
         out.axis_iter_mut(NdAxis(0))
             .into_par_iter()
@@ -277,7 +282,7 @@ impl<'a> Tile<'a> {
                     let node = ((first + r) * y.subdivision) as i64;
                     for border in &edge.nodes {
                         for piece in cells.at(node - border.k as i64, pieces) {
-                            if !y.is_beyond(border.k, piece.offset[1]) {
+                            if !border.is_beyond(y, piece.offset[1]) {
                                 continue;
                             }
                             for part in 0..2 {
@@ -299,11 +304,11 @@ impl<'a> Tile<'a> {
     fn subtract_columns(
         &self,
         edge: &Edge,
-        pieces: &[Piece],
+        Workspace { pieces, cells, .. }: &Workspace,
         out: ArrayViewMut2<f64>,
         alone: bool,
     ) {
-        let cells = ByCell::new(pieces, 0, self.window.low[0]..self.window.high[0]);
+        let cells = ByCell::new(cells, 0, self.window.low[0]..self.window.high[0]);
         let rows = self.rows.len();
         let (mut left, mut right) = out.split_at(NdAxis(1), self.strips[0].len());
         let mut right = right.axis_chunks_iter_mut(NdAxis(1), COLUMNS);
@@ -352,9 +357,10 @@ impl<'a> Tile<'a> {
             let node = ((strip.start + c) * x.subdivision) as i64;
             for border in &edge.nodes {
                 for piece in cells.at(node - border.k as i64, pieces) {
-                    if x.is_beyond(border.k, piece.offset[0]) {
+                    if border.is_beyond(x, piece.offset[0]) {
                         for &(i, a) in &border.terms {
-                            let seconds = [0, 1, 2, 3].map(|b| piece.seconds[b][a]);
+                            let [s0, s1, s2, s3] = &piece.seconds;
+                            let seconds = [s0[a], s1[a], s2[a], s3[a]];
                             add(work.source(i), part, self.row(piece), seconds);
                         }
                     }
@@ -380,10 +386,21 @@ impl<'a> Tile<'a> {
         mut out: ArrayViewMut2<f64>,
     ) {
         let (x, y) = (&self.plan.x, &self.plan.y);
+        let [left, right] = &self.strips;
+        let columns = left.start..left.end.max(right.end);
         for piece in pieces {
+            let mut beyond = [None; MAX_BORDER];
+            for (beyond, node) in beyond.iter_mut().zip(&border.columns.nodes) {
+                if node.is_beyond(x, piece.offset[0]) {
+                    *beyond = x.pixel(piece.cell[0] + node.k as i64, &columns);
+                }
+            }
+            if beyond == [None; MAX_BORDER] {
+                continue;
+            }
             for node in &border.rows.nodes {
                 let Some(r) = y.pixel(piece.cell[1] + node.k as i64, &self.rows) else { continue };
-                if !y.is_beyond(node.k, piece.offset[1]) {
+                if !node.is_beyond(y, piece.offset[1]) {
                     continue;
                 }
                 // (1) in two dimensions
@@ -393,14 +410,11 @@ impl<'a> Tile<'a> {
                         nm.iter_mut().zip(rates).for_each(|(n, rate)| *n += seconds * rate);
                     }
                 }
-                for (kx, nm) in border.columns.nodes.iter().zip(nm) {
-                    if !x.is_beyond(kx.k, piece.offset[0]) {
-                        continue;
-                    }
-                    let q = piece.cell[0] + kx.k as i64;
-                    let [left, right] = &self.strips;
-                    if let Some(c) = x.pixel(q, &(left.start..left.end.max(right.end))) {
-                        out[[r, c]] += nm;
+                let mut row = out.row_mut(r);
+                let row = row.as_slice_mut().expect("in C order");
+                for (c, nm) in beyond.iter().zip(nm) {
+                    if let Some(c) = c {
+                        row[*c] += nm;
                     }
                 }
             }
@@ -411,20 +425,31 @@ impl<'a> Tile<'a> {
 /// Adds seconds to the nodes c-1 .. c+2 of a line, as far as it has them.
 #[inline]
 fn add(line: &mut [Complex64], part: usize, c: i64, seconds: [f64; 4]) {
-    let to = |v: &mut Complex64, s: f64| {
-        if part == 0 {
-            v.re += s;
-        } else {
-            v.im += s;
-        }
-    };
-    if let Some(nodes) = usize::try_from(c - 1).ok().and_then(|i| line.get_mut(i..i + 4)) {
-        nodes.iter_mut().zip(seconds).for_each(|(v, s)| to(v, s));
+    if part == 0 {
+        add_to(line, c, seconds, |v| &mut v.re);
+    } else {
+        add_to(line, c, seconds, |v| &mut v.im);
+    }
+}
+
+#[inline(always)]
+fn add_to(
+    line: &mut [Complex64],
+    c: i64,
+    seconds: [f64; 4],
+    part: impl Fn(&mut Complex64) -> &mut f64,
+) {
+    let first = usize::try_from(c - 1).unwrap_or(usize::MAX - 4);
+    if let Some([n0, n1, n2, n3]) = line.get_mut(first..first + 4) {
+        *part(n0) += seconds[0];
+        *part(n1) += seconds[1];
+        *part(n2) += seconds[2];
+        *part(n3) += seconds[3];
         return;
     }
     for (c, s) in (c - 1..).zip(seconds) {
         if let Some(v) = usize::try_from(c).ok().and_then(|i| line.get_mut(i)) {
-            to(v, s);
+            *part(v) += s;
         }
     }
 }
@@ -438,16 +463,17 @@ struct ByCell {
 }
 
 impl ByCell {
-    fn new(pieces: &[Piece], axis: usize, cells: Range<i64>) -> Self {
-        let lowest = cells.start;
-        let of = |p: &Piece| (p.cell[axis] - lowest) as usize;
-        let mut start = vec![0; (cells.end - lowest) as usize + 2];
-        pieces.iter().for_each(|p| start[of(p) + 2] += 1);
+    /// For the cells of the pieces, which are within `window` along the axis.
+    fn new(cells: &[[i64; 2]], axis: usize, window: Range<i64>) -> Self {
+        let lowest = window.start;
+        let of = |cell: &[i64; 2]| (cell[axis] - lowest) as usize;
+        let mut start = vec![0; (window.end - lowest) as usize + 2];
+        cells.iter().for_each(|c| start[of(c) + 2] += 1);
         (2..start.len()).for_each(|i| start[i] += start[i - 1]);
         // start[i + 1] is now where cell i starts, and moves to where it ends.
-        let mut order = vec![0; pieces.len()];
-        for (index, p) in pieces.iter().enumerate() {
-            let next = &mut start[of(p) + 1];
+        let mut order = vec![0; cells.len()];
+        for (index, c) in cells.iter().enumerate() {
+            let next = &mut start[of(c) + 1];
             order[*next as usize] = index as u32;
             *next += 1;
         }
