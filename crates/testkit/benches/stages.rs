@@ -125,7 +125,8 @@ fn simulate_large(bencher: Bencher, (pixels, points): (usize, usize)) {
     }
     let n = coefficients.len();
     let trajectory = Trajectory::new(breaks, coefficients, vec![true; n], vec![0; n]).unwrap();
-    let plan = Plan::new(tif, &Grid { x: axis, y: axis }, Settings::Gridded).unwrap();
+    let grid = Grid { x: axis, y: axis };
+    let plan = Plan::new(tif, &grid, Settings::Gridded).unwrap();
     bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));
 }
 
