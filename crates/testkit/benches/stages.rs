@@ -88,7 +88,7 @@ fn simulate_planned(bencher: Bencher) {
     bencher.bench_local(|| black_box(plan.removal_nm(&c.trajectory).unwrap()));
 }
 
-/// The 8434 resting points of the seed's raster: 62 lines of 136 points, 0.75 mm apart, and two more.
+/// 8434 resting points on lines of 136, 0.75 mm apart.
 #[divan::bench(sample_count = 20)]
 fn simulate_resting(bencher: Bencher) {
     let c = &*CASE;
