@@ -171,93 +171,6 @@ impl Convolution {
     }
 }
 
-/// Convolutions along one axis with several kernels, summed: `sum_j valid(g_j, s_j)`.
-pub struct RowConvolution {
-    source: usize,
-    kernel: usize,
-    forward: Arc<dyn RealToComplex<f64>>,
-    inverse: Arc<dyn ComplexToReal<f64>>,
-    /// Spectra of the kernels, scaled by 1 / (number of elements).
-    spectrum: Vec<Vec<Complex64>>,
-}
-
-/// Buffers of a [`RowConvolution`], one for each thread.
-pub struct RowWorkspace {
-    line: Vec<f64>,
-    half: Vec<Complex64>,
-    sum: Vec<Complex64>,
-    forward: Vec<Complex64>,
-    inverse: Vec<Complex64>,
-}
-
-impl RowConvolution {
-    /// Plans for kernels (m, g) and sources of `source >= g` elements.
-    pub fn new(kernels: ArrayView2<f64>, source: usize) -> Self {
-        let kernel = kernels.ncols();
-        assert!(kernel >= 1 && source >= kernel, "kernel exceeds the source");
-        let size = smooth_size(source);
-        let mut planner = RealFftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
-        let mut plan = Self { source, kernel, forward, inverse, spectrum: Vec::new() };
-        let mut work = plan.workspace();
-        plan.spectrum = kernels
-            .outer_iter()
-            .map(|g| {
-                plan.transform(g.iter().copied(), &mut work);
-                work.half.iter().map(|v| v / size as f64).collect()
-            })
-            .collect();
-        plan
-    }
-
-    /// Buffers for [`Self::valid_sum`].
-    pub fn workspace(&self) -> RowWorkspace {
-        RowWorkspace {
-            line: self.forward.make_input_vec(),
-            half: self.forward.make_output_vec(),
-            sum: self.forward.make_output_vec(),
-            forward: self.forward.make_scratch_vec(),
-            inverse: self.inverse.make_scratch_vec(),
-        }
-    }
-
-    /// The spectrum of `values`, to `work.half`.
-    fn transform(&self, values: impl Iterator<Item = f64>, work: &mut RowWorkspace) {
-        work.line.fill(0.0);
-        work.line.iter_mut().zip(values).for_each(|(l, v)| *l = v);
-        self.forward
-            .process_with_scratch(&mut work.line, &mut work.half, &mut work.forward)
-            .expect("buffers have the planned sizes");
-    }
-
-    /// The sum over the `sources` (m, source) that are `used`, (source - g + 1); `None` for none.
-    pub fn valid_sum<'a>(
-        &self,
-        sources: ArrayView2<f64>,
-        used: &[bool],
-        work: &'a mut RowWorkspace,
-    ) -> Option<&'a [f64]> {
-        if !used.contains(&true) {
-            return None;
-        }
-        work.sum.fill(Complex64::default());
-        for j in (0..used.len()).filter(|j| used[*j]) {
-            self.transform(sources.row(j).iter().copied(), work);
-            let terms = work.half.iter().zip(&self.spectrum[j]);
-            work.sum.iter_mut().zip(terms).for_each(|(sum, (s, g))| *sum += s * g);
-        }
-        // The transform of a real line: these two are real but for rounding.
-        work.sum[0].im = 0.0;
-        if work.line.len().is_multiple_of(2) {
-            work.sum.last_mut().expect("one at least").im = 0.0;
-        }
-        self.inverse
-            .process_with_scratch(&mut work.sum, &mut work.line, &mut work.inverse)
-            .expect("buffers have the planned sizes");
-        Some(&work.line[self.kernel - 1..self.source])
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -312,21 +225,6 @@ mod tests {
         let error = &plan.valid(found.view()) - &map;
         // 18 x 12 samples, condition number below 10.
         assert!(error.iter().all(|e| e.abs() < 1e-13), "{error:?}");
-    }
-
-    #[test]
-    fn rows_with_several_kernels_are_summed() {
-        let (g, s) = (random((3, 4), 8), random((3, 15), 9));
-        let plan = RowConvolution::new(g.view(), 15);
-        let mut work = plan.workspace();
-        assert!(plan.valid_sum(s.view(), &[false; 3], &mut work).is_none());
-        let found = plan.valid_sum(s.view(), &[true, false, true], &mut work).unwrap();
-        assert_eq!(found.len(), 12);
-        for (i, found) in found.iter().enumerate() {
-            let of = |j: usize| (0..4).map(|b| g[[j, b]] * s[[j, i + 3 - b]]).sum::<f64>();
-            // Sums of 8 products of order 1.
-            assert!((found - of(0) - of(2)).abs() < 1e-13);
-        }
     }
 
     #[test]

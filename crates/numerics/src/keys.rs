@@ -70,12 +70,16 @@ pub const SNAP: f64 = 1e-9;
 /// `s` split into its lattice cell and offset, snapped to nodes within [`SNAP`].
 #[inline]
 pub fn split(s: f64) -> (isize, f64) {
-    let nearest = s.round();
-    if (s - nearest).abs() <= SNAP {
-        (nearest as isize, 0.0)
+    // floor, without a call where the processor that is compiled for has no instruction for it
+    let truncated = s as isize;
+    let floor = truncated - isize::from(truncated as f64 > s);
+    let f = s - floor as f64;
+    if f <= SNAP {
+        (floor, 0.0)
+    } else if 1.0 - f <= SNAP {
+        (floor + 1, 0.0)
     } else {
-        let floor = s.floor();
-        (floor as isize, s - floor)
+        (floor, f)
     }
 }
 

@@ -10,10 +10,16 @@ use ndarray::Array2;
 use planish_types::{Grid, Invalid, Tif, Trajectory};
 use rayon::prelude::*;
 
-use crate::{Numerics, quadrature::Sample};
+use crate::Numerics;
 
 /// Most quadrature points (2.4 GB).
 const MAX_SAMPLES: usize = 100_000_000;
+
+/// The tool at `position_mm` for `time_s`.
+struct Sample {
+    position_mm: [f64; 2],
+    time_s: f64,
+}
 
 /// Removal (ny, nx) in nm on `grid`, with `steps` >= 1 equal time steps per segment.
 pub fn removal_nm(

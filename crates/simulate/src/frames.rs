@@ -69,7 +69,7 @@ pub fn frames(
     for i in 0..count {
         let until_s = start_s + total_s * (i + 1) as f64 / m;
         if let Some(part) = part_of(trajectory, before_s, until_s)? {
-            removal += &plan.removal_nm(&part)?.0;
+            plan.add_to(&mut removal, &part)?;
         }
         kept.index_axis_mut(NdAxis(0), i).assign(&removal.slice(s![..;stride[1], ..;stride[0]]));
         before_s = until_s;

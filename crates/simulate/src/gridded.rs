@@ -1,4 +1,4 @@
-//! The removal by one FFT convolution, exact for a TIF on the pixels of the map.
+//! The removal by FFT convolution, exact for a TIF on the pixels of the map.
 //!
 //! # The convolution
 //!
@@ -29,9 +29,15 @@
 //! g[j, :]`: convolutions along one axis. The last term is a few pixels at the corners of the
 //! TIF and is added point by point.
 //!
-//! Each row of seconds and of the leak is the work of one thread, from the points that reach it in
-//! the order of time: the result does not depend on the number of threads. What depends on the TIF
-//! and the map only (lattice, spectra) is a [`Plan`], which many trajectories share.
+//! # Tiles
+//!
+//! The map is divided in tiles ([`tile`](crate::tile)), each with the field of seconds from which
+//! the tool reaches it: what a thread works on stays in its cache, nothing as large as the map is
+//! kept but the removal, and a tile that no motion reaches costs nothing. A tile has two strips of
+//! the map side by side, which share one complex transform. The tiles depend on the TIF and the map
+//! only, and within one the motion goes in the order of time: the result does not depend on the
+//! number of threads. All of this (lattice, tiles, spectra) is a [`Plan`], which many trajectories
+//! share.
 //!
 //! # Other pixels
 //!
@@ -41,39 +47,40 @@
 //! interpolation is measured; the lattice is refined until it is below [`TIF_TOLERANCE`] of the
 //! peak or the lattice too large, and what was reached is reported.
 
-use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
-use planish_numerics::{fft, keys};
-use planish_types::{Axis, Grid, Invalid, Tif, Trajectory};
+use std::{ops::Range, sync::Mutex};
+
+use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
+use planish_numerics::fft_pairs::{PairConvolution, is_quick_size, quick_size};
+use planish_types::{Grid, Invalid, Tif, Trajectory};
 use rayon::prelude::*;
 
 use crate::{
     Numerics,
-    quadrature::{self, Lines, Sample},
+    lattice::{Lattice, has_border, interpolation_error, least_subdivision, sample_anew},
+    quadrature::Cutter,
+    tile::{Border, Tile, Workspace},
 };
-
-/// Largest accumulated difference between a TIF sample and its lattice point, in steps, at which
-/// the two lattices are the same. A shift of 1e-4 of a pixel moves the removal by 1e-4 of what it
-/// changes over a pixel.
-const SAME_LATTICE: f64 = 1e-4;
 
 /// Wanted error of the TIF on a lattice that is not its own, relative to its peak: 1e-3 nm in a
 /// removal of 40 nm.
 pub const TIF_TOLERANCE: f64 = 2.5e-5;
 
-/// Most lattice points to refine to (256 MiB of seconds), and most that are accepted at all.
+/// Most lattice points to refine to, and most that are accepted at all.
 const MAX_REFINED: usize = 1 << 25;
 const MAX_LATTICE: usize = 1 << 28;
 
 /// What depends on the TIF and the map only: for many trajectories.
 pub struct Plan {
-    x: Lattice,
-    y: Lattice,
-    /// Samples of the TIF on the lattice, with ghost nodes.
-    samples: Array2<f64>,
+    pub(crate) x: Lattice,
+    pub(crate) y: Lattice,
     tif_interpolation_error: f64,
-    convolution: fft::Convolution,
-    /// `E ly` and `E lx`, transposed; `None` where nothing leaks.
-    border: Option<[Leak; 2]>,
+    pub(crate) convolution: PairConvolution,
+    /// `None` where nothing leaks.
+    pub(crate) border: Option<Border>,
+    /// Pixels per strip along x and per band along y.
+    pixels: [usize; 2],
+    /// Buffers that no thread uses at the moment.
+    idle: Mutex<Vec<Workspace>>,
 }
 
 impl Plan {
@@ -96,58 +103,121 @@ impl Plan {
             }
             refinement *= 2;
         };
-        let shape = (y.source_nodes(), x.source_nodes());
-        let convolution = fft::Convolution::new(samples.view(), shape);
-        let border = has_border(tif, &x, &y, &samples)
-            .then(|| [Leak::new(&x, &y, samples.view()), Leak::new(&y, &x, samples.t())]);
-        Ok(Self { x, y, samples, tif_interpolation_error, convolution, border })
+        let leaks = has_border(tif, &x, &y, &samples);
+        let (pixels, size) = layout(&x, &y, leaks);
+        let convolution = PairConvolution::new(samples.view(), size);
+        let border = leaks.then(|| Border::new(&x, &y, samples.view(), size));
+        Ok(Self {
+            x,
+            y,
+            tif_interpolation_error,
+            convolution,
+            border,
+            pixels,
+            idle: Mutex::default(),
+        })
     }
 
     /// Removal (ny, nx) of `trajectory`, nm.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
-        let (x, y) = (&self.x, &self.y);
-        let lines: Vec<Lines> = x.lines(0).into_iter().chain(y.lines(1)).collect();
-        let low_mm = [x.low_mm(), y.low_mm()];
-        let high_mm = [x.high_mm(), y.high_mm()];
-        let points = quadrature::samples(trajectory, &lines, low_mm, high_mm);
-        let placed: Vec<Placed> = points.par_iter().map(|s| Placed::new(s, x, y)).collect();
-
-        // R = E - E ly - E lx + E ly lx                                              (2)
-        let by_row = ByCell::new(placed.clone());
-        let mut removal = self.convolution(&by_row);
-        if let Some([rows, columns]) = &self.border {
-            removal -= &rows.of(&by_row, x, y);
-            let swapped = ByCell::new(placed.iter().map(Placed::swapped).collect());
-            removal -= &columns.of(&swapped, y, x).t();
-            add_corners(&mut removal, &placed, x, y, &self.samples);
-        }
-        let numerics = Numerics {
-            quadrature_points: points.len(),
-            subdivision: [x.subdivision, y.subdivision],
-            tif_interpolation_error: self.tif_interpolation_error,
-        };
+        let mut removal = Array2::zeros((self.y.pixels, self.x.pixels));
+        let numerics = self.add_to(removal.view_mut(), trajectory);
         (removal, numerics)
     }
 
-    /// E of (2): every pixel of the map, whether or not it is beyond the samples.
-    fn convolution(&self, placed: &ByCell) -> Array2<f64> {
-        let (x, y) = (&self.x, &self.y);
-        let mut seconds = Array2::zeros((y.source_nodes(), x.source_nodes()));
-        seconds.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
-            let row = row.as_slice_mut().expect("in C order");
-            let node = r as isize - y.last;
-            for d in -1..=2 {
-                for p in placed.at(node - d) {
-                    p.spread(p.time_s * weight_of(&p.weight[1], d), x, row);
+    /// Adds the removal of `trajectory` to that of an earlier motion (ny, nx), nm.
+    pub(crate) fn add_to(&self, removal: ArrayViewMut2<f64>, trajectory: &Trajectory) -> Numerics {
+        let bands = self.bands();
+        let reaching = self.reaching(&bands, trajectory);
+        let mut jobs = vec![];
+        let mut rest = removal;
+        for (rows, segments) in bands.iter().zip(&reaching) {
+            let (band, below) = rest.split_at(NdAxis(0), rows.len());
+            rest = below;
+            let mut band = Some(band);
+            for strips in self.strips() {
+                let whole = band.take().expect("one part for each pair of strips");
+                let (part, right) = whole.split_at(NdAxis(1), strips[0].len() + strips[1].len());
+                band = Some(right);
+                if !segments.is_empty() {
+                    jobs.push((Tile::new(self, rows.clone(), strips), segments, part));
                 }
             }
-        });
-        let all = self.convolution.valid(seconds.view());
-        if x.subdivision == 1 && y.subdivision == 1 {
-            return all;
         }
-        all.slice(s![..;y.subdivision, ..;x.subdivision]).to_owned()
+        let alone = jobs.len() == 1;
+        let idle = || self.idle.lock().expect("no thread panics with the lock");
+        let quadrature_points = jobs
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|(tile, segments, part)| {
+                let work = idle().pop();
+                let mut work = work.unwrap_or_else(|| Workspace::new(self));
+                let points = tile.run(trajectory, segments, part, &mut work, alone);
+                idle().push(work);
+                points
+            })
+            .sum();
+        Numerics {
+            quadrature_points,
+            subdivision: [self.x.subdivision, self.y.subdivision],
+            tif_interpolation_error: self.tif_interpolation_error,
+        }
     }
+
+    /// Rows of the map, band by band.
+    fn bands(&self) -> Vec<Range<usize>> {
+        parts(self.y.pixels, self.pixels[1])
+    }
+
+    /// Columns of the map, two strips for each tile; the last may be empty.
+    fn strips(&self) -> Vec<[Range<usize>; 2]> {
+        let n = self.x.pixels;
+        let strips = parts(n, self.pixels[0]);
+        strips
+            .chunks(2)
+            .map(|pair| [pair[0].clone(), pair.get(1).cloned().unwrap_or(n..n)])
+            .collect()
+    }
+
+    /// For each band the segments, in the order of time, from which the tool may reach it.
+    fn reaching(&self, bands: &[Range<usize>], trajectory: &Trajectory) -> Vec<Vec<Reach>> {
+        let cutter = Cutter::new([self.x.cells(), self.y.cells()]);
+        let reach = |segment: usize| {
+            let s = trajectory.segment(segment);
+            s.tool_on.then(|| Reach { segment, range: cutter.range(&s) })
+        };
+        let all: Vec<Reach> =
+            (0..trajectory.len()).into_par_iter().with_min_len(256).filter_map(reach).collect();
+        bands
+            .par_iter()
+            .map(|rows| {
+                let window = self.y.window(rows);
+                all.iter().filter(|r| r.is_in(1, &window)).copied().collect()
+            })
+            .collect()
+    }
+}
+
+/// Smallest and largest lattice coordinate [x, y] of a segment.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// Index in the trajectory.
+    pub segment: usize,
+    range: [[f64; 2]; 2],
+}
+
+impl Reach {
+    /// Whether some of it may be in the cells `window` along an axis.
+    pub fn is_in(&self, axis: usize, window: &Range<i64>) -> bool {
+        let [low, high] = self.range[axis];
+        // One cell more than rounding needs.
+        high >= (window.start - 1) as f64 && low <= (window.end + 1) as f64
+    }
+}
+
+/// 0 .. n in parts of `size`.
+fn parts(n: usize, size: usize) -> Vec<Range<usize>> {
+    (0..n).step_by(size).map(|from| from..(from + size).min(n)).collect()
 }
 
 /// Removal (ny, nx) in nm on `grid`.
@@ -157,6 +227,46 @@ pub fn removal_nm(
     grid: &Grid,
 ) -> Result<(Array2<f64>, Numerics), Invalid> {
     Ok(Plan::new(tif, grid)?.removal_nm(trajectory))
+}
+
+/// Cores that the tiles are laid out for. The result may not depend on how many there are.
+const CORES: usize = 2;
+
+/// Elements of a field of seconds above which transforms wait for memory (16 MiB), and by how much.
+const CACHED: usize = 1 << 20;
+const UNCACHED_COST: f64 = 2.0;
+
+/// Pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the
+/// least work for the busiest core.
+fn layout(x: &Lattice, y: &Lattice, leaks: bool) -> ([usize; 2], (usize, usize)) {
+    // Elements of a transform that holds all, and so for a part of the pixels.
+    let whole = |l: &Lattice| quick_size(l.source_nodes());
+    let choices = |l: &Lattice| -> Vec<(usize, usize)> {
+        let fits = |n: &usize| is_quick_size(*n) && *n >= l.samples();
+        let part = |n: usize| ((n - l.samples()) / l.subdivision + 1).min(l.pixels);
+        (1..=whole(l)).filter(fits).map(|n| (n, part(n))).collect()
+    };
+    let cost = |nx: usize, px: usize, ny: usize, py: usize| {
+        let tiles = x.pixels.div_ceil(px).div_ceil(2) * y.pixels.div_ceil(py);
+        let log = |n: usize| (n as f64).log2().max(1.0);
+        let (fx, fy) = (nx as f64 * log(nx), ny as f64 * log(ny));
+        let convolution = 2.0 * (ny as f64 * fx + nx as f64 * fy);
+        let border = if leaks { 7.0 * (py as f64 * fx + px as f64 * fy) } else { 0.0 };
+        let memory = if nx * ny > CACHED { UNCACHED_COST } else { 1.0 };
+        tiles.div_ceil(CORES) as f64 * (convolution * memory + border)
+    };
+    let mut best = (f64::INFINITY, [0, 0], (0, 0));
+    for &(nx, px) in &choices(x) {
+        for &(ny, py) in &choices(y) {
+            let cost = cost(nx, px, ny, py);
+            if cost < best.0 {
+                best = (cost, [px, py], (ny, nx));
+            }
+        }
+    }
+    // Parts of equal size.
+    let even = |l: &Lattice, part: usize| l.pixels.div_ceil(l.pixels.div_ceil(part));
+    ([even(x, best.1[0]), even(y, best.1[1])], best.2)
 }
 
 fn too_fine(tif: &Tif, grid: &Grid, x: &Lattice, y: &Lattice) -> Invalid {
@@ -172,356 +282,4 @@ fn too_fine(tif: &Tif, grid: &Grid, x: &Lattice, y: &Lattice) -> Invalid {
         ),
         "check that both are in mm, or resample the TIF to the pitch of the map",
     )
-}
-
-/// Lattice steps per pixel at which the lattice is twice as fine as the TIF's samples; 0 when
-/// those are on the pixels of the map.
-fn least_subdivision(map: &Axis, tif: &Axis) -> usize {
-    let ratio = map.step_mm() / tif.step_mm();
-    if (ratio - 1.0).abs() * (tif.len() - 1) as f64 <= SAME_LATTICE {
-        0
-    } else {
-        (2.0 * ratio).ceil().max(1.0) as usize
-    }
-}
-
-/// The lattice of one axis: pixel `i` of the map is node `i subdivision`, sample `j` of the TIF
-/// (on the lattice) has the offset `low + j step`.
-#[derive(Clone, Debug)]
-struct Lattice {
-    /// Whether the samples of the TIF are the nodes.
-    own: bool,
-    /// Lattice steps per pixel.
-    subdivision: usize,
-    /// Distance of the nodes, mm.
-    step_mm: f64,
-    /// Pixels of the map.
-    pixels: usize,
-    /// Coordinate of node 0 = pixel 0, mm.
-    start_mm: f64,
-    /// Offset of TIF sample 0 (= the lower edge of R), mm.
-    tif_start_mm: f64,
-    /// Upper edge of R, in steps from the lower one.
-    edge: f64,
-    /// Largest j with a sample: samples are j = -1 ..= last.
-    last: isize,
-}
-
-impl Lattice {
-    /// `subdivision` 0 stands for the TIF's own samples, on the pixels of the map.
-    fn new(map: &Axis, tif: &Axis, subdivision: usize) -> Self {
-        let own = subdivision == 0;
-        let subdivision = subdivision.max(1);
-        let step_mm = map.step_mm() / subdivision as f64;
-        let edge =
-            if own { (tif.len() - 1) as f64 } else { (tif.end_mm() - tif.start_mm()) / step_mm };
-        let (whole, fraction) = keys::split(edge);
-        let last = whole + if fraction > 0.0 { 2 } else { 1 };
-        Self {
-            own,
-            subdivision,
-            step_mm,
-            pixels: map.len(),
-            start_mm: map.start_mm(),
-            tif_start_mm: tif.start_mm(),
-            edge,
-            last,
-        }
-    }
-
-    /// Nodes between the first and the last pixel.
-    fn nodes(&self) -> usize {
-        (self.pixels - 1).saturating_mul(self.subdivision).saturating_add(1)
-    }
-
-    /// Tool positions outside low .. high reach no pixel. Two steps more than needed.
-    fn low_mm(&self) -> f64 {
-        self.start_mm - self.tif_start_mm - (self.last + 2) as f64 * self.step_mm
-    }
-
-    fn high_mm(&self) -> f64 {
-        let end_mm = self.start_mm + (self.nodes() - 1) as f64 * self.step_mm;
-        end_mm - self.tif_start_mm + 2.0 * self.step_mm
-    }
-
-    /// Tool positions at which a pixel passes a sample of the TIF, or its upper edge.
-    fn lines(&self, axis: usize) -> Vec<Lines> {
-        let first_mm = self.start_mm - self.tif_start_mm;
-        let line = |first_mm| Lines { axis, first_mm, step_mm: self.step_mm };
-        let mut lines = vec![line(first_mm)];
-        if keys::split(self.edge).1 > 0.0 {
-            lines.push(line(first_mm - self.edge * self.step_mm));
-        }
-        lines
-    }
-
-    /// Sources reach from node -last to node nodes(): one more than outputs and samples need.
-    fn source_nodes(&self) -> usize {
-        self.nodes().saturating_add(self.last as usize + 1)
-    }
-
-    /// Index in a source field of the node `q`, if it is there.
-    fn source_index(&self, q: isize) -> Option<usize> {
-        usize::try_from(q + self.last).ok().filter(|i| *i < self.source_nodes())
-    }
-
-    /// The pixel at the node `q`, if there is one.
-    fn pixel(&self, q: isize) -> Option<usize> {
-        let i = usize::try_from(q).ok()?;
-        (i % self.subdivision == 0 && i / self.subdivision < self.pixels)
-            .then_some(i / self.subdivision)
-    }
-
-    /// Whether the node k beyond the tool's cell, at the offset f in it, is beyond R's edges:
-    /// s = k - f outside [0, edge].
-    fn is_beyond(&self, k: isize, f: f64) -> bool {
-        let s = k as f64 - f;
-        s < -keys::SNAP || s > self.edge + keys::SNAP
-    }
-
-    /// The nodes k that may be beyond an edge and still get something from (1).
-    fn border(&self) -> Vec<isize> {
-        let upper = self.edge.floor() as isize;
-        (-2..=self.last + 2).filter(|k| *k <= 0 || *k >= upper).collect()
-    }
-
-    /// The samples j that those nodes get something from.
-    fn border_samples(&self) -> Vec<isize> {
-        let upper = self.edge.floor() as isize;
-        (-1..=self.last).filter(|j| *j <= 1 || *j >= upper - 2).collect()
-    }
-}
-
-/// A quadrature point on the lattice.
-#[derive(Clone, Copy, Debug)]
-struct Placed {
-    /// Lattice cell [x, y].
-    cell: [isize; 2],
-    /// Offset in the cell [x, y].
-    offset: [f64; 2],
-    /// Keys' weights of the offset [x, y].
-    weight: [[f64; 4]; 2],
-    time_s: f64,
-}
-
-impl Placed {
-    fn new(sample: &Sample, x: &Lattice, y: &Lattice) -> Self {
-        let place = |lattice: &Lattice, p: f64| {
-            // c = (P + a - x0) / h = C + f
-            keys::split((p + lattice.tif_start_mm - lattice.start_mm) / lattice.step_mm)
-        };
-        let (cx, fx) = place(x, sample.position_mm[0]);
-        let (cy, fy) = place(y, sample.position_mm[1]);
-        Self {
-            cell: [cx, cy],
-            offset: [fx, fy],
-            weight: [keys::weights(fx), keys::weights(fy)],
-            time_s: sample.time_s,
-        }
-    }
-
-    /// The same with x and y exchanged.
-    fn swapped(&self) -> Self {
-        let swap = |[a, b]: [isize; 2]| [b, a];
-        Self {
-            cell: swap(self.cell),
-            offset: [self.offset[1], self.offset[0]],
-            weight: [self.weight[1], self.weight[0]],
-            time_s: self.time_s,
-        }
-    }
-
-    /// Adds `seconds` to a row of sources, with the weights along x.
-    fn spread(&self, seconds: f64, x: &Lattice, row: &mut [f64]) {
-        let first = self.cell[0] - 1 + x.last;
-        if let Some(nodes) = usize::try_from(first).ok().and_then(|i| row.get_mut(i..i + 4)) {
-            nodes.iter_mut().zip(self.weight[0]).for_each(|(n, w)| *n += seconds * w);
-            return;
-        }
-        for (a, w) in self.weight[0].iter().enumerate() {
-            if let Some(c) = x.source_index(self.cell[0] + a as isize - 1) {
-                row[c] += seconds * w;
-            }
-        }
-    }
-}
-
-/// Quadrature points by their cell along y; in the order of time within one.
-struct ByCell {
-    lowest: isize,
-    /// Where the points of `lowest + i` start; one more at the end.
-    start: Vec<usize>,
-    placed: Vec<Placed>,
-}
-
-impl ByCell {
-    fn new(mut placed: Vec<Placed>) -> Self {
-        placed.sort_by_key(|p| p.cell[1]);
-        let lowest = placed.first().map_or(0, |p| p.cell[1]);
-        let cells = placed.last().map_or(0, |p| (p.cell[1] - lowest + 1) as usize);
-        let before = |i| placed.partition_point(|p| p.cell[1] < lowest + i as isize);
-        Self { lowest, start: (0..=cells).map(before).collect(), placed }
-    }
-
-    /// The points of one cell.
-    fn at(&self, cell: isize) -> &[Placed] {
-        let Ok(i) = usize::try_from(cell - self.lowest) else { return &[] };
-        match self.start.get(i..i.saturating_add(2)) {
-            Some(&[from, to]) => &self.placed[from..to],
-            _ => &[],
-        }
-    }
-}
-
-/// `w_d` for d = -1..2, else 0.
-fn weight_of(weights: &[f64; 4], d: isize) -> f64 {
-    usize::try_from(d + 1).ok().and_then(|i| weights.get(i)).copied().unwrap_or(0.0)
-}
-
-/// Samples j = -1 ..= last of both axes; [j + 1] in the array. On the TIF's own lattice these are
-/// its samples with Keys' ghost nodes.
-fn sample_anew(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
-    if x.own && y.own {
-        return tif.with_ghosts().clone();
-    }
-    let offset = |l: &Lattice, j: usize| l.tif_start_mm + (j as f64 - 1.0) * l.step_mm;
-    Array2::from_shape_fn(((y.last + 2) as usize, (x.last + 2) as usize), |(j, i)| {
-        continued(tif, offset(x, i), offset(y, j))
-    })
-}
-
-/// R, continued beyond its samples by the polynomials of its outermost cells.
-fn continued(tif: &Tif, dx_mm: f64, dy_mm: f64) -> f64 {
-    let cell = |axis: &Axis, d: f64| {
-        let s = (d - axis.start_mm()) / axis.step_mm();
-        let i = (s.floor().max(0.0) as usize).min(axis.len() - 2);
-        (i, keys::weights(s - i as f64))
-    };
-    let ((ix, wx), (iy, wy)) = (cell(&tif.grid().x, dx_mm), cell(&tif.grid().y, dy_mm));
-    let g = tif.with_ghosts();
-    (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * g[[iy + b, ix + a]]).sum::<f64>()).sum()
-}
-
-/// Largest error of (1) against R in the middle of the lattice cells, relative to the peak.
-fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> f64 {
-    if x.own && y.own {
-        return 0.0;
-    }
-    let middle = keys::weights(0.5);
-    let (cells_y, cells_x) = ((y.edge.floor() as usize).max(1), (x.edge.floor() as usize).max(1));
-    let worst = (0..cells_y)
-        .into_par_iter()
-        .map(|j| {
-            (0..cells_x)
-                .map(|i| {
-                    let k: f64 = (0..4)
-                        .map(|b| {
-                            middle[b] * (0..4).map(|a| middle[a] * g[[j + b, i + a]]).sum::<f64>()
-                        })
-                        .sum();
-                    let dx = x.tif_start_mm + (i as f64 + 0.5) * x.step_mm;
-                    let dy = y.tif_start_mm + (j as f64 + 0.5) * y.step_mm;
-                    (k - continued(tif, dx, dy)).abs()
-                })
-                .fold(0.0, f64::max)
-        })
-        .reduce(|| 0.0, f64::max);
-    worst / tif.peak_nm_per_s()
-}
-
-/// Whether anything leaks: some sample next to the border is not negligible.
-fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
-    let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
-    let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));
-    // Below this the leak is lost in the rounding of the peak.
-    border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * tif.peak_nm_per_s()
-}
-
-/// `E ly` of (2): what (1) gives to the pixel rows beyond the samples.
-///
-/// For each sample row j next to the border, the seconds w_{k-j}(f_y) go to the pixel row C + k
-/// that leaks; the row is then convolved with g[j, :] along x.
-struct Leak {
-    border: Vec<isize>,
-    border_samples: Vec<isize>,
-    convolution: fft::RowConvolution,
-}
-
-impl Leak {
-    fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>) -> Self {
-        let border_samples = y.border_samples();
-        let rows: Vec<usize> = border_samples.iter().map(|j| (j + 1) as usize).collect();
-        let kernels = g.select(NdAxis(0), &rows);
-        let convolution = fft::RowConvolution::new(kernels.view(), x.source_nodes());
-        Self { border: y.border(), border_samples, convolution }
-    }
-
-    /// (ny, nx) for points by their cell along y.
-    fn of(&self, placed: &ByCell, x: &Lattice, y: &Lattice) -> Array2<f64> {
-        let mut leak = Array2::zeros((y.pixels, x.pixels));
-        leak.outer_iter_mut().into_par_iter().enumerate().for_each_init(
-            || {
-                let sources = Array2::zeros((self.border_samples.len(), x.source_nodes()));
-                (sources, vec![false; self.border_samples.len()], self.convolution.workspace())
-            },
-            |(sources, used, work), (r, mut out)| {
-                used.fill(false);
-                let node = (r * y.subdivision) as isize;
-                for &k in &self.border {
-                    for p in placed.at(node - k).iter().filter(|p| y.is_beyond(k, p.offset[1])) {
-                        for (i, j) in self.border_samples.iter().enumerate() {
-                            let wy = weight_of(&p.weight[1], k - j);
-                            if wy == 0.0 {
-                                continue;
-                            }
-                            let mut source = sources.row_mut(i);
-                            let source = source.as_slice_mut().expect("in C order");
-                            if !used[i] {
-                                source.fill(0.0);
-                                used[i] = true;
-                            }
-                            p.spread(p.time_s * wy, x, source);
-                        }
-                    }
-                }
-                let valid = self.convolution.valid_sum(sources.view(), used, work);
-                if let Some(valid) = valid {
-                    let pixels = valid.iter().step_by(x.subdivision);
-                    out.iter_mut().zip(pixels).for_each(|(o, v)| *o = *v);
-                }
-            },
-        );
-        leak
-    }
-}
-
-/// Adds `E ly lx` of (2): the pixels diagonally beyond the corners of the TIF.
-fn add_corners(
-    removal: &mut Array2<f64>,
-    placed: &[Placed],
-    x: &Lattice,
-    y: &Lattice,
-    g: &Array2<f64>,
-) {
-    let (border_x, border_y) = (x.border(), y.border());
-    for p in placed {
-        for &ky in border_y.iter().filter(|k| y.is_beyond(**k, p.offset[1])) {
-            let Some(r) = y.pixel(p.cell[1] + ky) else { continue };
-            for &kx in border_x.iter().filter(|k| x.is_beyond(**k, p.offset[0])) {
-                let Some(c) = x.pixel(p.cell[0] + kx) else { continue };
-                // (1) in two dimensions
-                let mut rate = 0.0;
-                for (b, wy) in p.weight[1].iter().enumerate() {
-                    let j = ky - (b as isize - 1);
-                    for (a, wx) in p.weight[0].iter().enumerate() {
-                        let i = kx - (a as isize - 1);
-                        if (-1..=y.last).contains(&j) && (-1..=x.last).contains(&i) {
-                            rate += wy * wx * g[[(j + 1) as usize, (i + 1) as usize]];
-                        }
-                    }
-                }
-                removal[[r, c]] += p.time_s * rate;
-            }
-        }
-    }
 }

@@ -10,7 +10,7 @@
 //!
 //! Two methods, which share nothing but the definition of R:
 //!
-//! * [`gridded`]: exact quadrature ([`quadrature`]) and one FFT convolution; the default.
+//! * [`gridded`]: exact quadrature ([`quadrature`]) and FFT convolution; the default.
 //! * [`direct`]: midpoint quadrature, pixel by pixel; slow, and the oracle of the other.
 //!
 //! [`frames`] does either of them part by part: the surface in the course of the run.
@@ -24,7 +24,9 @@
 pub mod direct;
 pub mod frames;
 pub mod gridded;
+mod lattice;
 pub mod quadrature;
+mod tile;
 
 use ndarray::Array2;
 use planish_types::{Grid, Invalid, Removal, Surface, Tif, Trajectory};
@@ -94,6 +96,15 @@ impl<'a> Plan<'a> {
             Self::Gridded(plan) => Ok(plan.removal_nm(trajectory)),
             Self::Direct { tif, grid, steps } => direct::removal_nm(trajectory, tif, grid, *steps),
         }
+    }
+
+    /// Adds the removal of `trajectory` to that of an earlier motion (ny, nx), nm.
+    fn add_to(&self, removal: &mut Array2<f64>, trajectory: &Trajectory) -> Result<(), Invalid> {
+        match self {
+            Self::Gridded(plan) => drop(plan.add_to(removal.view_mut(), trajectory)),
+            Self::Direct { .. } => *removal += &self.removal_nm(trajectory)?.0,
+        }
+        Ok(())
     }
 
     /// Removal of `trajectory` and the residual of `desired`, which is on the planned pixels.

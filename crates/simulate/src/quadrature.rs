@@ -6,150 +6,331 @@
 //! is a polynomial there. With straight uniform motion along an axis (degree 3) two points would
 //! be exact; three are exact up to degree 5, and what is left of the degrees above (diagonal,
 //! accelerated motion) is the product of small numbers.
+//!
+//! All that a piece gives to the sixteen nodes around its cell are the integrals
+//!
+//! ```text
+//! M[b][a] = integral over the piece of w_b(f_y(t)) w_a(f_x(t)) dt
+//! ```
+//!
+//! of Keys' weights, which sum to its duration.
 
-use planish_numerics::{polynomial, quadrature::gauss_legendre};
-use planish_types::{Segment, Trajectory};
+use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
+use planish_types::Segment;
 
-/// The tool at `position_mm` for `time_s`.
+/// Gauss points of a piece.
+pub const POINTS: usize = 3;
+
+/// Error of the cuts, in cells: a piece of a TIF with a border of a nm/s is 1e-11 of the time of
+/// a cell too long.
+const CUT_TOLERANCE: f64 = 1e-11;
+
+/// A piece below this part of its segment is rounding: two axes that cross at the same time.
+const SHORTEST: f64 = 1e-13;
+
+/// The lattice cells of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample {
-    /// Position [x, y], mm.
-    pub position_mm: [f64; 2],
-    /// Quadrature weight: seconds at this position.
-    pub time_s: f64,
-}
-
-/// Lines `first_mm + i step_mm`, i over all integers, where the integrand is not smooth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lines {
-    /// 0 for lines of constant x, 1 for lines of constant y.
-    pub axis: usize,
-    /// Any one of the lines, mm.
-    pub first_mm: f64,
-    /// Distance between the lines, mm; > 0.
+pub struct Cells {
+    /// Where cell 0 begins, mm.
+    pub origin_mm: f64,
+    /// Size of a cell, mm; > 0.
     pub step_mm: f64,
+    /// Where in every cell the motion is cut besides, in (0, 1): the upper edge of the TIF.
+    pub inner: Option<f64>,
 }
 
-/// Quadrature points of the time that the tool is on, cut at `lines`; only pieces of the motion
-/// inside the box `low_mm` .. `high_mm` (outside it nothing is reached).
-pub fn samples(
-    trajectory: &Trajectory,
-    lines: &[Lines],
-    low_mm: [f64; 2],
-    high_mm: [f64; 2],
-) -> Vec<Sample> {
-    let rule = gauss_legendre::<3>();
-    let mut samples = Vec::new();
-    let mut cuts = Vec::new();
-    for segment in trajectory.segments().filter(|s| s.tool_on) {
-        let c = segment.coefficient_mm;
+/// The cells `low` .. `high` [x, y].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// First cell.
+    pub low: [i64; 2],
+    /// One beyond the last.
+    pub high: [i64; 2],
+}
+
+/// A piece of the motion within one cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece {
+    /// Cell [x, y].
+    pub cell: [i64; 2],
+    /// Offset in the cell [x, y] at the middle of the piece; 0 on a line.
+    pub offset: [f64; 2],
+    /// M of the module, [b][a] (y, x), s.
+    pub seconds: [[f64; 4]; 4],
+    /// Quadrature points.
+    pub points: usize,
+}
+
+/// Cuts motions at the cells of a lattice.
+pub struct Cutter {
+    cells: [Cells; 2],
+    rule: [(f64, f64); POINTS],
+    cuts: Vec<f64>,
+}
+
+impl Cutter {
+    /// For cells along [x, y].
+    pub fn new(cells: [Cells; 2]) -> Self {
+        Self { cells, rule: gauss_legendre(), cuts: Vec::new() }
+    }
+
+    /// Smallest and largest lattice coordinate [x, y] of `segment`.
+    pub fn range(&self, segment: &Segment<'_>) -> [[f64; 2]; 2] {
+        self.on_lattice(segment).map(|c| {
+            let r = polynomial::range(&c, segment.duration_s);
+            [r.min, r.max]
+        })
+    }
+
+    /// Calls `each` with the pieces of `segment` in the window, in the order of time.
+    pub fn pieces(&mut self, segment: &Segment<'_>, window: &Window, mut each: impl FnMut(&Piece)) {
+        let c = self.on_lattice(segment);
         if c.iter().all(|axis| axis[1..] == [0.0; 3]) {
             // At rest: the integrand is constant.
-            samples.push(Sample { position_mm: [c[0][0], c[1][0]], time_s: segment.duration_s });
-            continue;
+            let at = c.map(|c| keys::split(c[0]));
+            if let Some(cell) = window.cell(at) {
+                let offset = at.map(|(_, f)| f);
+                let mut piece = Piece { cell, offset, seconds: [[0.0; 4]; 4], points: 1 };
+                piece.add(offset, segment.duration_s);
+                each(&piece);
+            }
+            return;
         }
-        cut(&segment, lines, low_mm, high_mm, &mut cuts);
-        for piece in cuts.windows(2) {
-            let duration_s = piece[1] - piece[0];
-            samples.extend(rule.iter().map(|(node, weight)| Sample {
-                position_mm: segment.position_mm(piece[0] + node * duration_s),
-                time_s: weight * duration_s,
-            }));
+        self.cut(&c, segment.duration_s, window);
+        let shortest = SHORTEST * segment.duration_s;
+        let mut start = 0.0;
+        for &end in &self.cuts {
+            let duration = end - start;
+            if duration <= shortest {
+                continue;
+            }
+            let middle = start + 0.5 * duration;
+            let split = |axis: usize| keys::split(polynomial::evaluate(&c[axis], middle));
+            let at = [split(0), split(1)];
+            if let Some(cell) = window.cell(at) {
+                let offset = [at[0].1, at[1].1];
+                let mut piece = Piece { cell, offset, seconds: [[0.0; 4]; 4], points: POINTS };
+                for (node, weight) in self.rule {
+                    let u = start + node * duration;
+                    let f = |axis: usize| polynomial::evaluate(&c[axis], u) - cell[axis] as f64;
+                    piece.add([f(0), f(1)], weight * duration);
+                }
+                each(&piece);
+            }
+            start = end;
         }
     }
-    samples.retain(|s| (0..2).all(|a| (low_mm[a]..=high_mm[a]).contains(&s.position_mm[a])));
-    samples
-}
 
-/// Local times at which the segment starts, turns back on an axis, crosses a line, and ends.
-fn cut(
-    segment: &Segment<'_>,
-    lines: &[Lines],
-    low_mm: [f64; 2],
-    high_mm: [f64; 2],
-    cuts: &mut Vec<f64>,
-) {
-    let end = segment.duration_s;
-    cuts.clear();
-    cuts.extend([0.0, end]);
-    for axis in 0..2 {
-        let c = &segment.coefficient_mm[axis];
-        let d = polynomial::derivative(c);
-        // Monotone pieces of the axis.
-        let mut turns = vec![0.0];
-        turns.extend(polynomial::quadratic_roots(d[0], d[1], d[2], end));
-        turns.push(end);
-        cuts.extend(&turns[1..turns.len() - 1]);
-        for (piece, lines) in turns
-            .windows(2)
-            .flat_map(|w| lines.iter().map(move |l| (w, l)))
-            .filter(|(_, l)| l.axis == axis)
-        {
-            let (p0, p1) = (polynomial::evaluate(c, piece[0]), polynomial::evaluate(c, piece[1]));
-            let low = p0.min(p1).max(low_mm[axis]);
-            let high = p0.max(p1).min(high_mm[axis]);
-            let first = ((low - lines.first_mm) / lines.step_mm).ceil() as i64;
-            let last = ((high - lines.first_mm) / lines.step_mm).floor() as i64;
-            for i in first..=last {
-                let level = lines.first_mm + i as f64 * lines.step_mm;
-                cuts.push(polynomial::monotone_crossing(c, level, piece[0], piece[1]));
+    /// The motion in lattice coordinates.
+    fn on_lattice(&self, segment: &Segment<'_>) -> [[f64; 4]; 2] {
+        [0, 1].map(|axis| {
+            let Cells { origin_mm, step_mm, .. } = self.cells[axis];
+            let c = &segment.coefficient_mm[axis];
+            [(c[0] - origin_mm) / step_mm, c[1] / step_mm, c[2] / step_mm, c[3] / step_mm]
+        })
+    }
+
+    /// Local times at which the motion turns back on an axis, crosses a line, and ends.
+    fn cut(&mut self, c: &[[f64; 4]; 2], end: f64, window: &Window) {
+        self.cuts.clear();
+        for axis in 0..2 {
+            let d = polynomial::derivative(&c[axis]);
+            let levels = [window.low[axis], window.high[axis]];
+            let mut from = 0.0;
+            // Monotone pieces of the axis.
+            for to in polynomial::quadratic_roots(d[0], d[1], d[2], end).chain([end]) {
+                if from > 0.0 {
+                    self.cuts.push(from);
+                }
+                crossings(&c[axis], &d, [from, to], levels, 0.0, &mut self.cuts);
+                if let Some(inner) = self.cells[axis].inner {
+                    crossings(&c[axis], &d, [from, to], levels, inner, &mut self.cuts);
+                }
+                from = to;
             }
         }
+        self.cuts.push(end);
+        if !self.cuts.is_sorted() {
+            self.cuts.sort_unstable_by(f64::total_cmp);
+        }
     }
-    cuts.sort_by(f64::total_cmp);
-    // Two axes that cross a line at the same time leave a piece of rounding size.
-    cuts.dedup_by(|later, earlier| *later - *earlier <= 1e-13 * end);
+}
+
+impl Window {
+    /// The cell of two split coordinates, if it is inside.
+    fn cell(&self, at: [(isize, f64); 2]) -> Option<[i64; 2]> {
+        let cell = [at[0].0 as i64, at[1].0 as i64];
+        let inside = |a: usize| cell[a] >= self.low[a] && cell[a] < self.high[a];
+        (inside(0) && inside(1)).then_some(cell)
+    }
+}
+
+impl Piece {
+    /// The tool at `offset` for `time_s`.
+    #[inline]
+    fn add(&mut self, offset: [f64; 2], time_s: f64) {
+        let (wx, wy) = (keys::weights(offset[0]), keys::weights(offset[1]));
+        for (row, wy) in self.seconds.iter_mut().zip(wy) {
+            let t = wy * time_s;
+            row.iter_mut().zip(wx).for_each(|(m, wx)| *m += t * wx);
+        }
+    }
+}
+
+/// Appends the times in `between` at which the monotone p crosses i + `inner` for the integers i
+/// of the closed range `levels`; `d` is p'.
+fn crossings(
+    p: &[f64; 4],
+    d: &[f64; 4],
+    between: [f64; 2],
+    levels: [i64; 2],
+    inner: f64,
+    times: &mut Vec<f64>,
+) {
+    let [mut u, end] = between;
+    let (p0, p1) = (polynomial::evaluate(p, u), polynomial::evaluate(p, end));
+    if (p1 - p0).abs() <= keys::SNAP {
+        return;
+    }
+    let rising = p1 > p0;
+    let first = ((p0.min(p1) - inner).ceil() as i64).max(levels[0]);
+    let last = ((p0.max(p1) - inner).floor() as i64).min(levels[1]);
+    let mut at = p0;
+    for i in 0..=last.saturating_sub(first) {
+        if last < first {
+            return;
+        }
+        let level = if rising { first + i } else { last - i } as f64 + inner;
+        u = crossing(p, d, level, [u, end], at, rising);
+        times.push(u);
+        at = level;
+    }
+}
+
+/// The time in `between` at which p, there monotone, is `level`; p is `at` at its start.
+fn crossing(
+    p: &[f64; 4],
+    d: &[f64; 4],
+    level: f64,
+    between: [f64; 2],
+    at: f64,
+    rising: bool,
+) -> f64 {
+    let [start, end] = between;
+    let tolerance = CUT_TOLERANCE.max(4.0 * f64::EPSILON * level.abs());
+    // v t + a t^2 / 2 = level - at, in the form that does not cancel
+    let (v, a) = (polynomial::evaluate(d, start), d[1] + 2.0 * d[2] * start);
+    let root = (v * v + 2.0 * a * (level - at)).max(0.0).sqrt();
+    let mut u = start + 2.0 * (level - at) / (if rising { v + root } else { v - root });
+    for _ in 0..4 {
+        if !(u >= start && u <= end) {
+            break;
+        }
+        let error = polynomial::evaluate(p, u) - level;
+        if error.abs() <= tolerance {
+            return u;
+        }
+        let v = polynomial::evaluate(d, u);
+        let step = error / v;
+        u -= step;
+        // What a step of Newton leaves: p'' step^2 / 2.
+        let left =
+            (0.5 * (d[1] + 2.0 * d[2] * u) * step * step).abs() + (d[2] * step.powi(3)).abs();
+        if left <= tolerance && u >= start && u <= end {
+            return u;
+        }
+    }
+    polynomial::monotone_crossing(p, level, start, end)
 }
 
 #[cfg(test)]
 mod tests {
+    use planish_types::Trajectory;
+
     use super::*;
 
-    const BOX: ([f64; 2], [f64; 2]) = ([-100.0; 2], [100.0; 2]);
+    const ALL: Window = Window { low: [-1000; 2], high: [1000; 2] };
 
     fn trajectory(c: [[f64; 4]; 2], end: f64) -> Trajectory {
         Trajectory::new(vec![0.0, end], vec![c], vec![true], vec![0]).unwrap()
     }
 
-    fn integral(samples: &[Sample], f: impl Fn([f64; 2]) -> f64) -> f64 {
-        samples.iter().map(|s| s.time_s * f(s.position_mm)).sum()
+    fn cells(first: f64, step: f64) -> [Cells; 2] {
+        [Cells { origin_mm: first, step_mm: step, inner: None }; 2]
+    }
+
+    fn pieces(t: &Trajectory, cells: [Cells; 2], window: &Window) -> Vec<Piece> {
+        let mut pieces = vec![];
+        let mut cutter = Cutter::new(cells);
+        t.segments().for_each(|s| cutter.pieces(&s, window, |p| pieces.push(*p)));
+        pieces
+    }
+
+    fn seconds(p: &Piece) -> f64 {
+        p.seconds.iter().flatten().sum()
     }
 
     #[test]
-    fn a_kink_on_a_line_is_integrated_exactly_whichever_way_the_tool_goes() {
+    fn a_jump_on_a_line_is_integrated_exactly_whichever_way_the_tool_goes() {
         // x(u) = 3u - u^2 on [0, 4] turns back at u = 1.5, x = 2.25.
         let t = trajectory([[0.0, 3.0, -1.0, 0.0], [0.0; 4]], 4.0);
-        let lines = [Lines { axis: 0, first_mm: 0.5, step_mm: 1.0 }];
-        let s = samples(&t, &lines, BOX.0, BOX.1);
-        // f = step at 0.5: the time with x > 0.5 is 2 sqrt(1.5^2 - 0.5).
-        let above = integral(&s, |p| f64::from(p[0] > 0.5));
-        assert!((above - 2.0 * (2.25_f64 - 0.5).sqrt()).abs() < 1e-12, "{above}");
-        // f = |x - 0.5| is quadratic in u on every piece.
-        let antiderivative = |u: f64| 1.5 * u * u - u.powi(3) / 3.0 - 0.5 * u;
-        let (a, b) = (1.5 - 1.75_f64.sqrt(), 1.5 + 1.75_f64.sqrt());
-        let exact = 2.0 * (antiderivative(b) - antiderivative(a)) - antiderivative(4.0);
-        assert!((integral(&s, |p| (p[0] - 0.5).abs()) - exact).abs() < 1e-12);
-    }
-
-    #[test]
-    fn time_is_conserved_inside_the_box_and_a_lifted_tool_counts_nothing() {
-        let c = [[0.0, 10.0, 0.0, 0.0], [0.0, -3.0, 0.5, 0.0]];
-        let lines = [0, 1].map(|axis| Lines { axis, first_mm: 0.0, step_mm: 0.1 });
-        let total = |t: &Trajectory, b: ([f64; 2], [f64; 2])| {
-            samples(t, &lines, b.0, b.1).iter().map(|s| s.time_s).sum::<f64>()
+        let pieces = pieces(&t, cells(0.5, 1.0), &ALL);
+        // The time with x > 0.5 is 2 sqrt(1.5^2 - 0.5).
+        let above: f64 = pieces.iter().filter(|p| p.cell[0] >= 0).map(seconds).sum();
+        assert!((above - 2.0 * (2.25_f64 - 0.5).sqrt()).abs() < 1e-11, "{above}");
+        // Keys' weights reproduce x: its integral is 8 u^2 / 2 - u^3 / 3 at the end.
+        let x = |p: &Piece| {
+            let at = |a: usize| 0.5 + (p.cell[0] + a as i64 - 1) as f64;
+            (0..4).map(|a| at(a) * (0..4).map(|b| p.seconds[b][a]).sum::<f64>()).sum::<f64>()
         };
-        assert!((total(&trajectory(c, 2.0), BOX) - 2.0).abs() < 1e-12);
-        // x in [5, 12] is the time [0.5, 1.2]; both ends lie on lines.
-        let time = total(&trajectory(c, 2.0), ([5.0, -100.0], [12.0, 100.0]));
-        assert!((time - 0.7).abs() < 1e-12, "{time}");
-        let lifted = Trajectory::new(vec![0.0, 2.0], vec![c], vec![false], vec![-1]).unwrap();
-        assert_eq!(total(&lifted, BOX), 0.0);
+        let integral: f64 = pieces.iter().map(x).sum();
+        assert!((integral - (1.5 * 16.0 - 64.0 / 3.0)).abs() < 1e-11, "{integral}");
     }
 
     #[test]
-    fn a_resting_tool_is_one_sample() {
-        let t = trajectory([[1.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]], 3.0);
-        let s = samples(&t, &[], BOX.0, BOX.1);
-        assert_eq!(s, [Sample { position_mm: [1.0, 2.0], time_s: 3.0 }]);
+    fn time_is_conserved_and_pieces_stay_in_their_cell() {
+        let motions = [
+            [[0.0, 10.0, 0.0, 0.0], [0.0, -3.0, 0.5, 0.0]],
+            // from rest to rest, and with two turns
+            [[0.0, 0.0, 15.0, -5.0], [1.0, 0.0, 0.0, 0.0]],
+            [[0.05, 3.0, -4.0, 1.3], [7.0, 0.0, -20.0, 10.0]],
+            // along a line of the lattice
+            [[0.0, 1.0, 0.0, 0.0], [0.3, 0.0, 0.0, 0.0]],
+        ];
+        for c in motions {
+            for inner in [None, Some(0.3)] {
+                let cells = cells(0.0, 0.1).map(|c| Cells { inner, ..c });
+                let t = trajectory(c, 2.0);
+                let found = pieces(&t, cells, &ALL);
+                let total: f64 = found.iter().map(seconds).sum();
+                assert!((total - 2.0).abs() < 1e-12, "{c:?}: {total}");
+                // Weights w_-1 and w_2 are never positive within a cell.
+                for p in &found {
+                    let outer = (0..4).map(|b| p.seconds[b][0].max(p.seconds[b][3])).sum::<f64>();
+                    assert!(outer <= 2.0 * seconds(p), "{p:?}");
+                    let sums = (0..4).map(|a| (0..4).map(|b| p.seconds[b][a]).sum::<f64>());
+                    assert!(sums.zip([-1.0, 1.0, 1.0, -1.0]).all(|(s, sign)| s * sign > -1e-12));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_window() {
+        let c = [[0.0, 10.0, 0.0, 0.0], [0.0, -3.0, 0.5, 0.0]];
+        // x in [5, 12] is the time [0.5, 1.2].
+        let window = Window { low: [50, -1000], high: [120, 1000] };
+        let time: f64 =
+            pieces(&trajectory(c, 2.0), cells(0.0, 0.1), &window).iter().map(seconds).sum();
+        assert!((time - 0.7).abs() < 1e-11, "{time}");
+    }
+
+    #[test]
+    fn a_resting_tool_is_one_piece() {
+        let t = trajectory([[1.25, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]], 3.0);
+        let found = pieces(&t, cells(0.0, 0.5), &ALL);
+        let [p] = found.as_slice() else { panic!("{found:?}") };
+        assert_eq!((p.cell, p.offset, p.points), ([2, 4], [0.5, 0.0], 1));
+        assert_eq!(seconds(p), 3.0);
     }
 }

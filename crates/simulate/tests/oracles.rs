@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 use planish_numerics::statistics;
-use planish_simulate::{Settings, direct, gridded, simulate};
+use planish_simulate::{Plan, Settings, direct, frames::frames, gridded, simulate};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory};
 
 const PEAK: f64 = 8.0;
@@ -265,4 +265,164 @@ fn the_residual_is_desired_minus_removal() {
     assert!(sum.iter().all(|v| (v - 7.0).abs() < 1e-14));
     assert!(p.removal.removal_nm()[[10, 20]] > 1.0);
     assert!(simulate(&t, &tif, &desired, Settings::Direct { steps: 0 }).is_err());
+}
+
+/// Cubic motions in all directions over and beyond the map, with rests between them, on a pixel, on
+/// a line of pixels and anywhere, and a lift.
+fn everywhere() -> Trajectory {
+    let (mut breaks, mut c, mut on) = (vec![0.0], vec![], vec![]);
+    let mut last: f64 = 0.0;
+    let mut push = |seconds: f64, motion: [[f64; 4]; 2], tool_on: bool| {
+        last += seconds;
+        breaks.push(last);
+        c.push(motion);
+        on.push(tool_on);
+    };
+    let rest = |x: f64, y: f64| [[x, 0.0, 0.0, 0.0], [y, 0.0, 0.0, 0.0]];
+    for i in 0..24 {
+        let i = f64::from(i);
+        let angle = 2.4 * i;
+        let (vx, vy) = (9.0 * angle.cos(), 7.0 * angle.sin());
+        let from = [12.0 + 11.0 * (1.7 * i).sin(), 8.0 + 8.0 * (2.3 * i).cos()];
+        push(0.8, [[from[0], vx, 1.0, -0.8], [from[1], vy, -2.0, 1.1]], i != 7.0);
+        push(0.1, rest(from[0], from[1]), true);
+    }
+    push(0.3, rest(3.0, 2.0), true);
+    // along a line of pixels, from rest, and back
+    push(1.0, [[2.0, 0.0, 9.0, -3.0], [3.0, 0.0, 0.0, 0.0]], true);
+    push(1.0, [[8.0, 0.0, -9.0, 3.0], [3.0, 0.0, 0.0, 0.0]], true);
+    push(0.5, rest(-400.0, 2.0), true);
+    push(1.0, [[300.0, 5.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]], true);
+    let n = c.len() as i64;
+    Trajectory::new(breaks, c, on, (0..n).collect()).unwrap()
+}
+
+/// The limit of the direct quadrature, and how far the gridded result is from it, of a smooth TIF
+/// that ends with a step below 1e-8 of its peak.
+#[test]
+fn the_gridded_result_is_the_limit_of_the_direct_quadrature_in_all_directions() {
+    let g = grid([0.0, 0.0], [0.2; 2], [121, 83]);
+    let t = everywhere();
+    let tif = gaussian(0.2);
+    let exact = gridded(&t, &tif, &g);
+    let [a, b, c] = [16, 32, 64].map(|m| direct::removal_nm(&t, &tif, &g, m).unwrap().0);
+    let order = (largest(&a, &exact) / largest(&b, &exact)).log2();
+    assert!((1.9..2.1).contains(&order), "order {order}");
+    // Without its term of the order 2 the kinks of R'' are left, at most of the order 3.
+    let limit = |coarse: &Array2<f64>, fine: &Array2<f64>| (4.0 * fine - coarse) / 3.0;
+    let errors = [limit(&a, &b), limit(&b, &c)].map(|l| largest(&l, &exact));
+    // The goal: 1e-3 nm.
+    assert!(errors[1] < 5e-4, "{errors:?} nm");
+    assert!(errors[1] < errors[0] / 4.0, "{errors:?}");
+    assert!(exact.iter().any(|v| *v > 1.0));
+}
+
+/// The same motion with every segment in two.
+fn halved(t: &Trajectory) -> Trajectory {
+    let (mut breaks, mut c, mut on) = (vec![t.break_time_s()[0]], vec![], vec![]);
+    for s in t.segments() {
+        let d = 0.5 * s.duration_s;
+        let later = |p: &[f64; 4]| {
+            [
+                p[0] + d * (p[1] + d * (p[2] + d * p[3])),
+                p[1] + d * (2.0 * p[2] + 3.0 * d * p[3]),
+                p[2] + 3.0 * d * p[3],
+                p[3],
+            ]
+        };
+        breaks.extend([s.start_s + d, s.start_s + s.duration_s]);
+        c.extend([*s.coefficient_mm, [later(&s.coefficient_mm[0]), later(&s.coefficient_mm[1])]]);
+        on.extend([s.tool_on; 2]);
+    }
+    let n = c.len() as i64;
+    Trajectory::new(breaks, c, on, (0..n).collect()).unwrap()
+}
+
+#[test]
+fn the_remainder_of_the_quadrature_is_far_below_the_goal() {
+    let g = grid([0.0, 0.0], [0.2; 2], [121, 83]);
+    // The goal is 1e-3 nm. What is left are the degrees above 5 of an accelerated motion in a cell,
+    // which count where neighbouring samples differ as much as in the second TIF.
+    for (tif, tolerance) in [(gaussian(0.2), 1e-7), (border_tif(), 1e-4)] {
+        let coarse = everywhere();
+        let fine = halved(&halved(&coarse));
+        let error = largest(&gridded(&coarse, &tif, &g), &gridded(&fine, &tif, &g));
+        assert!(error < tolerance, "{error} nm");
+    }
+}
+
+/// Ends with steps of a third of its peak.
+fn border_tif() -> Tif {
+    tif_from(grid([-2.2, -1.6], [0.2; 2], [23, 17]), |x, y| {
+        5.0 + x - 0.5 * y + (7.0 * x).sin() * (9.0 * y).cos()
+    })
+}
+
+#[test]
+fn tifs_with_borders_agree_with_a_fine_direct_quadrature() {
+    // Even, larger than the map on one axis, and both.
+    for (n, map) in [([22, 16], [61, 47]), ([41, 30], [30, 60]), ([40, 30], [17, 12])] {
+        let h = [0.1, 0.1];
+        let tif = tif_from(grid([-1.3, -0.9], h, n), |x, y| {
+            5.0 + 0.5 * x - 0.4 * y + (7.0 * x).sin() * (9.0 * y).cos()
+        });
+        let g = grid([0.0, 0.0], h, map);
+        let t = pass([-2.0, 0.413], [5.5, 3.77], 3.0);
+        let steps = 120_000;
+        let expected = |(r, c)| direct::removal_at_nm(&t, &tif, g.x.at(c), g.y.at(r), steps);
+        let found = gridded(&t, &tif, &g);
+        for (r, c) in [(0, 0), (3, 5), (map[1] / 2, map[0] / 2), (map[1] - 1, map[0] - 1)] {
+            // The border costs the midpoint rule at most two steps of 25 us at 8 nm/s.
+            let error = (found[[r, c]] - expected((r, c))).abs();
+            assert!(error < 4e-4, "{n:?} on {map:?}, {r} {c}: {error} nm");
+        }
+    }
+}
+
+#[test]
+fn exact_on_a_map_of_several_tiles() {
+    // 500 x 330 pixels and a TIF of 23 x 17: bands and strips whose parts differ in size.
+    let h = [0.1, 0.1];
+    let (tif, g) = (rough_tif(h), grid([-0.4, 0.3], h, [500, 330]));
+    let p: Vec<[f64; 2]> = (0..300)
+        .map(|i| [49.0 * ((f64::from(i) * 0.618_034) % 1.0), 0.5 + 32.0 * f64::from(i) / 300.0])
+        .chain([[20.0, 11.3], [24.6, 16.7], [24.55, 16.8]])
+        .collect();
+    let s: Vec<f64> = (0..p.len()).map(|i| 0.1 + 0.001 * i as f64).collect();
+    let t = resting(&p, &s);
+    let error = largest(&gridded(&t, &tif, &g), &by_definition(&p, &s, &tif, &g));
+    // Removals of some nm through an FFT: a few hundred roundings.
+    assert!(error < 1e-11, "{error} nm");
+    // Every point is counted once, although several tiles use it.
+    let count = gridded::removal_nm(&t, &tif, &g).unwrap().1.quadrature_points;
+    assert_eq!(count, p.len());
+}
+
+#[test]
+fn the_same_bytes_on_one_and_two_threads() {
+    let tif = border_tif();
+    // One tile, and several.
+    for n in [[31, 23], [500, 330]] {
+        let g = grid([0.0, 0.0], [0.2; 2], n);
+        let desired = Surface::new(g, Array2::zeros(g.shape())).unwrap();
+        let t = everywhere();
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let plan = Plan::new(&tif, &g, Settings::Gridded).unwrap();
+                let (planned, numerics) = plan.removal_nm(&t).unwrap();
+                assert_eq!(plan.removal_nm(&t).unwrap().0, planned);
+                let once = simulate(&t, &tif, &desired, Settings::Gridded).unwrap();
+                assert_eq!(once.removal.removal_nm(), &planned);
+                let frames = frames(&t, &tif, &desired, Settings::Gridded, 3, |_| ()).unwrap();
+                (planned, numerics, frames.removal_nm)
+            })
+        };
+        let (one, two) = (on(1), on(2));
+        let bits = |a: &Array2<f64>| a.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&one.0), bits(&two.0));
+        assert_eq!(one.1, two.1);
+        assert!(one.2.iter().zip(&two.2).all(|(a, b)| a.to_bits() == b.to_bits()));
+        assert!(one.0.iter().any(|v| *v > 1.0));
+    }
 }

@@ -93,6 +93,48 @@ fn simulate_planned(bencher: Bencher) {
     bencher.bench_local(|| black_box(plan.removal_nm(&c.trajectory).unwrap()));
 }
 
+/// 8434 resting points on lines of 136, 0.75 mm apart.
+#[divan::bench(sample_count = 20)]
+fn simulate_resting(bencher: Bencher) {
+    let c = &*CASE;
+    let at = |i: usize| [0.75 * (i % 136) as f64 - 5.0, 0.42 * (i / 136) as f64 - 5.0];
+    let rest = |i: usize| at(i).map(|p| [p, 0.0, 0.0, 0.0]);
+    let n = 8434;
+    let breaks = (0..=n).map(|i| 0.2 * i as f64).collect();
+    let trajectory =
+        Trajectory::new(breaks, (0..n).map(rest).collect(), vec![true; n], vec![0; n]).unwrap();
+    let plan = Plan::new(&c.tif, c.surface.grid(), Settings::Gridded).unwrap();
+    bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));
+}
+
+/// A square map of `pixels` by `pixels`, and straight lines of `points` segments over it, with the
+/// TIF of 107 x 107 px.
+#[divan::bench(args = [(1641, 10_000), (4096, 10_000), (4096, 250_000), (8192, 10_000), (8192, 1_000_000)],
+    sample_count = 3)]
+fn simulate_large(bencher: Bencher, (pixels, points): (usize, usize)) {
+    let tif = &CASE.tif;
+    let step_mm = tif.grid().x.step_mm();
+    let axis = Axis::new(0.0, step_mm, pixels).unwrap();
+    let lines = (points as f64).sqrt() as usize;
+    let (size_mm, per_line) = (step_mm * (pixels - 1) as f64, points / lines);
+    let segment_mm = size_mm / per_line as f64;
+    let (mut breaks, mut coefficients) = (vec![0.0], vec![]);
+    for i in 0..lines * per_line {
+        let (line, k) = (i / per_line, (i % per_line) as f64);
+        let time_s = 0.5 + 0.25 * (0.1 * i as f64).sin();
+        let v = segment_mm / time_s;
+        let x = if line % 2 == 0 { [k * segment_mm, v] } else { [size_mm - k * segment_mm, -v] };
+        let y = size_mm * line as f64 / (lines - 1) as f64;
+        coefficients.push([[x[0], x[1], 0.0, 0.0], [y, 0.0, 0.0, 0.0]]);
+        breaks.push(breaks[i] + time_s);
+    }
+    let n = coefficients.len();
+    let trajectory = Trajectory::new(breaks, coefficients, vec![true; n], vec![0; n]).unwrap();
+    let grid = Grid { x: axis, y: axis };
+    let plan = Plan::new(tif, &grid, Settings::Gridded).unwrap();
+    bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));
+}
+
 /// Lines of 1000 points at a distance of 1 mm, to and fro, 0.25 to 0.75 s per point.
 fn long_path(segments: usize) -> (ToolPath, DwellTime) {
     let points = (0..=segments)

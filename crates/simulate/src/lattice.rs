@@ -1,0 +1,205 @@
+//! The lattice of nodes on which the map and the TIF are, and the TIF's samples there.
+
+use ndarray::Array2;
+use planish_numerics::keys;
+use planish_types::{Axis, Tif};
+use rayon::prelude::*;
+
+use crate::quadrature::Cells;
+
+/// Largest accumulated difference between a TIF sample and its lattice point, in steps, at which
+/// the two lattices are the same. A shift of 1e-4 of a pixel moves the removal by 1e-4 of what it
+/// changes over a pixel.
+const SAME_LATTICE: f64 = 1e-4;
+
+/// Lattice steps per pixel at which the lattice is twice as fine as the TIF's samples; 0 when
+/// those are on the pixels of the map.
+pub fn least_subdivision(map: &Axis, tif: &Axis) -> usize {
+    let ratio = map.step_mm() / tif.step_mm();
+    if (ratio - 1.0).abs() * (tif.len() - 1) as f64 <= SAME_LATTICE {
+        0
+    } else {
+        (2.0 * ratio).ceil().max(1.0) as usize
+    }
+}
+
+/// The lattice of one axis: pixel `i` of the map is node `i subdivision`, sample `j` of the TIF
+/// (on the lattice) has the offset `low + j step`.
+#[derive(Clone, Debug)]
+pub struct Lattice {
+    /// Whether the samples of the TIF are the nodes.
+    own: bool,
+    /// Lattice steps per pixel.
+    pub subdivision: usize,
+    /// Distance of the nodes, mm.
+    step_mm: f64,
+    /// Pixels of the map.
+    pub pixels: usize,
+    /// Coordinate of node 0 = pixel 0, mm.
+    start_mm: f64,
+    /// Offset of TIF sample 0 (= the lower edge of R), mm.
+    tif_start_mm: f64,
+    /// Upper edge of R, in steps from the lower one.
+    edge: f64,
+    /// Largest j with a sample: samples are j = -1 ..= last.
+    pub last: isize,
+}
+
+impl Lattice {
+    /// `subdivision` 0 stands for the TIF's own samples, on the pixels of the map.
+    pub fn new(map: &Axis, tif: &Axis, subdivision: usize) -> Self {
+        let own = subdivision == 0;
+        let subdivision = subdivision.max(1);
+        let step_mm = map.step_mm() / subdivision as f64;
+        let edge =
+            if own { (tif.len() - 1) as f64 } else { (tif.end_mm() - tif.start_mm()) / step_mm };
+        let (whole, fraction) = keys::split(edge);
+        let last = whole + if fraction > 0.0 { 2 } else { 1 };
+        Self {
+            own,
+            subdivision,
+            step_mm,
+            pixels: map.len(),
+            start_mm: map.start_mm(),
+            tif_start_mm: tif.start_mm(),
+            edge,
+            last,
+        }
+    }
+
+    /// Nodes between the first and the last pixel.
+    fn nodes(&self) -> usize {
+        (self.pixels - 1).saturating_mul(self.subdivision).saturating_add(1)
+    }
+
+    /// Cell C begins at the tool position at which sample 0 of the TIF is on the node C.
+    pub fn cells(&self) -> Cells {
+        let fraction = keys::split(self.edge).1;
+        Cells {
+            origin_mm: self.start_mm - self.tif_start_mm,
+            step_mm: self.step_mm,
+            inner: (fraction > 0.0).then_some(1.0 - fraction),
+        }
+    }
+
+    /// Samples of the TIF, j = -1 ..= last.
+    pub fn samples(&self) -> usize {
+        (self.last + 2) as usize
+    }
+
+    /// Sources reach from node -last to node nodes(): one more than outputs and samples need.
+    pub fn source_nodes(&self) -> usize {
+        self.nodes().saturating_add(self.last as usize + 1)
+    }
+
+    /// Whether the node k beyond the tool's cell, at the offset f in it, is beyond R's edges:
+    /// s = k - f outside [0, edge].
+    fn is_beyond(&self, k: isize, f: f64) -> bool {
+        let s = k as f64 - f;
+        s < -keys::SNAP || s > self.edge + keys::SNAP
+    }
+
+    /// The samples j that the nodes beyond the edges get something from.
+    pub fn border_samples(&self) -> Vec<isize> {
+        let upper = self.edge.floor() as isize;
+        (-1..=self.last).filter(|j| *j <= 1 || *j >= upper - 2).collect()
+    }
+
+    /// The nodes k that may be beyond an edge and still get something from (1).
+    pub fn border(&self) -> Vec<BorderNode> {
+        let samples = self.border_samples();
+        let may_be = |k: &isize| self.is_beyond(*k, 0.0) || self.is_beyond(*k, 1.0 - keys::SNAP);
+        (-2..=self.last + 2)
+            .filter(may_be)
+            .map(|k| {
+                let weight = |j: isize| usize::try_from(k - j + 1).ok().filter(|d| *d < 4);
+                let with = |(slot, j): (usize, &isize)| weight(*j).map(|w| (slot, w));
+                let always = self.is_beyond(k, 0.0) && self.is_beyond(k, 1.0 - keys::SNAP);
+                BorderNode {
+                    k,
+                    always,
+                    terms: samples.iter().enumerate().filter_map(with).collect(),
+                }
+            })
+            .collect()
+    }
+}
+
+/// A node beyond an edge of R.
+#[derive(Clone, Debug)]
+pub struct BorderNode {
+    /// Steps from the tool's cell.
+    pub k: isize,
+    /// Whether it is beyond wherever in its cell the tool is.
+    pub always: bool,
+    /// What it gets by (1): position in [`Lattice::border_samples`] of the sample j, and the index
+    /// d + 1 of the weight with d = k - j.
+    pub terms: Vec<(usize, usize)>,
+}
+
+impl BorderNode {
+    /// Whether it is beyond with the tool at the offset `f` in its cell.
+    #[inline]
+    pub fn is_beyond(&self, lattice: &Lattice, f: f64) -> bool {
+        self.always || lattice.is_beyond(self.k, f)
+    }
+}
+
+/// Samples j = -1 ..= last of both axes; [j + 1] in the array. On the TIF's own lattice these are
+/// its samples with Keys' ghost nodes.
+pub fn sample_anew(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
+    if x.own && y.own {
+        return tif.with_ghosts().clone();
+    }
+    let offset = |l: &Lattice, j: usize| l.tif_start_mm + (j as f64 - 1.0) * l.step_mm;
+    Array2::from_shape_fn(((y.last + 2) as usize, (x.last + 2) as usize), |(j, i)| {
+        continued(tif, offset(x, i), offset(y, j))
+    })
+}
+
+/// R, continued beyond its samples by the polynomials of its outermost cells.
+fn continued(tif: &Tif, dx_mm: f64, dy_mm: f64) -> f64 {
+    let cell = |axis: &Axis, d: f64| {
+        let s = (d - axis.start_mm()) / axis.step_mm();
+        let i = (s.floor().max(0.0) as usize).min(axis.len() - 2);
+        (i, keys::weights(s - i as f64))
+    };
+    let ((ix, wx), (iy, wy)) = (cell(&tif.grid().x, dx_mm), cell(&tif.grid().y, dy_mm));
+    let g = tif.with_ghosts();
+    (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * g[[iy + b, ix + a]]).sum::<f64>()).sum()
+}
+
+/// Largest error of (1) against R in the middle of the lattice cells, relative to the peak.
+pub fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> f64 {
+    if x.own && y.own {
+        return 0.0;
+    }
+    let middle = keys::weights(0.5);
+    let (cells_y, cells_x) = ((y.edge.floor() as usize).max(1), (x.edge.floor() as usize).max(1));
+    let worst = (0..cells_y)
+        .into_par_iter()
+        .map(|j| {
+            (0..cells_x)
+                .map(|i| {
+                    let k: f64 = (0..4)
+                        .map(|b| {
+                            middle[b] * (0..4).map(|a| middle[a] * g[[j + b, i + a]]).sum::<f64>()
+                        })
+                        .sum();
+                    let dx = x.tif_start_mm + (i as f64 + 0.5) * x.step_mm;
+                    let dy = y.tif_start_mm + (j as f64 + 0.5) * y.step_mm;
+                    (k - continued(tif, dx, dy)).abs()
+                })
+                .fold(0.0, f64::max)
+        })
+        .reduce(|| 0.0, f64::max);
+    worst / tif.peak_nm_per_s()
+}
+
+/// Whether anything leaks: some sample next to the border is not negligible.
+pub fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
+    let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
+    let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));
+    // Below this the leak is lost in the rounding of the peak.
+    border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * tif.peak_nm_per_s()
+}
