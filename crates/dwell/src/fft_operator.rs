@@ -22,7 +22,7 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayView2, Axis as NdAxis};
+use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
 use planish_numerics::{
     fft::{Complex64, Convolution},
     fft_line, keys,
@@ -81,9 +81,24 @@ const NO_LEAK: f64 = 1e-14;
 impl FftOperator {
     /// Plans for the columns of one path, TIF and map.
     pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+        Self::with_border(places, tif, grid, true)
+    }
+
+    /// E alone, of samples that are continued by zeros: for a stand-in, whose samples are few, so that
+    /// ghost nodes would be far from R.
+    pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+        Self::with_border(places, tif, grid, false)
+    }
+
+    fn with_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid, border: bool) -> Self {
         let x = Lattice::new(&grid.x, &tif.grid().x);
         let y = Lattice::new(&grid.y, &tif.grid().y);
-        let samples = samples(tif, &x, &y);
+        let mut samples = samples(tif, &x, &y);
+        if !border {
+            let (my, mx) = samples.dim();
+            samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
+            samples.slice_mut(s![.., ..;mx - 1]).fill(0.0);
+        }
         let convolution = Convolution::new(samples.view(), (y.sources(), x.sources()));
         let placed: Vec<Placed> = places
             .iter()
@@ -105,16 +120,12 @@ impl FftOperator {
         let columns_across = Across::new(x, y, samples.t(), swapped);
         let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let (my, mx) = samples.dim();
-        let leaks = samples.indexed_iter().any(|((r, c), v)| {
-            let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
-            (at_border(r, my) || at_border(c, mx)) && v.abs() > NO_LEAK * peak
-        });
+        let leaks = border
+            && samples.indexed_iter().any(|((r, c), v)| {
+                let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
+                (at_border(r, my) || at_border(c, mx)) && v.abs() > NO_LEAK * peak
+            });
         Self { columns: places.len(), samples, convolution, rows, columns_across, leaks }
-    }
-
-    /// The same without the terms of the border in (1): E.
-    pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
-        Self { leaks: false, ..Self::new(places, tif, grid) }
     }
 
     /// Whether (1) is exact: the TIF has the pitch of the map.
@@ -566,7 +577,6 @@ impl Lattice {
 mod tests {
     use super::*;
     use crate::columns::{self, Columns};
-    use ndarray::s;
     use planish_types::ToolPath;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
