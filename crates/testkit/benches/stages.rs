@@ -75,13 +75,16 @@ fn dwell_bounded_least_squares() {
     black_box(bounded_least_squares::solve(&c.surface, &c.tif, &c.path, None, &solver()).unwrap());
 }
 
-/// A raster on the same mirror: 1, 4 and 16 x the points; above 6000 by gradient steps.
-#[divan::bench(args = [1.0, 0.5, 0.25], sample_count = 3)]
+/// A raster on the same mirror: 1, 4 and 16 x the points, the same least time for an area; above
+/// 6000 points by gradient steps.
+#[divan::bench(args = [1.0, 0.5, 0.25], sample_count = 1)]
 fn dwell_bounded_least_squares_by_pitch(bencher: Bencher, pitch_mm: f64) {
     let c = &*CASE;
     let path = raster(&c.surface, &raster_settings(pitch_mm)).unwrap();
+    let min_dwell = Bound::Seconds(0.1 * pitch_mm * pitch_mm);
+    let settings = bounded_least_squares::Settings { min_dwell, ..solver() };
     bencher.bench_local(|| {
-        black_box(bounded_least_squares::solve(&c.surface, &c.tif, &path, None, &solver()).unwrap())
+        black_box(bounded_least_squares::solve(&c.surface, &c.tif, &path, None, &settings).unwrap())
     });
 }
 
