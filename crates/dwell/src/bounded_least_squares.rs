@@ -266,7 +266,7 @@ pub fn solve_columns(
     let columns = if stored {
         Columns::Stored(Stored::new(places, tif, desired.grid()))
     } else {
-        Columns::Convolved(FftOperator::new(places, tif, desired.grid()))
+        Columns::Convolved(Box::new(FftOperator::new(places, tif, desired.grid())))
     };
     let mut problem = Problem::new(desired, tif, path, program, weight, columns, settings)?;
     problem.solve()
@@ -321,7 +321,7 @@ pub fn bounds(path: &ToolPath, settings: &Settings) -> Result<(Vec<f64>, Vec<f64
 /// B.
 enum Columns {
     Stored(Stored),
-    Convolved(FftOperator),
+    Convolved(Box<FftOperator>),
 }
 
 impl Columns {

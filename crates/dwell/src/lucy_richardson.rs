@@ -269,7 +269,7 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
         }
     });
     let divergence = |k: usize| {
-        let left = if k % nx > 0 { normal[k - 1][0] } else { 0.0 };
+        let left = if !k.is_multiple_of(nx) { normal[k - 1][0] } else { 0.0 };
         let below = if k >= nx { normal[k - nx][1] } else { 0.0 };
         normal[k][0] - left + normal[k][1] - below
     };

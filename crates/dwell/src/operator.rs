@@ -31,7 +31,7 @@ pub enum Operator {
         shape: (usize, usize),
     },
     /// By spreading and FFT.
-    Fft(FftOperator),
+    Fft(Box<FftOperator>),
 }
 
 impl Operator {
@@ -50,7 +50,7 @@ impl Operator {
         Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
             Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
         } else {
-            Self::Fft(FftOperator::new(places, tif, grid))
+            Self::Fft(Box::new(FftOperator::new(places, tif, grid)))
         })
     }
 
