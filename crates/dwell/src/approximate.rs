@@ -19,7 +19,7 @@ use planish_types::{Axis, Grid, Invalid, Tif};
 
 use crate::{
     bounded_least_squares::{Basis, Free, Penalty},
-    columns::{Patch, Place, Stored},
+    columns::{Patch, Place},
     fft_operator::FftOperator,
 };
 
@@ -32,6 +32,10 @@ pub const LOSS_CONVOLVED: f64 = 2e-2;
 /// cycles: [`SOME`] from any start, [`MOST`] from a good one.
 const SOME: usize = 30;
 const MOST: usize = 100;
+
+/// A step of H~ on cells that lowers its natural residual to this part is enough: the exact gradient
+/// corrects by more than that.
+const ENOUGH: f64 = 0.02;
 
 /// Largest cell.
 const LARGEST: usize = 16;
@@ -66,19 +70,19 @@ pub struct Ordered {
     order: Vec<usize>,
     /// (1) with room for the couplings of the penalty.
     data: Quadratic,
+    /// Part of the natural residual that a step may leave.
+    enough: f64,
 }
 
 impl Ordered {
-    /// (1) of stored columns, from `cells` of them.
+    /// (1) of the columns on the cells; `exact` when these are pixels.
     pub fn new(
-        b: &Stored,
-        weight: &Array2<f64>,
+        cells: &[Patch],
         u: &[Vec<f64>],
         live: &[bool],
         penalty: &Penalty,
-        size: usize,
+        exact: bool,
     ) -> Self {
-        let cells = b.on_cells(weight, size);
         let along = |axis: usize| {
             let centre = |j: &usize| {
                 let ((r, c), (ny, nx)) = (cells[*j].origin, cells[*j].rate_nm_per_s.dim());
@@ -86,7 +90,7 @@ impl Ordered {
             };
             let mut order: Vec<usize> = (0..live.len()).filter(|j| live[*j]).collect();
             order.sort_by_key(centre);
-            let first = first_columns(&cells, &order, penalty);
+            let first = first_columns(cells, &order, penalty);
             let elements: usize = first.iter().enumerate().map(|(i, f)| i + 1 - f).sum();
             (elements, order, first)
         };
@@ -100,7 +104,7 @@ impl Ordered {
             }
         });
         let u = u.iter().map(|u| order.iter().map(|j| u[*j]).collect()).collect();
-        Self { order, data: Quadratic { k, u } }
+        Self { order, data: Quadratic { k, u }, enough: if exact { 0.0 } else { ENOUGH } }
     }
 
     /// H~ and the penalty.
@@ -115,7 +119,7 @@ impl Ordered {
                 h.k.add(i.max(l), i.min(l), v);
             }
         });
-        Penalised { order: &self.order, h }
+        Penalised { order: &self.order, h, enough: self.enough }
     }
 }
 
@@ -143,6 +147,7 @@ fn first_columns(cells: &[Patch], order: &[usize], penalty: &Penalty) -> Vec<usi
 pub struct Penalised<'a> {
     order: &'a [usize],
     h: Quadratic,
+    enough: f64,
 }
 
 impl Penalised<'_> {
@@ -159,7 +164,9 @@ impl Penalised<'_> {
         let start = pick(t);
         let g: Vec<f64> = self.h.product(&start).iter().zip(pick(q)).map(|(h, q)| h - q).collect();
         let (lo, hi) = (pick(lo), pick(hi));
-        let mut found = bounded::active_set(&self.h, &g, &lo, &hi, &start, SOME)?;
+        let before = bounded::natural_residual(&start, &pick(q), &self.h.diagonal(), &lo, &hi);
+        let enough = self.enough * before;
+        let mut found = bounded::active_set(&self.h, &g, &lo, &hi, &start, enough, SOME)?;
         if found.end != End::Optimal {
             // Nearly singular: gradient steps find most of the active set, or descend at least.
             let steps = GradientSettings {
@@ -171,7 +178,7 @@ impl Penalised<'_> {
             let apply = |t: &[f64]| self.h.product(t);
             let diagonal = self.h.diagonal();
             let near = bounded::projected_gradient(apply, &diagonal, &g, &lo, &hi, &start, &steps);
-            let second = bounded::active_set(&self.h, &g, &lo, &hi, &near.value, MOST)?;
+            let second = bounded::active_set(&self.h, &g, &lo, &hi, &near.value, enough, MOST)?;
             let iterations = found.iterations + second.iterations;
             found = if second.end == End::Optimal { second } else { near };
             found.iterations = iterations;
@@ -213,7 +220,7 @@ impl Convolved {
             cells[[r / size, c / size]] += w;
         }
         let tif = if size == 1 { tif.clone() } else { averaged(tif, map, size)? };
-        let b = FftOperator::new(places, &tif, &grid);
+        let b = FftOperator::without_border(places, &tif, &grid);
         let basis = Basis::new(&grid, &cells, free);
         let u = basis.columns(&cells, |m| b.adjoint(m));
         let mut diagonal = b.adjoint_of_squared_tif(&cells);

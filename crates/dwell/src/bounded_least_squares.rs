@@ -25,7 +25,8 @@
 //! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels, an
 //! envelope matrix and the primal-dual active set method; for many points the FFT and the projected
 //! gradient), and each is corrected by the gradient of (1) itself, which also certifies the
-//! result. B is stored up to `max_stored_points` dwell points; above, it is applied by FFT.
+//! result. B is applied by FFT, which is exact where the TIF has the pitch of the map; otherwise its
+//! columns are stored, unless they are too many.
 //! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
@@ -45,6 +46,7 @@ use planish_numerics::{
     statistics,
 };
 use planish_types::{DwellTime, Grid, Invalid, Surface, Tif, ToolPath};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
@@ -95,8 +97,8 @@ pub struct Settings {
     pub huber_nm: Option<f64>,
     /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
     pub noise_rms_nm: Option<f64>,
-    /// Dwell points up to which B is stored; above, products by FFT.
-    pub max_stored_points: usize,
+    /// Dwell points up to which the stand-in for H is factorised; above, gradient steps.
+    pub max_factorised_points: usize,
     /// Natural residual that is enough, s.
     pub tolerance_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it, that is enough.
@@ -118,7 +120,7 @@ impl Default for Settings {
             free: Free::Piston,
             huber_nm: None,
             noise_rms_nm: None,
-            max_stored_points: 6000,
+            max_factorised_points: 6000,
             tolerance_s: 1e-6,
             // RMS within 5e-5 of the least.
             relative_gap: 1e-4,
@@ -258,12 +260,13 @@ pub fn solve_columns(
         )
         .into());
     }
-    let stored = path.len() <= settings.max_stored_points
+    let stored = !FftOperator::is_exact(tif, desired.grid())
+        && path.len() <= settings.max_factorised_points
         && path.len() as f64 * pixels <= MAX_STORED_ELEMENTS;
     let columns = if stored {
         Columns::Stored(Stored::new(places, tif, desired.grid()))
     } else {
-        Columns::Convolved(FftOperator::new(places, tif, desired.grid()))
+        Columns::Convolved(Box::new(FftOperator::new(places, tif, desired.grid())))
     };
     let mut problem = Problem::new(desired, tif, path, program, weight, columns, settings)?;
     problem.solve()
@@ -318,7 +321,7 @@ pub fn bounds(path: &ToolPath, settings: &Settings) -> Result<(Vec<f64>, Vec<f64
 /// B.
 enum Columns {
     Stored(Stored),
-    Convolved(FftOperator),
+    Convolved(Box<FftOperator>),
 }
 
 impl Columns {
@@ -345,8 +348,38 @@ enum Approximate {
     Convolved(Box<Convolved>),
 }
 
-fn convolved(h: Convolved) -> Approximate {
-    Approximate::Convolved(Box::new(h))
+fn convolved(
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+    free: Free,
+    cell: usize,
+) -> Result<Approximate, Invalid> {
+    let h = Convolved::new(places, tif, grid, weight, free, cell)?;
+    Ok(Approximate::Convolved(Box::new(h)))
+}
+
+/// Sum of `w B^2` of every column. By FFT the mean of R^2 stands for the square of the mean, and
+/// what leaks counts: not where that decides whether a column reaches the map at all.
+fn energies(
+    columns: &Columns,
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+) -> Vec<f64> {
+    let b = match columns {
+        Columns::Stored(b) => return b.energy(weight),
+        Columns::Convolved(b) => b,
+    };
+    let mut energy = b.adjoint_of_squared_tif(weight);
+    let largest = energy.iter().copied().fold(0.0, f64::max);
+    let weak: Vec<usize> = (0..energy.len()).filter(|j| energy[*j] < WEAK * largest).collect();
+    let of = |j: &usize| Stored::new(&places[*j..=*j], tif, grid).energy(weight)[0];
+    let exact: Vec<f64> = weak.par_iter().map(of).collect();
+    weak.iter().zip(exact).for_each(|(j, e)| energy[*j] = e);
+    energy
 }
 
 /// What the removal need not remove, as functions orthonormal under the weights:
@@ -416,13 +449,16 @@ impl Basis {
 
     /// `sum_i w_i m_i f(x_i)` for every function.
     fn coefficients(&self, weight: &Array2<f64>, map: &Array2<f64>) -> Vec<f64> {
+        // By rows: sums of w m and of w m x.
         let mut sums = vec![0.0; self.functions.len()];
         for (r, (w, m)) in weight.outer_iter().zip(map.outer_iter()).enumerate() {
-            for (c, (w, m)) in w.iter().zip(m).enumerate() {
-                let v = w * m;
-                for (sum, f) in sums.iter_mut().zip(&self.functions) {
-                    *sum += v * self.at(f, r, c);
-                }
+            let (mut plain, mut along) = (0.0, 0.0);
+            for ((w, m), x) in w.iter().zip(m).zip(&self.x_mm) {
+                plain += w * m;
+                along += w * m * x;
+            }
+            for (sum, f) in sums.iter_mut().zip(&self.functions) {
+                *sum += (f[0] + f[2] * self.y_mm[r]) * plain + f[1] * along;
             }
         }
         sums
@@ -431,10 +467,13 @@ impl Basis {
     /// The map without its part in the functions.
     fn project(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
         let coefficients = self.coefficients(weight, map);
-        for ((r, c), m) in map.indexed_iter_mut() {
+        for (mut row, y) in map.outer_iter_mut().zip(&self.y_mm) {
+            let (mut at_0, mut slope) = (0.0, 0.0);
             for (k, f) in coefficients.iter().zip(&self.functions) {
-                *m -= k * self.at(f, r, c);
+                at_0 += k * (f[0] + f[2] * y);
+                slope += k * f[1];
             }
+            row.iter_mut().zip(&self.x_mm).for_each(|(m, x)| *m -= at_0 + slope * x);
         }
     }
 
@@ -566,6 +605,9 @@ struct Problem<'a> {
 /// A column below this part of the largest diagonal element does not reach the map.
 const DEAD: f64 = 1e-9;
 
+/// Below this part of the largest the energy of a column is not estimated.
+const WEAK: f64 = 1e-3;
+
 /// Where the iteration is.
 struct Iterate {
     t: Vec<f64>,
@@ -591,10 +633,21 @@ impl<'a> Problem<'a> {
         let (n, grid) = (path.len(), desired.grid());
         let basis = Basis::new(grid, &weight, settings.free);
         let u = basis.columns(&weight, |m| columns.adjoint(m));
-        // diag H = sum of w B^2 less U^2; by FFT the mean of R^2 stands for the square of the mean.
-        let energy = match &columns {
-            Columns::Stored(b) => b.energy(&weight),
-            Columns::Convolved(b) => b.adjoint_of_squared_tif(&weight),
+        let cell = approximate::cell_size(
+            tif,
+            grid,
+            if n <= settings.max_factorised_points {
+                approximate::LOSS
+            } else {
+                approximate::LOSS_CONVOLVED
+            },
+        );
+        // diag H = sum of w B^2 less U^2
+        let (cells, energy) = if n <= settings.max_factorised_points {
+            let (cells, energy) = columns::on_cells(program.places, tif, grid, &weight, cell);
+            (Some(cells), energy)
+        } else {
+            (None, energies(&columns, program.places, tif, grid, &weight))
         };
         let mut diagonal: Vec<f64> = (0..n)
             .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
@@ -604,10 +657,10 @@ impl<'a> Problem<'a> {
             return Err(DwellError::OutOfReach { points: n });
         }
         let live: Vec<bool> = diagonal.iter().map(|d| *d > DEAD * largest).collect();
-        let strongest = match &columns {
-            Columns::Stored(_) => largest,
+        let strongest = match &cells {
+            Some(_) => largest,
             // D decides the weights of (1): the element itself, not the estimate.
-            Columns::Convolved(_) => {
+            None => {
                 let j = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
                 let p = Stored::new(&program.places[j..=j], tif, grid);
                 let u = basis.columns(&weight, |m| p.adjoint(m));
@@ -622,19 +675,12 @@ impl<'a> Problem<'a> {
             (0..n).map(|j| if live[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
-        let loss = match &columns {
-            Columns::Stored(_) => approximate::LOSS,
-            Columns::Convolved(_) => approximate::LOSS_CONVOLVED,
-        };
-        let cell = approximate::cell_size(tif, grid, loss);
         let penalty = Penalty::new(path, &program.lo, strongest, weight.sum(), settings);
-        let approximate = match &columns {
-            Columns::Stored(b) => {
-                Approximate::Ordered(Ordered::new(b, &weight, &u, &live, &penalty, cell))
+        let approximate = match &cells {
+            Some(cells) => {
+                Approximate::Ordered(Ordered::new(cells, &u, &live, &penalty, cell == 1))
             }
-            Columns::Convolved(_) => {
-                convolved(Convolved::new(program.places, tif, grid, &weight, settings.free, cell)?)
-            }
+            None => convolved(program.places, tif, grid, &weight, settings.free, cell)?,
         };
         Ok(Self {
             z: centred(desired.height_nm(), &weight),
@@ -709,23 +755,21 @@ impl<'a> Problem<'a> {
             return Ok(false);
         }
         self.cell /= 2;
-        self.approximate = match &self.columns {
-            Columns::Stored(b) => Approximate::Ordered(Ordered::new(
-                b,
-                &self.weight,
-                &self.u,
-                &self.live,
-                penalty,
-                self.cell,
-            )),
-            Columns::Convolved(_) => convolved(Convolved::new(
-                self.places,
-                self.tif,
-                self.desired.grid(),
-                &self.weight,
-                self.settings.free,
-                self.cell,
-            )?),
+        let (tif, grid, weight) = (self.tif, self.desired.grid(), &self.weight);
+        self.approximate = match &self.approximate {
+            Approximate::Ordered(_) => {
+                let (cells, _) = columns::on_cells(self.places, tif, grid, weight, self.cell);
+                Approximate::Ordered(Ordered::new(
+                    &cells,
+                    &self.u,
+                    &self.live,
+                    penalty,
+                    self.cell == 1,
+                ))
+            }
+            Approximate::Convolved(_) => {
+                convolved(self.places, tif, grid, weight, self.settings.free, self.cell)?
+            }
         };
         Ok(true)
     }
@@ -869,10 +913,7 @@ impl<'a> Problem<'a> {
                 }
             }
             // The exact step of a descent direction falls but for rounding.
-            let enough = match self.approximate {
-                Approximate::Ordered(_) => 0.0,
-                Approximate::Convolved(_) => STAGNATION * objective,
-            };
+            let enough = if factorised { 0.0 } else { STAGNATION * objective };
             if fall <= enough {
                 settled = Some(End::Stagnated);
             }

@@ -274,36 +274,52 @@ impl Stored {
         };
         self.patches.par_iter().map(column).collect()
     }
+}
 
-    /// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
-    /// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell.
-    pub fn on_cells(&self, weight: &Array2<f64>, size: usize) -> Vec<Patch> {
-        let mut total =
-            Array2::<f64>::zeros((weight.nrows().div_ceil(size), weight.ncols().div_ceil(size)));
-        for ((r, c), w) in weight.indexed_iter() {
-            total[[r / size, c / size]] += w;
-        }
-        let scale = total.mapv(|w| if w > 0.0 { w.sqrt().recip() } else { 0.0 });
-        let coarse = |p: &Patch| -> Patch {
-            let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
-            if ny == 0 || nx == 0 {
-                return nowhere();
-            }
-            let (top, left) = (r / size, c / size);
-            let shape = ((r + ny - 1) / size + 1 - top, (c + nx - 1) / size + 1 - left);
-            let mut cells = Array2::zeros(shape);
-            for (r, columns, rate) in p.rows() {
-                let w = weight.slice(s![r, columns.clone()]);
-                let mut row = cells.row_mut(r / size - top);
-                for ((c, b), w) in columns.zip(rate).zip(w) {
-                    row[c / size - left] += w * b;
-                }
-            }
-            cells *= &scale.slice(s![top..top + shape.0, left..left + shape.1]);
-            Patch { origin: (top, left), rate_nm_per_s: cells }
-        };
-        self.patches.par_iter().map(coarse).collect()
+/// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
+/// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell; and the sum of `w_i B_ij^2`
+/// of every column. The columns are not kept.
+pub fn on_cells(
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+    size: usize,
+) -> (Vec<Patch>, Vec<f64>) {
+    let mut total =
+        Array2::<f64>::zeros((weight.nrows().div_ceil(size), weight.ncols().div_ceil(size)));
+    for ((r, c), w) in weight.indexed_iter() {
+        total[[r / size, c / size]] += w;
     }
+    let scale = total.mapv(|w| if w > 0.0 { w.sqrt().recip() } else { 0.0 });
+    let (all, width) = (weight.as_slice().expect("in C order"), weight.ncols());
+    let coarse = |places: &Vec<Place>| -> (Patch, f64) {
+        let p = patch(places, tif, grid);
+        let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
+        if ny == 0 || nx == 0 {
+            return (nowhere(), 0.0);
+        }
+        let (top, left) = (r / size, c / size);
+        let shape = ((r + ny - 1) / size + 1 - top, (c + nx - 1) / size + 1 - left);
+        let mut cells = Array2::zeros(shape);
+        let mut energy = 0.0;
+        let mut line = vec![0.0; nx];
+        for (r, columns, rate) in p.rows() {
+            let w = &all[r * width + columns.start..r * width + columns.end];
+            line.iter_mut().zip(w).zip(rate).for_each(|((l, w), b)| *l = w * b);
+            energy += dot(&line, rate);
+            let mut row = cells.row_mut(r / size - top);
+            // The first cell has the pixels up to the next multiple of the size.
+            let (head, rest) = line.split_at((size - c % size).min(nx));
+            row[0] += head.iter().sum::<f64>();
+            for (cell, pixels) in row.iter_mut().skip(1).zip(rest.chunks(size)) {
+                *cell += pixels.iter().sum::<f64>();
+            }
+        }
+        cells *= &scale.slice(s![top..top + shape.0, left..left + shape.1]);
+        (Patch { origin: (top, left), rate_nm_per_s: cells }, energy)
+    };
+    places.par_iter().map(coarse).unzip()
 }
 
 impl Patch {

@@ -11,7 +11,7 @@
 //! edge of a margin) alias into the shape of the part. What a path cannot follow between its lines is
 //! lost: the pitch must be fine against the TIF.
 
-use ndarray::{Array2, Zip};
+use ndarray::{Array2, ArrayView2, Zip};
 use planish_numerics::fft::{Complex64, Convolution};
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
@@ -49,8 +49,8 @@ impl DwellMap {
     }
 
     /// (1): (ny, nx), nm.
-    pub fn removal(&self, seconds: &Array2<f64>) -> Array2<f64> {
-        self.convolution.valid(seconds.view())
+    pub fn removal(&self, seconds: ArrayView2<f64>) -> Array2<f64> {
+        self.convolution.valid(seconds)
     }
 
     /// Adjoint of (1).
@@ -218,7 +218,7 @@ mod tests {
         let mut seconds = Array2::zeros(map.grid.shape());
         seconds[[12, 17]] = 2.0;
         let tool = [map.grid.x.at(17), map.grid.y.at(12)];
-        let found = map.removal(&seconds);
+        let found = map.removal(seconds.view());
         for ((r, c), z) in found.indexed_iter() {
             let expected = 2.0 * tif.rate_at(grid.x.at(c) - tool[0], grid.y.at(r) - tool[1]);
             // Rounding of an FFT; at the border of the TIF a pixel is in or out by rounding too.

@@ -97,6 +97,9 @@ pub struct LucyRichardson {
     /// Most steps
     #[arg(long, value_name = "N", default_value_t = lucy_richardson::Settings::default().max_iterations)]
     max_iterations: usize,
+    /// Start every step from a point extrapolated along the last two: fewer steps
+    #[arg(long)]
+    accelerated: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -312,6 +315,7 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
         pits: cli.pits,
         tolerance: cli.tolerance,
         max_iterations: cli.max_iterations,
+        accelerated: cli.accelerated,
     };
     let solver = lucy_richardson::solve;
     solve("lucy-richardson", &cli.given, &cli.least, settings, solver, |r| {

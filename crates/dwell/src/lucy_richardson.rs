@@ -17,6 +17,16 @@
 //! of dwell times on the pixels, as in the source (smoothness in two dimensions), which then goes to
 //! the path (`dwell_map.rs`).
 //!
+//! Accelerated, a step starts from a point extrapolated along the last two,
+//!
+//! ```text
+//! y = max(x_k + a (x_k - x_{k-1}), 0),   x_{k+1} = (2) of y,   g_k = x_{k+1} - y
+//! a = g_{k-1}' g_{k-2} / g_{k-2}' g_{k-2},   0 <= a <= 1                                   (3)
+//! ```
+//!
+//! which has the same fixed points, reaches the same likelihood in several times fewer steps, and
+//! need not raise it in every one (D. Biggs and M. Andrews, Appl. Opt. 36 (1997) 1766, Eqs 4-9).
+//!
 //! It ends when ten steps lower the RMS of the residual by less than a given part.
 //!
 //! Source: trigonometric-spline scheduling, Opt. Express 32 (2024) 9255, Eq. 2, with the curvature in
@@ -30,8 +40,10 @@
 //! | mu | `total_variation` | - | 1 |
 //! | lo | `min_dwell` | (n) | s |
 
-use ndarray::{Array2, Zip};
+use ndarray::{Array2, ArrayView2, Zip};
+use planish_numerics::envelope::dot;
 use planish_types::{Surface, Tif};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
@@ -65,6 +77,8 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most steps.
     pub max_iterations: usize,
+    /// Whether steps start from extrapolated points, (3).
+    pub accelerated: bool,
 }
 
 impl Default for Settings {
@@ -76,6 +90,7 @@ impl Default for Settings {
             pits: 1e-3,
             tolerance: 1e-3,
             max_iterations: 300,
+            accelerated: false,
         }
     }
 }
@@ -205,19 +220,22 @@ fn on_map(
     if !active.iter().any(|a| *a) {
         return Err(DwellError::OutOfReach { points: path.len() });
     }
-    let sensitivity: Vec<f64> = sensitivity.into_iter().collect();
-    let as_map = |t: &[f64]| Array2::from_shape_vec(shape, t.to_vec()).expect("one per node");
+    let sensitivity = sensitivity.into_raw_vec_and_offset().0;
+    let removal = |t: &[f64]| -> Array2<f64> {
+        map.removal(ArrayView2::from_shape(shape, t).expect("one per node"))
+    };
     let curvature = |t: &[f64], mean: f64| curvature_2d(t, &active, shape, 1e-3 * mean);
     let unknown = Unknown {
-        forward: &|t| map.removal(&as_map(t)),
-        adjoint: &|m| map.adjoint(m).into_iter().collect(),
+        forward: &removal,
+        adjoint: &|m| map.adjoint(m).into_raw_vec_and_offset().0,
         curvature: &curvature,
         sensitivity: &sensitivity,
         active: &active,
         uniform: &vec![1.0; active.len()],
     };
     let (t, report) = iterate(model, e, &unknown, settings);
-    Ok((cells.to_path(&as_map(&t), path.len()), report))
+    let seconds = Array2::from_shape_vec(shape, t).expect("one per node");
+    Ok((cells.to_path(&seconds, path.len()), report))
 }
 
 /// Whether the pixel nearest to `p` counts.
@@ -237,8 +255,8 @@ pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bo
 /// no difference over the border of the active nodes.
 fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) -> Vec<f64> {
     let mut normal = vec![[0.0; 2]; t.len()];
-    for r in 0..ny {
-        for c in 0..nx {
+    normal.par_chunks_mut(nx).enumerate().for_each(|(r, normal)| {
+        for (c, normal) in normal.iter_mut().enumerate() {
             let k = r * nx + c;
             let difference = |there: bool, other: usize| {
                 if there && active[k] && active[other] { t[other] - t[k] } else { 0.0 }
@@ -246,18 +264,20 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
             let (dx, dy) = (difference(c + 1 < nx, k + 1), difference(r + 1 < ny, k + nx));
             let length = (dx * dx + dy * dy + eps * eps).sqrt();
             if length > 0.0 {
-                normal[k] = [dx / length, dy / length];
+                *normal = [dx / length, dy / length];
             }
         }
-    }
-    (0..t.len())
-        .map(|k| {
-            let left = if k % nx > 0 { normal[k - 1][0] } else { 0.0 };
-            let below = if k >= nx { normal[k - nx][1] } else { 0.0 };
-            normal[k][0] - left + normal[k][1] - below
-        })
-        .collect()
+    });
+    let divergence = |k: usize| {
+        let left = if !k.is_multiple_of(nx) { normal[k - 1][0] } else { 0.0 };
+        let below = if k >= nx { normal[k - nx][1] } else { 0.0 };
+        normal[k][0] - left + normal[k][1] - below
+    };
+    (0..t.len()).into_par_iter().with_min_len(PART).map(divergence).collect()
 }
+
+/// Elements that one thread takes at a time.
+const PART: usize = 1 << 13;
 
 /// (2) until it settles.
 fn iterate(
@@ -275,13 +295,17 @@ fn iterate(
         (0..s.len()).map(|j| if active[j] { uniform[j] * desired / volume } else { 0.0 }).collect();
     let count = active.iter().filter(|a| **a).count();
     let floor = 1e-9 * e.iter().copied().fold(0.0, f64::max);
-    let mut m = forward(&t);
     let (mut log_likelihood, mut rms_nm) = (Vec::new(), Vec::new());
     let mut end = "iteration-limit";
     let mut iterations = 0;
+    // x_k and g_k of (3)
+    let mut extrapolated: Option<(Vec<f64>, Vec<f64>)> = None;
     loop {
-        log_likelihood.push(likelihood(e, &m, w, floor));
-        rms_nm.push(model.rms(&(e - &m)));
+        // rho = w E / m
+        let mut rho = forward(&t);
+        let (likelihood, rms) = compared(e, w, floor, &mut rho);
+        log_likelihood.push(likelihood);
+        rms_nm.push(rms);
         if iterations >= 10 {
             let before = rms_nm[iterations - 10];
             if before - rms_nm[iterations] < settings.tolerance * before {
@@ -292,20 +316,40 @@ fn iterate(
         if iterations == settings.max_iterations {
             break;
         }
-        // rho = w E / m,   T <- T (B' rho) / (B' w) / (1 - mu kappa)
-        let rho = Zip::from(e).and(&m).and(w).map_collect(|e, m, w| w * e / m.max(floor));
-        let gain = adjoint(&rho);
-        let mean = t.iter().sum::<f64>() / count as f64;
+        // x = T (B' rho) / (B' w) / (1 - mu kappa)
+        let mut x = adjoint(&rho);
+        let mean = sum(t.par_chunks(PART).map(|t| t.iter().sum())) / count as f64;
         let kappa = if settings.total_variation > 0.0 { curvature(&t, mean) } else { Vec::new() };
-        for j in (0..t.len()).filter(|j| active[*j]) {
-            // An FFT leaves a rounding that may be negative.
-            t[j] *= (gain[j] / s[j]).max(0.0);
-            if let Some(kappa) = kappa.get(j) {
-                t[j] /= (1.0 - settings.total_variation * kappa).clamp(0.5, 2.0);
+        x.par_iter_mut().with_min_len(PART).enumerate().for_each(|(j, x)| {
+            if !active[j] {
+                *x = t[j];
+                return;
             }
-            t[j] = t[j].min(RUNAWAY * mean);
+            // An FFT leaves a rounding that may be negative.
+            let mut next = t[j] * (*x / s[j]).max(0.0);
+            if let Some(kappa) = kappa.get(j) {
+                next /= (1.0 - settings.total_variation * kappa).clamp(0.5, 2.0);
+            }
+            *x = next.min(RUNAWAY * mean);
+        });
+        if settings.accelerated {
+            // t becomes g, then the point to go on from.
+            t.par_iter_mut().with_min_len(PART).zip(&x).for_each(|(t, x)| *t = x - *t);
+            let a = extrapolated.as_ref().map_or(0.0, |(_, g)| {
+                let parts = || t.par_chunks(PART).zip(g.par_chunks(PART));
+                let own = sum(g.par_chunks(PART).map(|g| dot(g, g)));
+                let a = sum(parts().map(|(t, g)| dot(t, g))) / own;
+                if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 }
+            });
+            let mut y = x.clone();
+            if let Some((before, _)) = &extrapolated {
+                let parts = y.par_iter_mut().with_min_len(PART).zip(before);
+                parts.for_each(|(y, before)| *y = (*y + a * (*y - before)).max(0.0));
+            }
+            extrapolated = Some((x, std::mem::replace(&mut t, y)));
+        } else {
+            t = x;
         }
-        m = forward(&t);
         iterations += 1;
     }
     let report =
@@ -313,16 +357,38 @@ fn iterate(
     (t, report)
 }
 
-/// `sum w (E ln m - m)`.
-fn likelihood(e: &Array2<f64>, m: &Array2<f64>, w: &Array2<f64>, floor: f64) -> f64 {
-    Zip::from(e).and(m).and(w).fold(0.0, |sum, e, m, w| {
-        if *w > 0.0 {
-            let m = m.max(floor);
-            sum + w * (e * m.ln() - m)
-        } else {
-            sum
-        }
-    })
+/// The sum of parts in their order.
+fn sum(parts: impl IndexedParallelIterator<Item = f64>) -> f64 {
+    parts.collect::<Vec<f64>>().iter().sum()
+}
+
+/// `sum w (E ln m - m)` and the RMS (mean removed) of E - m; m becomes w E / m.
+fn compared(e: &Array2<f64>, w: &Array2<f64>, floor: f64, m: &mut Array2<f64>) -> (f64, f64) {
+    let rows = (m.outer_iter_mut().into_par_iter())
+        .zip(e.outer_iter().into_par_iter())
+        .zip(w.outer_iter().into_par_iter());
+    let parts: Vec<[f64; 4]> = rows
+        .map(|((mut m, e), w)| {
+            let mut sums = [0.0; 4];
+            for ((m, e), w) in m.iter_mut().zip(e).zip(w) {
+                if *w > 0.0 {
+                    let (d, positive) = (e - *m, m.max(floor));
+                    sums[0] += w * (e * positive.ln() - positive);
+                    sums[1] += w;
+                    sums[2] += w * d;
+                    sums[3] += w * d * d;
+                    *m = w * e / positive;
+                } else {
+                    *m = 0.0;
+                }
+            }
+            sums
+        })
+        .collect();
+    let total = |k: usize| parts.iter().map(|p| p[k]).sum::<f64>();
+    // The mean of E - m is small: a step keeps the volume.
+    let (weight, mean) = (total(1), total(2) / total(1));
+    (total(0), (total(3) / weight - mean * mean).max(0.0).sqrt())
 }
 
 #[cfg(test)]

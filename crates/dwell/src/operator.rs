@@ -1,7 +1,7 @@
 //! B as an operator: by its columns where they fit, by FFT where they do not.
 //!
-//! The columns are exact; the FFT spreads every dwell time on the pixels of the map and loses what
-//! leaks over the border of the TIF ([`crate::fft_operator`]), in memory proportional to the map.
+//! The columns are exact, and so is the FFT where the TIF has the pitch of the map
+//! ([`crate::fft_operator`]), in memory proportional to the map.
 
 use ndarray::{Array2, Axis, s};
 use planish_types::{Grid, Invalid, Tif};
@@ -31,7 +31,7 @@ pub enum Operator {
         shape: (usize, usize),
     },
     /// By spreading and FFT.
-    Fft(FftOperator),
+    Fft(Box<FftOperator>),
 }
 
 impl Operator {
@@ -50,7 +50,7 @@ impl Operator {
         Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
             Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
         } else {
-            Self::Fft(FftOperator::new(places, tif, grid))
+            Self::Fft(Box::new(FftOperator::new(places, tif, grid)))
         })
     }
 

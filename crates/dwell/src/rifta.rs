@@ -211,7 +211,7 @@ impl<'a> Fourier<'a> {
         Zip::from(&mut seconds).and(&self.distance_mm).for_each(|t, d| {
             *t = if *d <= margin_mm { t.max(0.0) } else { 0.0 };
         });
-        let residual = self.extension.inner(&(&self.target - &self.map.removal(&seconds)));
+        let residual = self.extension.inner(&(&self.target - &self.map.removal(seconds.view())));
         let rms = self.model.rms(&residual);
         (seconds, residual, rms)
     }

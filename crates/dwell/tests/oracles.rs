@@ -142,8 +142,12 @@ fn both_algorithms_give_the_same_dwell() {
     // so what the operator leaks over its border is (2 * 0.25 / 3.25)^6 = 1e-5 of the peak.
     let (path, desired) = (path(2.0), surface(bowl()));
     let dense = run(&desired, &path, &settings());
-    let by_fft =
-        Settings { max_stored_points: 0, tolerance_s: 1e-7, max_iterations: 20_000, ..settings() };
+    let by_fft = Settings {
+        max_factorised_points: 0,
+        tolerance_s: 1e-7,
+        max_iterations: 20_000,
+        ..settings()
+    };
     let by_fft = run(&desired, &path, &by_fft);
     assert_eq!(dense.report.algorithm, "active-set");
     assert_eq!(by_fft.report.algorithm, "projected-gradient");

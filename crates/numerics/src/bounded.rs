@@ -121,7 +121,8 @@ pub fn natural_residual(
 /// repeat, (2) holds to rounding. It may cycle: then the guess changes one component at a time
 /// (the one of largest index, Murty's rule), which ends.
 ///
-/// `start` is a first guess: its components at a bound are the first sets.
+/// `start` is a first guess: its components at a bound are the first sets. It ends at the latest when
+/// the sets repeat, and as soon as (2) is below `enough`.
 /// `None` when H is not positive definite.
 pub fn active_set(
     h: &Quadratic,
@@ -129,6 +130,7 @@ pub fn active_set(
     lo: &[f64],
     hi: &[f64],
     start: &[f64],
+    enough: f64,
     max_iterations: usize,
 ) -> Option<Solution> {
     let n = g.len();
@@ -168,7 +170,7 @@ pub fn active_set(
             .collect();
         let better = best.as_ref().is_none_or(|b| residual < b.natural_residual);
         without_progress = if better { 0 } else { without_progress + 1 };
-        let done = wanted == state;
+        let done = wanted == state || residual < enough;
         if better || done {
             best = Some(Solution {
                 value: clipped,
@@ -387,7 +389,7 @@ mod tests {
         let h = Array2::from_diag(&ndarray::array![1.0, 4.0, 16.0, 64.0]);
         let g = [3.0, 2.0, -4.0, 64.0];
         for (h, rounding) in forms(&h).iter().zip([0.0, 1e-14]) {
-            let s = active_set(h, &g, &[0.0; 4], &[2.0; 4], &[1.0; 4], 50).unwrap();
+            let s = active_set(h, &g, &[0.0; 4], &[2.0; 4], &[1.0; 4], 0.0, 50).unwrap();
             let expected = [2.0, 0.5, 0.0, 1.0];
             assert!((0..4).all(|j| (s.value[j] - expected[j]).abs() <= rounding), "{s:?}");
             assert!(s.end == End::Optimal && s.natural_residual <= rounding, "{s:?}");
@@ -399,7 +401,7 @@ mod tests {
         let (h, g) = random_problem(30, 0.1, 7);
         let (lo, hi) = (vec![f64::NEG_INFINITY; 30], vec![f64::INFINITY; 30]);
         for h in forms(&h) {
-            let s = active_set(&h, &g, &lo, &hi, &[0.0; 30], 50).unwrap();
+            let s = active_set(&h, &g, &lo, &hi, &[0.0; 30], 0.0, 50).unwrap();
             let q = gradient(&h, &g, &s.value);
             assert!(q.iter().all(|q| q.abs() < 1e-10), "{q:?}");
         }
@@ -409,7 +411,7 @@ mod tests {
     fn not_positive_definite_is_refused() {
         let h = Array2::from_diag(&ndarray::array![1.0, -1.0]);
         for h in forms(&h) {
-            assert!(active_set(&h, &[1.0; 2], &[-9.0; 2], &[9.0; 2], &[0.0; 2], 50).is_none());
+            assert!(active_set(&h, &[1.0; 2], &[-9.0; 2], &[9.0; 2], &[0.0; 2], 0.0, 50).is_none());
         }
     }
 
@@ -421,10 +423,10 @@ mod tests {
             let (h, g) = random_problem(n, 0.3, seed);
             let (lo, hi) = (vec![low; n], vec![low + 0.8; n]);
             let [plain, split] = forms(&h);
-            let a = active_set(&plain, &g, &lo, &hi, &lo, 200).unwrap();
+            let a = active_set(&plain, &g, &lo, &hi, &lo, 0.0, 200).unwrap();
             prop_assert_eq!(a.end, End::Optimal);
             prop_assert!(a.natural_residual < 1e-11);
-            let c = active_set(&split, &g, &lo, &hi, &lo, 200).unwrap();
+            let c = active_set(&split, &g, &lo, &hi, &lo, 0.0, 200).unwrap();
             // The outer products cost the digits of their size, some 1e2.
             prop_assert!((0..n).all(|j| (a.value[j] - c.value[j]).abs() < 1e-9));
             let diagonal: Vec<f64> = (0..n).map(|j| h[[j, j]]).collect();

@@ -9,7 +9,7 @@
 //! ```text
 //! A[i, k] -= L[i, j] L[k, j]',  j < k        (matrix products, nearly all of the work)
 //! A[k, k]  = L[k, k] L[k, k]'                (unblocked)
-//! L[i, k]  = A[i, k] L[k, k]^-T,  i > k      (row by row)
+//! L[i, k]  = A[i, k] L[k, k]^-T,  i > k      (by the inverse of one block)
 //! ```
 //!
 //! The blocks below a diagonal block are independent of each other, so the result does not depend
@@ -17,7 +17,7 @@
 //! Positive Definite Systems, 1981, chapter 4; Golub and Van Loan, Matrix Computations, 4th ed.,
 //! section 4.2.
 
-use ndarray::{Array2, ArrayView2, Axis, linalg::general_mat_mul, s};
+use ndarray::{Array2, Axis, linalg::general_mat_mul, s};
 use rayon::prelude::*;
 
 /// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
@@ -156,22 +156,20 @@ impl Envelope {
             let mut l = diagonal.to_owned();
             factorise_unblocked(&mut l)?;
             diagonal.assign(&l);
-            // L[i, k] L[k, k]' = A[i, k]: forward substitution with the columns of L[k, k].
-            let columns = l.t().as_standard_layout().into_owned();
+            let inverse = inverse(&l);
             let (top, top_start) = (left.view(), pivot.start);
             below.par_iter_mut().filter(|rows| rows.start <= at).for_each(|rows| {
                 let (left, rest) = rows.values.view_mut().split_at(Axis(1), at - rows.start);
-                let (mut block, _) = rest.split_at(Axis(1), columns.nrows());
+                let (mut block, _) = rest.split_at(Axis(1), inverse.nrows());
                 let from = rows.start.max(top_start);
                 if from < at {
                     let l = left.slice(s![.., from - rows.start..]);
                     let top = top.slice(s![.., from - top_start..]);
                     general_mat_mul(-1.0, &l, &top.t(), 1.0, &mut block);
                 }
-                for mut row in block.outer_iter_mut() {
-                    let row = row.as_slice_mut().expect("rows are contiguous");
-                    substitute(row, columns.view());
-                }
+                // L[i, k] = A[i, k] L[k, k]^-T
+                let known = block.to_owned();
+                general_mat_mul(1.0, &known, &inverse.t(), 0.0, &mut block);
             });
         }
         Some(Factor { l: self })
@@ -223,15 +221,23 @@ fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += a * x);
 }
 
-/// `x L' = row` in place, `columns[j, ..]` the j-th column of L.
-fn substitute(row: &mut [f64], columns: ArrayView2<f64>) {
-    for j in 0..row.len() {
-        let column = columns.row(j);
-        let column = column.as_slice().expect("rows are contiguous");
-        row[j] /= column[j];
-        let x = row[j];
-        axpy(-x, &column[j + 1..], &mut row[j + 1..]);
+/// X of `L X = 1`, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.
+fn inverse(l: &Array2<f64>) -> Array2<f64> {
+    let n = l.nrows();
+    let mut x = Array2::zeros((n, n));
+    for i in 0..n {
+        let (above, mut rest) = x.view_mut().split_at(Axis(0), i);
+        let mut row = rest.row_mut(0);
+        let row = row.as_slice_mut().expect("rows are contiguous");
+        for (k, known) in above.outer_iter().enumerate() {
+            let known = known.to_slice().expect("rows are contiguous");
+            axpy(-l[[i, k]], &known[..=k], &mut row[..=k]);
+        }
+        let scale = 1.0 / l[[i, i]];
+        row[..i].iter_mut().for_each(|v| *v *= scale);
+        row[i] = scale;
     }
+    x
 }
 
 /// The lower triangle becomes L, the upper one zero.

@@ -34,6 +34,9 @@ pub fn smooth_size(n: usize) -> usize {
         .expect("powers of two are unbounded")
 }
 
+/// Columns that a thread transforms at a time: two cache lines of every row.
+const LINES: usize = 8;
+
 /// Convolution with one kernel for sources of one shape.
 pub struct Convolution {
     source: (usize, usize),
@@ -68,7 +71,7 @@ impl Convolution {
             inverse_y: complex.plan_fft_inverse(size.0),
             spectrum: Vec::new(),
         };
-        plan.spectrum = plan.forward(kernel, (0, 0));
+        plan.spectrum = plan.kernel_spectrum(kernel);
         let scale = 1.0 / (size.0 * size.1) as f64;
         plan.spectrum.iter_mut().for_each(|v| *v *= scale);
         plan
@@ -77,10 +80,9 @@ impl Convolution {
     /// The valid part of kernel * source, shape (sy-gy+1, sx-gx+1).
     pub fn valid(&self, source: ArrayView2<f64>) -> Array2<f64> {
         assert_eq!(source.dim(), self.source, "shape of the source");
-        let mut spectrum = self.forward(source, (0, 0));
-        spectrum.par_iter_mut().zip(&self.spectrum).for_each(|(s, g)| *s *= g);
         let shape = (self.source.0 - self.kernel.0 + 1, self.source.1 - self.kernel.1 + 1);
-        self.inverse(spectrum, (self.kernel.0 - 1, self.kernel.1 - 1), shape)
+        let from = (self.kernel.0 - 1, self.kernel.1 - 1);
+        self.through(source, (0, 0), |g| g, from, shape)
     }
 
     /// The adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`; shape of the source.
@@ -95,18 +97,81 @@ impl Convolution {
         map: ArrayView2<f64>,
         filter: impl Fn(Complex64) -> Complex64 + Sync,
     ) -> Array2<f64> {
-        let mut spectrum = self.forward(map, (self.kernel.0 - 1, self.kernel.1 - 1));
         let elements = (self.size.0 * self.size.1) as f64;
-        spectrum.par_iter_mut().zip(&self.spectrum).for_each(|(s, g)| {
-            // The spectrum is stored with the scale of the inverse transform.
-            *s *= filter(g * elements) / elements;
-        });
-        self.inverse(spectrum, (0, 0), self.source)
+        // The spectrum is stored with the scale of the inverse transform.
+        let filter = |g: Complex64| filter(g * elements) / elements;
+        self.through(map, (self.kernel.0 - 1, self.kernel.1 - 1), filter, (0, 0), self.source)
     }
 
-    /// Spectrum [kx][ky] of `map` placed at `offset` in a field of zeros.
-    fn forward(&self, map: ArrayView2<f64>, offset: (usize, usize)) -> Vec<Complex64> {
+    /// `map` placed at `at` in a field of zeros, its spectrum times the filter, and the part of what
+    /// that gives which starts at `from`. The columns stay in the cache from one transform to
+    /// the other.
+    fn through(
+        &self,
+        map: ArrayView2<f64>,
+        at: (usize, usize),
+        filter: impl Fn(Complex64) -> Complex64 + Sync,
+        from: (usize, usize),
+        shape: (usize, usize),
+    ) -> Array2<f64> {
         let (py, px) = self.size;
+        let kx = px / 2 + 1;
+        let rows = map.nrows();
+        let by_rows = self.rows(map, at.1);
+        // [k / LINES][row][k % LINES]
+        let mut by_blocks = vec![Complex64::default(); kx.div_ceil(LINES) * shape.0 * LINES];
+        let scratch =
+            self.forward_y.get_inplace_scratch_len().max(self.inverse_y.get_inplace_scratch_len());
+        by_blocks.par_chunks_mut(shape.0 * LINES).enumerate().for_each_init(
+            || (vec![Complex64::default(); LINES * py], vec![Complex64::default(); scratch]),
+            |(columns, scratch), (b, out)| {
+                let first = b * LINES;
+                let width = LINES.min(kx - first);
+                columns.fill(Complex64::default());
+                for r in 0..rows {
+                    let values = &by_rows[r * kx + first..r * kx + first + width];
+                    for (l, v) in values.iter().enumerate() {
+                        columns[l * py + at.0 + r] = *v;
+                    }
+                }
+                for (l, column) in columns.chunks_mut(py).take(width).enumerate() {
+                    self.forward_y.process_with_scratch(column, scratch);
+                    let g = &self.spectrum[(first + l) * py..(first + l + 1) * py];
+                    column.iter_mut().zip(g).for_each(|(c, g)| *c *= filter(*g));
+                    self.inverse_y.process_with_scratch(column, scratch);
+                }
+                for (r, out) in out.chunks_mut(LINES).enumerate() {
+                    for (l, out) in out[..width].iter_mut().enumerate() {
+                        *out = columns[l * py + from.0 + r];
+                    }
+                }
+            },
+        );
+        let mut out = Array2::zeros(shape);
+        out.outer_iter_mut().into_par_iter().enumerate().for_each_init(
+            || (vec![Complex64::default(); kx], vec![0.0; px], self.inverse_x.make_scratch_vec()),
+            |(half, line, scratch), (r, mut row)| {
+                for (b, half) in half.chunks_mut(LINES).enumerate() {
+                    let start = (b * shape.0 + r) * LINES;
+                    half.copy_from_slice(&by_blocks[start..start + half.len()]);
+                }
+                // The transform of a real line: these two are real but for rounding.
+                half[0].im = 0.0;
+                if px % 2 == 0 {
+                    half[kx - 1].im = 0.0;
+                }
+                self.inverse_x
+                    .process_with_scratch(half, line, scratch)
+                    .expect("buffers have the planned sizes");
+                row.iter_mut().zip(&line[from.1..]).for_each(|(o, v)| *o = *v);
+            },
+        );
+        out
+    }
+
+    /// Spectra [row][kx] of the rows of `map`, each placed at `at` in a line of zeros.
+    fn rows(&self, map: ArrayView2<f64>, at: usize) -> Vec<Complex64> {
+        let px = self.size.1;
         let kx = px / 2 + 1;
         let (rows, columns) = map.dim();
         let mut by_rows = vec![Complex64::default(); rows * kx];
@@ -117,57 +182,31 @@ impl Convolution {
                     return; // the transform of zeros
                 }
                 line.fill(0.0);
-                line[offset.1..offset.1 + columns].iter_mut().zip(row).for_each(|(l, v)| *l = *v);
+                line[at..at + columns].iter_mut().zip(row).for_each(|(l, v)| *l = *v);
                 self.forward_x
                     .process_with_scratch(line, out, scratch)
                     .expect("buffers have the planned sizes");
             },
         );
+        by_rows
+    }
+
+    /// Spectrum [kx][ky] of the kernel.
+    fn kernel_spectrum(&self, kernel: ArrayView2<f64>) -> Vec<Complex64> {
+        let py = self.size.0;
+        let kx = self.size.1 / 2 + 1;
+        let by_rows = self.rows(kernel, 0);
         let mut by_columns = vec![Complex64::default(); kx * py];
         by_columns.par_chunks_mut(py).enumerate().for_each_init(
             || vec![Complex64::default(); self.forward_y.get_inplace_scratch_len()],
             |scratch, (k, column)| {
-                for r in 0..rows {
-                    column[offset.0 + r] = by_rows[r * kx + k];
+                for (r, value) in column[..kernel.nrows()].iter_mut().enumerate() {
+                    *value = by_rows[r * kx + k];
                 }
                 self.forward_y.process_with_scratch(column, scratch);
             },
         );
         by_columns
-    }
-
-    /// The part of the inverse transform that starts at `offset`.
-    fn inverse(
-        &self,
-        mut by_columns: Vec<Complex64>,
-        offset: (usize, usize),
-        shape: (usize, usize),
-    ) -> Array2<f64> {
-        let (py, px) = self.size;
-        let kx = px / 2 + 1;
-        by_columns.par_chunks_mut(py).for_each_init(
-            || vec![Complex64::default(); self.inverse_y.get_inplace_scratch_len()],
-            |scratch, column| self.inverse_y.process_with_scratch(column, scratch),
-        );
-        let mut out = Array2::zeros(shape);
-        out.outer_iter_mut().into_par_iter().enumerate().for_each_init(
-            || (vec![Complex64::default(); kx], vec![0.0; px], self.inverse_x.make_scratch_vec()),
-            |(half, line, scratch), (r, mut row)| {
-                for (k, h) in half.iter_mut().enumerate() {
-                    *h = by_columns[k * py + offset.0 + r];
-                }
-                // The transform of a real line: these two are real but for rounding.
-                half[0].im = 0.0;
-                if px % 2 == 0 {
-                    half[kx - 1].im = 0.0;
-                }
-                self.inverse_x
-                    .process_with_scratch(half, line, scratch)
-                    .expect("buffers have the planned sizes");
-                row.iter_mut().zip(&line[offset.1..]).for_each(|(o, v)| *o = *v);
-            },
-        );
-        out
     }
 }
 

@@ -9,6 +9,7 @@ pub mod bspline;
 pub mod chain;
 pub mod envelope;
 pub mod fft;
+pub mod fft_line;
 pub mod fft_pairs;
 pub mod fourier;
 pub mod keys;

@@ -1,0 +1,103 @@
+//! Real transforms of lines of one size, for convolutions along one axis whose products are summed
+//! before they are transformed back.
+
+use std::sync::Arc;
+
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+
+use crate::fft::{Complex64, smooth_size};
+
+/// The transforms of lines of up to `len` elements.
+pub struct Lines {
+    size: usize,
+    forward: Arc<dyn RealToComplex<f64>>,
+    inverse: Arc<dyn ComplexToReal<f64>>,
+}
+
+/// Buffers, one for each thread.
+pub struct Workspace {
+    line: Vec<f64>,
+    half: Vec<Complex64>,
+    forward: Vec<Complex64>,
+    inverse: Vec<Complex64>,
+}
+
+impl Lines {
+    /// Plans for lines of `len` elements, continued by zeros up to 2^a 3^b 5^c 7^d.
+    pub fn new(len: usize) -> Self {
+        let size = smooth_size(len);
+        let mut planner = RealFftPlanner::new();
+        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        Self { size, forward, inverse }
+    }
+
+    /// Elements of a spectrum.
+    pub fn half(&self) -> usize {
+        self.size / 2 + 1
+    }
+
+    /// Buffers for [`Self::forward`] and [`Self::inverse`].
+    pub fn workspace(&self) -> Workspace {
+        Workspace {
+            line: self.forward.make_input_vec(),
+            half: self.forward.make_output_vec(),
+            forward: self.forward.make_scratch_vec(),
+            inverse: self.inverse.make_scratch_vec(),
+        }
+    }
+
+    /// The spectrum of what `write` puts on a line of zeros.
+    pub fn forward(
+        &self,
+        write: impl FnOnce(&mut [f64]),
+        spectrum: &mut [Complex64],
+        work: &mut Workspace,
+    ) {
+        work.line.fill(0.0);
+        write(&mut work.line);
+        self.forward
+            .process_with_scratch(&mut work.line, spectrum, &mut work.forward)
+            .expect("buffers have the planned sizes");
+    }
+
+    /// The line of a spectrum, divided by the number of its elements.
+    pub fn inverse<'a>(&self, spectrum: &[Complex64], work: &'a mut Workspace) -> &'a [f64] {
+        let scale = 1.0 / self.size as f64;
+        work.half.iter_mut().zip(spectrum).for_each(|(h, s)| *h = s * scale);
+        // The transform of a real line: these two are real but for rounding.
+        work.half[0].im = 0.0;
+        if self.size.is_multiple_of(2) {
+            work.half[self.size / 2].im = 0.0;
+        }
+        self.inverse
+            .process_with_scratch(&mut work.half, &mut work.line, &mut work.inverse)
+            .expect("buffers have the planned sizes");
+        &work.line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_and_back_and_a_product_is_a_convolution() {
+        for len in [1, 2, 9, 14] {
+            let lines = Lines::new(len);
+            let mut work = lines.workspace();
+            let (mut a, mut b) = (vec![Complex64::default(); lines.half()], Vec::new());
+            b.clone_from(&a);
+            let value = |k: usize| (1.0 + k as f64).sin();
+            let write = |line: &mut [f64]| (0..len).for_each(|k| line[k] = value(k));
+            lines.forward(write, &mut a, &mut work);
+            let back = lines.inverse(&a, &mut work);
+            // Sums of at most 14 elements of order 1.
+            assert!((0..len).all(|k| (back[k] - value(k)).abs() < 1e-14));
+            lines.forward(|line| line[lines.size - 1] = 2.0, &mut b, &mut work);
+            a.iter_mut().zip(&b).for_each(|(a, b)| *a *= b);
+            // One element at the end: a shift by one to the left.
+            let back = lines.inverse(&a, &mut work);
+            assert!((1..len).all(|k| (back[k - 1] - 2.0 * value(k)).abs() < 1e-14));
+        }
+    }
+}
