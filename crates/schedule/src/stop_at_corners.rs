@@ -221,17 +221,25 @@ impl Along {
         let (b, c) = (a * d + v0 + v1, a * l + 0.5 * (v0 * v0 + v1 * v1));
         let fastest = self.max_velocity.min(c.sqrt()).max(v0).max(v1);
         let discriminant = b * b - 4.0 * c;
-        let wanted = if discriminant > 0.0 { 2.0 * c / (b + discriminant.sqrt()) } else { fastest };
+        let wanted =
+            if discriminant > 0.0 { 2.0 * c / (b + discriminant.sqrt()) } else { f64::INFINITY };
+        let phases = |w: f64| ((w - v0).abs() / a, (w - v1).abs() / a);
+        if wanted > fastest {
+            // Late.
+            let (w, (t0, t2)) = (fastest, phases(fastest));
+            let rest_mm = l - 0.5 * ((v0 + w) * t0 + (w + v1) * t2);
+            return Profile { time_s: [t0, rest_mm.max(0.0) / w, t2], velocity: [v0, w, v1] };
+        }
         let w = if wanted >= v0.max(v1) {
-            wanted.min(fastest)
+            wanted
         } else {
-            let coast_mm = l - (v0 * v0 - v1 * v1) / (2.0 * a);
-            let w = coast_mm / (d - (v0 - v1) / a);
-            if w.is_finite() { w.clamp(v0.min(v1), v0.max(v1)) } else { v0.max(v1) }
+            // Where it brakes all the way and then waits, w is 0.
+            let (coast_mm, coast_s) = (l - (v0 * v0 - v1 * v1) / (2.0 * a), d - (v0 - v1) / a);
+            let w = if coast_s > 0.0 { coast_mm / coast_s } else { v0.max(v1) };
+            w.clamp(v0.min(v1), v0.max(v1))
         };
-        let (t0, t1) = ((w - v0).abs() / a, (w - v1).abs() / a);
-        let rest_mm = l - 0.5 * ((v0 + w) * t0 + (w + v1) * t1);
-        Profile { time_s: [t0, rest_mm.max(0.0) / w, t1], velocity: [v0, w, v1] }
+        let (t0, t2) = phases(w);
+        Profile { time_s: [t0, (d - t0 - t2).max(0.0), t2], velocity: [v0, w, v1] }
     }
 }
 
@@ -347,6 +355,27 @@ mod tests {
             assert!((p[0] - expected[0]).abs() + (p[1] - expected[1]).abs() < 1e-12, "{p:?}");
             assert_eq!(speed[0].hypot(speed[1]) > 1.0, moving, "node {node}: {speed:?}");
         }
+    }
+
+    #[test]
+    fn it_brakes_to_the_very_end_and_waits_there() {
+        // 4 mm/s and 8 mm/s^2: 1 mm and half a second to rest, of three seconds.
+        let along = Along {
+            index: 0,
+            tool_on: true,
+            length_mm: 1.0,
+            direction: [1.0, 0.0],
+            dwell_s: 3.0,
+            duration_s: 3.0,
+            max_velocity: 10.0,
+            max_acceleration: 8.0,
+        };
+        let profile = along.profile(4.0, 0.0);
+        assert_eq!(profile, Profile { time_s: [0.5, 2.5, 0.0], velocity: [4.0, 0.0, 0.0] });
+        // Braking from a little less leaves the rest of the way for the rest of the time.
+        let v0 = 3.999_999_999_999;
+        let profile = along.profile(v0, 0.0);
+        assert!((profile.duration_s() - 3.0).abs() < 1e-15, "{profile:?}");
     }
 
     #[test]

@@ -276,11 +276,13 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
 }
 
 /// Cases that the long test has found: population, seed, number. Always among those that run.
-const FOUND: [(&str, u64, u64); 2] = [
+const FOUND: [(&str, u64, u64); 3] = [
     // A late start: pieces of 1e-17 s vanished in the rounding of break times that the sum of the
     // dwell times said nothing about (constant acceleration).
     ("unequal", 1, 8559),
     ("harsh", 1, 8238),
+    // Braking to the very end of a segment, to wait there: 0/0 (stop at corners).
+    ("raster-like", 1, 264),
 ];
 
 /// Runs `check` on every case of every population, and on those found, and reports all that fail.
