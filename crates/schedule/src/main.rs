@@ -136,9 +136,9 @@ enum Corners {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Mode {
-    /// Least acceleration energy; may overshoot corners
+    /// Least acceleration energy; may overshoot corners; keeps a limit on jerk
     Smooth,
-    /// Least acceleration energy without reversal inside a segment
+    /// Least acceleration energy without reversal inside a segment; its acceleration steps
     Monotone,
 }
 

@@ -368,6 +368,7 @@ impl Timing {
             })
             .filter(|s| s.scheduled_s > s.dwell_s)
             .collect();
+        let mut kept = self.kept.iter().peekable();
         let added = |on: bool| {
             let of = stretched.iter().filter(|s| s.tool_on == on);
             of.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
@@ -375,7 +376,7 @@ impl Timing {
         Report {
             added_tool_on_s: added(true),
             added_tool_off_s: added(false),
-            dropped: (0..path.len()).filter(|i| self.kept.binary_search(i).is_err()).collect(),
+            dropped: (0..path.len()).filter(|i| kept.next_if(|k| *k == i).is_none()).collect(),
             stretched,
             solver,
             rounds,
