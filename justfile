@@ -38,7 +38,7 @@ fixtures: build
 test:
     cargo test --locked --workspace
 
-# Every scheduler along 1e5 random paths: more than an hour of one core
+# Every scheduler along 1e5 random paths: about an hour of one core
 test-schedulers-long cases="14300" seed="1":
     PLANISH_CASES={{ cases }} PLANISH_SEED={{ seed }} cargo test --release --locked -p planish-testkit --test schedulers
 
