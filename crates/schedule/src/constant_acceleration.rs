@@ -35,7 +35,7 @@ use serde::Serialize;
 
 use crate::{
     ScheduleError, break_times, check_lengths,
-    link::{End, link},
+    link::{End, Link, link},
 };
 
 /// What the recursion could not do.
@@ -108,7 +108,9 @@ pub fn schedule(
         if !path.tool_on()[i] {
             let from = End { position_mm: position, velocity_mm_per_s: velocity };
             let to = End { position_mm: target, velocity_mm_per_s: [0.0; 2] };
-            match link(from, to, limits, dwell_s) {
+            // Without dwell time and but for rounding at its end already, it would vanish too.
+            let lasts = |l: &Link| l.duration_s > least_piece_s(pieces.end_s + l.duration_s);
+            match link(from, to, limits, dwell_s).filter(lasts) {
                 Some(link) => {
                     pieces.push(link.duration_s, link.coefficient_mm, false, i as i64);
                     report.lifts += 1;
