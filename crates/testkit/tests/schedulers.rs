@@ -276,11 +276,22 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
 }
 
 /// Cases that the long test has found: population, seed, number. Always among those that run.
-const FOUND: [(&str, u64, u64); 3] = [
+const FOUND: [(&str, u64, u64); 13] = [
     // A late start: pieces of 1e-17 s vanished in the rounding of break times that the sum of the
     // dwell times said nothing about (constant acceleration).
     ("unequal", 1, 8559),
     ("harsh", 1, 8238),
+    // A lift without time that is at its end but for rounding (constant acceleration).
+    ("degenerate", 1, 307),
+    ("degenerate", 1, 361),
+    ("degenerate", 1, 3633),
+    ("degenerate", 1, 4630),
+    ("degenerate", 1, 9046),
+    ("degenerate", 1, 9310),
+    ("degenerate", 1, 10629),
+    ("degenerate", 1, 12502),
+    ("degenerate", 1, 13237),
+    ("degenerate", 1, 14220),
     // Braking to the very end of a segment, to wait there: 0/0 (stop at corners).
     ("raster-like", 1, 264),
 ];
