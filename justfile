@@ -38,6 +38,10 @@ fixtures: build
 test:
     cargo test --locked --workspace
 
+# Every scheduler along 1e5 random paths: about an hour of one core
+test-schedulers-long cases="14300" seed="1":
+    PLANISH_CASES={{ cases }} PLANISH_SEED={{ seed }} cargo test --release --locked -p planish-testkit --test schedulers
+
 # Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
 test-interop:
     @test -d target/interop || python3 -m venv target/interop

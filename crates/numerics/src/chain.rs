@@ -114,6 +114,7 @@ struct Point {
 }
 
 /// r_d for y and e, r_p, and what decides on the end.
+#[derive(Default)]
 struct Residual {
     dual: Vec<f64>,
     dual_e: Vec<f64>,
@@ -127,6 +128,7 @@ struct Residual {
 }
 
 /// A step.
+#[derive(Default)]
 struct Step {
     y: Vec<f64>,
     e: Vec<f64>,
@@ -135,6 +137,7 @@ struct Step {
 }
 
 /// The matrix of (2), factorised, with what the elimination of e left per link.
+#[derive(Default)]
 struct Factor {
     /// D_ii of L D L'.
     pivot: Vec<f64>,
@@ -201,11 +204,13 @@ impl Scaled {
     }
 
     /// G (y, e), row by row.
-    fn product(&self, y: &[f64], e: &[f64]) -> Vec<f64> {
-        self.rows
-            .iter()
-            .map(|r| r.a[0] * y[r.link] + r.a[1] * y[r.link + 1] - r.slack * self.e_of(e, r.link))
-            .collect()
+    fn product(&self, y: &[f64], e: &[f64], product: &mut Vec<f64>) {
+        product.clear();
+        product.extend(
+            self.rows.iter().map(|r| {
+                r.a[0] * y[r.link] + r.a[1] * y[r.link + 1] - r.slack * self.e_of(e, r.link)
+            }),
+        );
     }
 
     fn solve(&self) -> Result<Vec<f64>, Failure> {
@@ -217,19 +222,23 @@ impl Scaled {
             l: vec![1.0; m],
         };
         // The free minimiser is a good start.
-        let no_rows = Factor::new(self, None);
+        let mut factor = Factor::default();
+        factor.update(self, None);
         at.y.clone_from(&self.linear);
-        no_rows.substitute(&mut at.y);
+        factor.substitute(&mut at.y);
         if m == 0 {
             return Ok(at.y);
         }
-        let product = self.product(&at.y, &at.e);
-        at.s = self.rows.iter().zip(product).map(|(r, g)| (r.bound - g).max(1.0)).collect();
+        self.product(&at.y, &at.e, &mut at.s);
+        at.s.iter_mut().zip(&self.rows).for_each(|(s, r)| *s = (r.bound - *s).max(1.0));
+        // Filled anew in every iteration: a long chain would spend as much time on fresh pages.
+        let (mut r, mut step) = (Residual::default(), Step::default());
+        let mut target = vec![0.0; m];
         // The last point that would be accepted: rounding may spoil the next.
         let mut accepted = None;
         let mut lowest = f64::INFINITY;
         for _ in 0..MAX_ITERATIONS {
-            let r = self.residual(&at);
+            self.residual(&at, &mut r);
             if r.is_within(TOLERANCE) {
                 return Ok(at.y);
             }
@@ -241,10 +250,10 @@ impl Scaled {
             if self.is_infeasible(&at) {
                 return Err(Failure::Infeasible);
             }
-            let factor = Factor::new(self, Some(&at));
+            factor.update(self, Some(&at));
             // Predictor: sigma = 0, no second-order term.
-            let target: Vec<f64> = at.s.iter().zip(&at.l).map(|(s, l)| s * l).collect();
-            let step = self.step(&factor, &at, &r, &target);
+            (0..m).for_each(|j| target[j] = at.s[j] * at.l[j]);
+            self.step(&factor, &at, &r, &target, &mut step);
             let a = at.longest(&step).min(1.0);
             let after: f64 =
                 (0..m).map(|j| (at.s[j] + a * step.s[j]) * (at.l[j] + a * step.l[j])).sum::<f64>()
@@ -254,10 +263,10 @@ impl Scaled {
             // circles: then a step towards the centre without it.
             let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
             lowest = lowest.min(r.mu);
-            let target: Vec<f64> = (0..m)
-                .map(|j| at.s[j] * at.l[j] + second * step.s[j] * step.l[j] - sigma * r.mu)
-                .collect();
-            let step = self.step(&factor, &at, &r, &target);
+            for (j, target) in target.iter_mut().enumerate() {
+                *target = at.s[j] * at.l[j] + second * step.s[j] * step.l[j] - sigma * r.mu;
+            }
+            self.step(&factor, &at, &r, &target, &mut step);
             let a = (at.longest(&step) * (1.0 - r.mu).clamp(0.995, 0.9999)).min(1.0);
             if a.is_nan() || a <= 1e-13 {
                 break;
@@ -267,16 +276,18 @@ impl Scaled {
         accepted.ok_or(Failure::NotConverged)
     }
 
-    fn residual(&self, at: &Point) -> Residual {
+    fn residual(&self, at: &Point, r: &mut Residual) {
         let n = at.y.len();
+        let Residual { dual, dual_e, primal, .. } = r;
         // r_d = P y - c + G' l
-        let mut dual: Vec<f64> = (0..n).map(|i| self.diagonal * at.y[i] - self.linear[i]).collect();
+        dual.clear();
+        dual.extend((0..n).map(|i| self.diagonal * at.y[i] - self.linear[i]));
         for i in 0..self.links() {
             dual[i] += self.beside[i] * at.y[i + 1];
             dual[i + 1] += self.beside[i] * at.y[i];
         }
-        let mut dual_e = self.price.clone();
-        let mut primal = self.product(&at.y, &at.e);
+        dual_e.clone_from(&self.price);
+        self.product(&at.y, &at.e, primal);
         let (mut mu, mut largest) = (0.0, 0.0_f64);
         for link in 0..self.links() {
             for j in self.rows_of(link) {
@@ -302,7 +313,7 @@ impl Scaled {
         largest = worse(largest, mu);
         let largest_dual = dual.iter().map(|d| d.abs()).fold(0.0, worse);
         let largest_dual = dual_e.iter().map(|d| d.abs()).fold(largest_dual, worse);
-        Residual { dual, dual_e, primal, mu, largest_dual, largest }
+        (r.mu, r.largest_dual, r.largest) = (mu, largest_dual, largest);
     }
 
     /// Whether the multipliers prove that no point satisfies the rows.
@@ -326,9 +337,12 @@ impl Scaled {
     }
 
     /// The solution of (2) with the given r_c.
-    fn step(&self, factor: &Factor, at: &Point, r: &Residual, target: &[f64]) -> Step {
-        let mut y: Vec<f64> = r.dual.iter().map(|v| -v).collect();
-        let mut e = vec![0.0; self.price.len()];
+    fn step(&self, factor: &Factor, at: &Point, r: &Residual, target: &[f64], step: &mut Step) {
+        let Step { y, e, s, l } = step;
+        y.clear();
+        y.extend(r.dual.iter().map(|v| -v));
+        e.clear();
+        e.resize(self.price.len(), 0.0);
         for link in 0..self.links() {
             let rows = self.rows_of(link);
             if rows.is_empty() {
@@ -350,16 +364,16 @@ impl Scaled {
                 *e = right_e;
             }
         }
-        factor.substitute(&mut y);
+        factor.substitute(y);
         for (link, e) in e.iter_mut().enumerate() {
             // M_ee de = right_e - M_ey dy
             let m = factor.mean[link];
             *e = *e * factor.inverse[link] + m[0] * y[link] + m[1] * y[link + 1];
         }
-        let product = self.product(&y, &e);
-        let s: Vec<f64> = product.iter().zip(&r.primal).map(|(g, p)| -p - g).collect();
-        let l = (0..s.len()).map(|j| -(target[j] + at.l[j] * s[j]) / at.s[j]).collect();
-        Step { y, e, s, l }
+        self.product(y, e, s);
+        s.iter_mut().zip(&r.primal).for_each(|(s, p)| *s = -p - *s);
+        l.clear();
+        l.extend((0..s.len()).map(|j| -(target[j] + at.l[j] * s[j]) / at.s[j]));
     }
 }
 
@@ -394,12 +408,17 @@ impl Point {
 
 impl Factor {
     /// P + G' D G, or P alone.
-    fn new(program: &Scaled, at: Option<&Point>) -> Self {
+    fn update(&mut self, program: &Scaled, at: Option<&Point>) {
         let n = program.linear.len();
-        let mut pivot = vec![program.diagonal; n];
-        let mut below = program.beside.clone();
+        let Self { pivot, below, mean, inverse } = self;
+        pivot.clear();
+        pivot.resize(n, program.diagonal);
+        below.clone_from(&program.beside);
         let elastic = program.price.len();
-        let (mut mean, mut inverse) = (vec![[0.0; 2]; elastic], vec![0.0; elastic]);
+        mean.clear();
+        mean.resize(elastic, [0.0; 2]);
+        inverse.clear();
+        inverse.resize(elastic, 0.0);
         for link in (0..program.links()).filter(|_| at.is_some()) {
             let Some(at) = at else { continue };
             let rows = program.rows_of(link);
@@ -431,7 +450,6 @@ impl Factor {
             pivot[i + 1] -= factor * below[i];
             below[i] = factor;
         }
-        Self { pivot, below, mean, inverse }
     }
 
     fn substitute(&self, y: &mut [f64]) {

@@ -41,6 +41,8 @@ pub struct Claim {
     /// Whether the largest jerk is kept, steps of the acceleration included; `null` when the
     /// machine does not limit it.
     pub jerk: Option<bool>,
+    /// The same inside segments only, steps apart.
+    pub jerk_inside_segments: Option<bool>,
     /// Whether no segment is shorter than the controller accepts.
     pub min_segment: bool,
     /// Largest |jerk| inside segments of [x, y], mm/s^3.
@@ -59,6 +61,7 @@ impl Claim {
             velocity: true,
             acceleration: true,
             jerk: None,
+            jerk_inside_segments: None,
             min_segment: true,
             max_jerk_mm_per_s3: [0.0; 2],
             max_acceleration_step_mm_per_s2: [0.0; 2],
@@ -110,20 +113,26 @@ impl Claim {
         let end = before.unwrap_or_default();
         steps(self, end, [end[0], 0.0, 0.0]);
         if let Some(j_max) = limit.max_jerk_mm_per_s3 {
-            let kept = within(self.max_jerk_mm_per_s3[axis], j_max)
-                && self.max_acceleration_step_mm_per_s2[axis] <= ACCELERATION_STEP * a_max;
-            self.jerk = Some(self.jerk.unwrap_or(true) && kept);
+            let inside = within(self.max_jerk_mm_per_s3[axis], j_max);
+            let steps = self.max_acceleration_step_mm_per_s2[axis] > ACCELERATION_STEP * a_max;
+            let before = self.jerk_inside_segments.unwrap_or(true);
+            self.jerk_inside_segments = Some(before && inside);
+            self.jerk = Some(self.jerk.unwrap_or(true) && inside && !steps);
         }
     }
 
     /// What the user should know besides the numbers; empty when every limit is kept.
     pub fn remark(&self) -> String {
+        let jerk = match self.jerk_inside_segments {
+            Some(true) => "the acceleration steps, which no limit on jerk allows",
+            _ => "the jerk exceeds its limit",
+        };
         let broken = [
             ("the position jumps", self.continuous_position),
             ("the velocity steps", self.continuous_velocity),
             ("the velocity exceeds its limit", self.velocity),
             ("the acceleration exceeds its limit", self.acceleration),
-            ("the jerk exceeds its limit", self.jerk.unwrap_or(true)),
+            (jerk, self.jerk.unwrap_or(true)),
             ("segments are shorter than the controller accepts", self.min_segment),
         ];
         let broken: Vec<&str> = broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect();
@@ -162,8 +171,12 @@ mod tests {
         // The acceleration starts with a step, which no limit on jerk allows.
         let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(13.0), 0.0));
         assert_eq!((jerk.jerk, jerk.limits_respected), (Some(false), false));
+        assert_eq!(jerk.jerk_inside_segments, Some(true));
         assert_eq!(jerk.max_jerk_mm_per_s3, [12.0, 0.0]);
         assert_eq!(jerk.max_acceleration_step_mm_per_s2, [6.0, 0.0]);
+        assert!(jerk.remark().contains("the acceleration steps"));
+        let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(11.0), 0.0));
+        assert_eq!((jerk.jerk, jerk.jerk_inside_segments), (Some(false), Some(false)));
         assert!(jerk.remark().contains("the jerk exceeds"));
     }
 

@@ -35,7 +35,7 @@ use serde::Serialize;
 
 use crate::{
     ScheduleError, break_times, check_lengths,
-    link::{End, link},
+    link::{End, Link, link},
 };
 
 /// What the recursion could not do.
@@ -99,8 +99,7 @@ pub fn schedule(
     check_lengths(path, dwell)?;
     let a_max = limits.max_acceleration_mm_per_s2();
     let mut report = Report::default();
-    // Shorter pieces would vanish in the rounding of the break times.
-    let mut pieces = Pieces { least_s: 64.0 * f64::EPSILON * dwell.total_s(), ..Pieces::default() };
+    let mut pieces = Pieces::default();
     let mut position = path.point_mm()[0];
     let mut velocity = [0.0; 2];
     for (i, &dwell_s) in dwell.dwell_s().iter().enumerate() {
@@ -109,12 +108,11 @@ pub fn schedule(
         if !path.tool_on()[i] {
             let from = End { position_mm: position, velocity_mm_per_s: velocity };
             let to = End { position_mm: target, velocity_mm_per_s: [0.0; 2] };
-            match link(from, to, limits, dwell_s) {
+            // Without dwell time and but for rounding at its end already, it would vanish too.
+            let lasts = |l: &Link| l.duration_s > least_piece_s(pieces.end_s + l.duration_s);
+            match link(from, to, limits, dwell_s).filter(lasts) {
                 Some(link) => {
-                    pieces.duration_s.push(link.duration_s);
-                    pieces.coefficient_mm.push(link.coefficient_mm);
-                    pieces.tool_on.push(false);
-                    pieces.dwell_index.push(i as i64);
+                    pieces.push(link.duration_s, link.coefficient_mm, false, i as i64);
                     report.lifts += 1;
                     report.added_lifted_s += link.duration_s - dwell_s;
                 }
@@ -168,6 +166,11 @@ pub fn schedule(
         pieces.dwell_index,
     )?;
     Ok(Schedule { trajectory, report })
+}
+
+/// Shortest piece that ends at the time `end_s`, s.
+pub(crate) fn least_piece_s(end_s: f64) -> f64 {
+    64.0 * f64::EPSILON * end_s
 }
 
 /// Distances below this are rounding of coordinates up to 1e3 mm, not misses.
@@ -259,8 +262,8 @@ impl Report {
 /// The trajectory so far.
 #[derive(Debug, Default)]
 struct Pieces {
-    /// Shortest piece, s.
-    least_s: f64,
+    /// Their total, s.
+    end_s: f64,
     duration_s: Vec<f64>,
     coefficient_mm: Vec<[[f64; 4]; 2]>,
     tool_on: Vec<bool>,
@@ -268,6 +271,14 @@ struct Pieces {
 }
 
 impl Pieces {
+    fn push(&mut self, duration_s: f64, c: [[f64; 4]; 2], tool_on: bool, dwell_index: i64) {
+        self.end_s += duration_s;
+        self.duration_s.push(duration_s);
+        self.coefficient_mm.push(c);
+        self.tool_on.push(tool_on);
+        self.dwell_index.push(dwell_index);
+    }
+
     /// A segment of two axes, cut where one of them ends its acceleration.
     fn add(
         &mut self,
@@ -281,7 +292,10 @@ impl Pieces {
         let mut cuts = vec![0.0, phases[0].tau_s, phases[1].tau_s, duration_s];
         cuts.retain(|t| (0.0..=duration_s).contains(t));
         cuts.sort_by(f64::total_cmp);
-        cuts.dedup_by(|later, earlier| *later - *earlier <= self.least_s);
+        // Shorter pieces would vanish in the rounding of the break times; where segments are late,
+        // that is not the rounding of the dwell times.
+        let least_s = least_piece_s(self.end_s + duration_s);
+        cuts.dedup_by(|later, earlier| *later - *earlier <= least_s);
         if let Some(last) = cuts.last_mut().filter(|t| **t < duration_s) {
             *last = duration_s;
         }
@@ -294,10 +308,7 @@ impl Pieces {
                 let half = if accelerating { 0.5 * p.acceleration } else { 0.0 };
                 [position[a] + p.travel(velocity[a], piece[0]), v, half, 0.0]
             });
-            self.duration_s.push(piece[1] - piece[0]);
-            self.coefficient_mm.push(c);
-            self.tool_on.push(tool_on);
-            self.dwell_index.push(dwell_index);
+            self.push(piece[1] - piece[0], c, tool_on, dwell_index);
         }
     }
 }

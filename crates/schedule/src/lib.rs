@@ -8,6 +8,7 @@
 //! | [`pvt`] | cubic Hermite segments through the control points at the dwell times |
 //! | [`pvt_seed`] | the same in the formulation of its source, whose defects it reports |
 //! | [`constant_acceleration`] | one constant acceleration, then constant velocity, per segment |
+//! | [`stop_at_corners`] | the same along the path, at rest in corners, within all limits |
 //! | [`trig_spline`] | dwell-time density as a half-period trigonometric spline of arc length |
 //! | [`average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
 //! | [`position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
@@ -23,6 +24,7 @@ mod link;
 pub mod position;
 pub mod pvt;
 pub mod pvt_seed;
+pub mod stop_at_corners;
 pub mod trig_spline;
 
 use planish_types::{DwellTime, Invalid, ToolPath};

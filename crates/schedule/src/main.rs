@@ -12,7 +12,8 @@ use planish_handoff::{
     Artifact, Begin, Failure, OutputArgs, Stage, Status, kind::Kind, run, stage::say,
 };
 use planish_schedule::{
-    average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed, trig_spline,
+    average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed,
+    stop_at_corners, trig_spline,
 };
 use planish_types::{DwellTime, Feed, Limits, ToolPath, Trajectory};
 use serde_json::{Value, json};
@@ -47,6 +48,9 @@ enum Scheduler {
         /// What is solved for
         #[arg(long, value_enum, default_value = "hermite")]
         formulation: Formulation,
+        /// Whether Eq. 16 rests at the start only, or as printed after the first segment too (seed)
+        #[arg(long, value_enum)]
+        eq_16: Option<Eq16>,
         /// What the motion shall be like (hermite) [default: smooth]
         #[arg(long, value_enum)]
         mode: Option<Mode>,
@@ -58,6 +62,9 @@ enum Scheduler {
     ConstantAcceleration {
         #[command(flatten)]
         common: Common,
+        /// What happens where the path changes direction
+        #[arg(long, value_enum, default_value = "overshoot")]
+        corners: Corners,
     },
     /// Dwell-time density as a trigonometric spline along the path, lifted to the limits
     TrigSpline {
@@ -112,10 +119,26 @@ enum Formulation {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
+enum Eq16 {
+    /// At rest at the start
+    Corrected,
+    /// At rest after the first segment too
+    Printed,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Corners {
+    /// Each axis by itself, as in the source: it goes too far and comes back
+    Overshoot,
+    /// Along the path with look-ahead, at rest in every corner: within all limits, for more time
+    Stop,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
 enum Mode {
-    /// Least acceleration energy; may overshoot corners
+    /// Least acceleration energy; may overshoot corners; keeps a limit on jerk
     Smooth,
-    /// Least acceleration energy without reversal inside a segment
+    /// Least acceleration energy without reversal inside a segment; its acceleration steps
     Monotone,
 }
 
@@ -130,8 +153,9 @@ enum Repair {
 /// A scheduler with its resolved settings.
 enum Method {
     Pvt(pvt::Settings),
-    PvtSeed,
+    PvtSeed(pvt_seed::Eq16),
     ConstantAcceleration,
+    StopAtCorners,
     TrigSpline(trig_spline::Settings),
     AverageVelocity,
     Position,
@@ -159,7 +183,7 @@ impl Scheduler {
     fn common(&self) -> &Common {
         match self {
             Self::Pvt { common, .. }
-            | Self::ConstantAcceleration { common }
+            | Self::ConstantAcceleration { common, .. }
             | Self::TrigSpline { common, .. }
             | Self::AverageVelocity { common }
             | Self::Position { common } => common,
@@ -168,6 +192,10 @@ impl Scheduler {
 
     fn method(&self) -> Result<Method, Failure> {
         Ok(match self {
+            Self::Pvt { formulation: Formulation::Hermite, eq_16: Some(_), .. } => {
+                let message = "--eq-16 belongs to --formulation seed: leave it out";
+                return Err(Failure::new(message));
+            }
             Self::Pvt { formulation: Formulation::Hermite, mode, no_stretch, .. } => {
                 let mode = match mode {
                     None | Some(Mode::Smooth) => pvt::Mode::Smooth,
@@ -175,13 +203,21 @@ impl Scheduler {
                 };
                 Method::Pvt(pvt::Settings { mode, stretch: !no_stretch })
             }
-            Self::Pvt { mode: None, no_stretch: false, .. } => Method::PvtSeed,
+            Self::Pvt { mode: None, no_stretch: false, eq_16, .. } => {
+                Method::PvtSeed(match eq_16 {
+                    None | Some(Eq16::Corrected) => pvt_seed::Eq16::Corrected,
+                    Some(Eq16::Printed) => pvt_seed::Eq16::Printed,
+                })
+            }
             Self::Pvt { .. } => {
                 let message = "--mode and --no-stretch belong to --formulation hermite; the seed \
                                formulation has neither: leave them out";
                 return Err(Failure::new(message));
             }
-            Self::ConstantAcceleration { .. } => Method::ConstantAcceleration,
+            Self::ConstantAcceleration { corners: Corners::Overshoot, .. } => {
+                Method::ConstantAcceleration
+            }
+            Self::ConstantAcceleration { corners: Corners::Stop, .. } => Method::StopAtCorners,
             Self::TrigSpline { repair, corner_deviation_mm, fit_tolerance_mm, .. } => {
                 let repair = match repair {
                     Repair::Offset => trig_spline::Repair::Offset,
@@ -202,8 +238,8 @@ impl Scheduler {
 impl Method {
     fn name(&self) -> &'static str {
         match self {
-            Self::Pvt(_) | Self::PvtSeed => "pvt",
-            Self::ConstantAcceleration => "constant-acceleration",
+            Self::Pvt(_) | Self::PvtSeed(_) => "pvt",
+            Self::ConstantAcceleration | Self::StopAtCorners => "constant-acceleration",
             Self::TrigSpline(_) => "trig-spline",
             Self::AverageVelocity => "average-velocity",
             Self::Position => "position",
@@ -215,9 +251,11 @@ impl Method {
             Self::Pvt(s) => {
                 json!({ "formulation": "hermite", "mode": s.mode, "stretch": s.stretch })
             }
-            Self::PvtSeed => json!({ "formulation": "seed" }),
+            Self::PvtSeed(eq_16) => json!({ "formulation": "seed", "eq_16": eq_16 }),
             Self::TrigSpline(s) => json!(s),
-            Self::ConstantAcceleration | Self::AverageVelocity | Self::Position => json!({}),
+            Self::ConstantAcceleration => json!({ "corners": "overshoot" }),
+            Self::StopAtCorners => json!({ "corners": "stop" }),
+            Self::AverageVelocity | Self::Position => json!({}),
         }
     }
 
@@ -234,8 +272,8 @@ impl Method {
                 );
                 Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
             }
-            Self::PvtSeed => {
-                let s = pvt_seed::schedule(path, dwell, machine)?;
+            Self::PvtSeed(eq_16) => {
+                let s = pvt_seed::schedule(path, dwell, machine, *eq_16)?;
                 let (r, [x, y]) = (&s.report, s.report.largest_position_error_mm);
                 let [vx, vy] = r.largest_resting_velocity_mm_per_s;
                 let remark = format!(
@@ -258,6 +296,15 @@ impl Method {
                     r.largest_overshoot_mm[1] * micron,
                     r.late_segments,
                     r.added_s
+                );
+                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+            }
+            Self::StopAtCorners => {
+                let s = stop_at_corners::schedule(path, dwell, machine)?;
+                let r = &s.report;
+                let remark = format!(
+                    "; at rest in {} corners; {} segments late by {:.4} s, {} lifts by {:.4} s",
+                    r.stops, r.late_segments, r.added_s, r.lifts, r.added_lifted_s
                 );
                 Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
             }

@@ -27,6 +27,21 @@
 //! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
 //! where they differ), and `sign(dp) V >= 0`.
 //!
+//! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. Where the machine
+//! limits it, *monotone* has it as rows of its program; its acceleration still steps at the nodes,
+//! which no limit on jerk allows, and the claim says so. *smooth* must not use a program then: an
+//! active row makes the acceleration step. It is the spline whose acceleration too starts and ends
+//! at zero. That takes one more node, at no given place, in the middle of the first and of the last
+//! segment; with `tau = h/2`, the jerk `j` of the first half is, from rest to `v` at `dp`,
+//!
+//! ```text
+//! j = 3 dp / (2 tau^3) - v / (2 tau^2),   a- = 6 v/h - 12 dp/h^2                        (5)
+//! ```
+//!
+//! and (5) replaces (2) in the equations `a- = a+`. (One segment from rest to rest: four quarters
+//! of `j = 32 dp/h^3` with the signs + - - +.) It is slowed where it exceeds a limit; every limit is
+//! then kept, with continuous acceleration, but not in the least time.
+//!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18,
 //! in the node velocities instead of polynomial coefficients: positions and times are then exact,
 //! where the source's least squares trades them against accelerations, unit against unit.
@@ -140,7 +155,14 @@ pub fn schedule(
         mode: settings.mode,
         max_velocity: (1.0 - MARGIN) * limits.max_velocity_mm_per_s()[axis],
         max_acceleration: (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2()[axis],
+        // Twice: its use of the limit is a cube root, compared with 1 + MARGIN / 2.
+        max_jerk: limits.axes[axis]
+            .max_jerk_mm_per_s3
+            .map_or(f64::INFINITY, |j| (1.0 - 2.0 * MARGIN) * j),
     });
+    if settings.mode == Mode::Smooth && axes.iter().any(|a| a.max_jerk.is_finite()) {
+        return jerk_limited(path, dwell, limits, settings, timing, &axes);
+    }
 
     for rounds in 0..=MAX_ROUNDS {
         // Durations as the difference of the break times, so that the segments join to rounding.
@@ -193,6 +215,88 @@ pub fn schedule(
         }
     }
     unreachable!("the last round returns")
+}
+
+/// Rounds after which everything is slowed together, which ends: a factor k divides velocity,
+/// acceleration and jerk by k, k^2 and k^3.
+const MAX_LOCAL_ROUNDS: usize = 200;
+
+/// The spline of (5), stretched until every limit is kept.
+fn jerk_limited(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+    settings: &Settings,
+    mut timing: Timing,
+    axes: &[AxisProblem; 2],
+) -> Result<Schedule, ScheduleError> {
+    let n = timing.kept.len();
+    let parts: Vec<usize> = match n {
+        1 => vec![4],
+        _ => (0..n).map(|k| if k == 0 || k == n - 1 { 2 } else { 1 }).collect(),
+    };
+    for (h, parts) in timing.duration_s.iter_mut().zip(&parts) {
+        *h = h.max(*parts as f64 * limits.min_segment_s);
+    }
+    // Segment of every piece.
+    let of: Vec<usize> = (0..n).flat_map(|k| std::iter::repeat_n(k, parts[k])).collect();
+    for rounds in 0.. {
+        let pieces: Vec<f64> =
+            of.iter().map(|k| timing.duration_s[*k] / parts[*k] as f64).collect();
+        let break_time_s = break_times(&pieces);
+        let u: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
+        let solved = axes.each_ref().map(|a| a.smooth_from_rest(&timing.duration_s));
+        let mut excess = vec![1.0_f64; n];
+        for (problem, velocity) in &solved {
+            for (k, e) in of.iter().zip(problem.excess(velocity, &u)) {
+                excess[*k] = excess[*k].max(e);
+            }
+        }
+        let (k, worst) = (excess.iter().copied().enumerate())
+            .fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m });
+        if worst <= 1.0 {
+            let mut position = path.point_mm()[0];
+            let segments = (0..of.len()).map(|i| {
+                let c = [0, 1].map(|a| {
+                    let (problem, v) = &solved[a];
+                    hermite(position[a], problem.displacement_mm[i], v[i], v[i + 1], u[i])
+                });
+                let next = i + 1;
+                position = if next == of.len() || of[next] != of[i] {
+                    path.point_mm()[timing.kept[of[i]] + 1]
+                } else {
+                    [0, 1].map(|a| position[a] + solved[a].0.displacement_mm[i])
+                };
+                c
+            });
+            let segments = segments.collect();
+            let trajectory = Trajectory::new(
+                break_time_s,
+                segments,
+                of.iter().map(|k| path.tool_on()[timing.kept[*k]]).collect(),
+                of.iter().map(|k| timing.kept[*k] as i64).collect(),
+            )?;
+            let solver = [Solver::Tridiagonal; 2];
+            return Ok(Schedule { trajectory, report: timing.report(path, dwell, solver, rounds) });
+        }
+        let segment = timing.kept[k];
+        if !settings.stretch {
+            return Err(ScheduleError::Infeasible {
+                segment,
+                length_mm: path.segment_length_mm(segment),
+                dwell_s: dwell.dwell_s()[segment],
+                reason: format!("needs its time stretched by a factor {worst:.4} or more"),
+            });
+        }
+        if rounds > MAX_LOCAL_ROUNDS + MAX_ROUNDS {
+            return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
+        }
+        if rounds >= MAX_LOCAL_ROUNDS {
+            excess.fill(worst);
+        }
+        timing.stretch(&excess);
+    }
+    unreachable!("the rounds have no end")
 }
 
 /// Segments and the time they get.
@@ -264,6 +368,7 @@ impl Timing {
             })
             .filter(|s| s.scheduled_s > s.dwell_s)
             .collect();
+        let mut kept = self.kept.iter().peekable();
         let added = |on: bool| {
             let of = stretched.iter().filter(|s| s.tool_on == on);
             of.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
@@ -271,7 +376,7 @@ impl Timing {
         Report {
             added_tool_on_s: added(true),
             added_tool_off_s: added(false),
-            dropped: (0..path.len()).filter(|i| self.kept.binary_search(i).is_err()).collect(),
+            dropped: (0..path.len()).filter(|i| kept.next_if(|k| *k == i).is_none()).collect(),
             stretched,
             solver,
             rounds,
@@ -315,6 +420,8 @@ struct AxisProblem {
     mode: Mode,
     max_velocity: f64,
     max_acceleration: f64,
+    /// Infinite where the machine has none.
+    max_jerk: f64,
 }
 
 /// Node velocities (N+1) and how they were found.
@@ -378,15 +485,60 @@ impl AxisProblem {
         v
     }
 
+    /// The pieces of the spline that starts and ends with v = a = 0, by (5): their displacements in
+    /// a problem of their own, and the velocities of their ends.
+    fn smooth_from_rest(&self, h: &[f64]) -> (Self, Vec<f64>) {
+        let (n, dp) = (h.len(), &self.displacement_mm);
+        let pieces = |displacement_mm: Vec<f64>| Self { displacement_mm, ..*self };
+        if n == 1 {
+            let (d, v) = (dp[0], dp[0] / h[0]);
+            let parts = [1.0, 5.0, 5.0, 1.0].map(|part| part / 12.0 * d);
+            return (pieces(parts.to_vec()), vec![0.0, v, 2.0 * v, v, 0.0]);
+        }
+        // a-(i) = a+(i+1): elimination of the nodes 1 .. n-1.
+        let mut v = vec![0.0; n + 1];
+        let mut upper = vec![0.0; n + 1];
+        for i in 1..n {
+            let (a, b) = (h[i - 1], h[i]);
+            // (5) at the ends, (2) else: the factors of v/h and of dp/h^2.
+            let (own, mean) = if i == 1 { (6.0, 12.0) } else { (4.0, 6.0) };
+            let (next, next_mean) = if i == n - 1 { (6.0, 12.0) } else { (4.0, 6.0) };
+            let below = if i == 1 { 0.0 } else { 2.0 / a };
+            let pivot = own / a + next / b - below * upper[i - 1];
+            let g = mean * dp[i - 1] / (a * a) + next_mean * dp[i] / (b * b);
+            upper[i] = if i == n - 1 { 0.0 } else { 2.0 / b / pivot };
+            v[i] = (g - below * v[i - 1]) / pivot;
+        }
+        for i in (1..n).rev() {
+            v[i] -= upper[i] * v[i + 1];
+        }
+        // j tau^3/6 and j tau^2/2 of the half at rest.
+        let half = |dp: f64, v: f64, h: f64| {
+            let tau = 0.5 * h;
+            let outer = 0.25 * dp - v * tau / 12.0;
+            (outer, 3.0 * outer / tau)
+        };
+        let (first, first_v) = half(dp[0], v[1], h[0]);
+        let (last, last_v) = half(dp[n - 1], v[n - 1], h[n - 1]);
+        let mut parts = vec![first, dp[0] - first];
+        parts.extend(&dp[1..n - 1]);
+        parts.extend([dp[n - 1] - last, last]);
+        let mut velocity = vec![0.0, first_v];
+        velocity.extend(&v[1..n]);
+        velocity.extend([last_v, 0.0]);
+        (pieces(parts), velocity)
+    }
+
     /// Factor by which the time of each segment should grow: the velocity is inversely
-    /// proportional to it, the acceleration to its square.
+    /// proportional to it, the acceleration to its square, the jerk to its cube.
     fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
         (0..h.len())
             .map(|i| {
                 let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
                 let (start, end) = accelerations(dp, v0, v1, h);
                 let a = start.abs().max(end.abs()) / self.max_acceleration;
-                a.sqrt().max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity)
+                let j = (end - start).abs() / (h * self.max_jerk);
+                a.sqrt().max(j.cbrt()).max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity)
             })
             .collect()
     }
@@ -523,6 +675,10 @@ impl AxisProblem {
             both([2.0, 4.0], -6.0 * d, a);
             both([1.0, 0.0], 0.0, v_max);
             both([0.0, 1.0], 0.0, v_max);
+            if self.max_jerk.is_finite() {
+                // |6 (v0 + v1) - 12 dp/h| <= j h^2
+                both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
+            }
             for u in &limited[i] {
                 // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
                 let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
@@ -577,7 +733,8 @@ mod tests {
 
     fn problem(points: &[f64], mode: Mode, max_acceleration: f64) -> AxisProblem {
         let displacement_mm = points.windows(2).map(|w| w[1] - w[0]).collect();
-        AxisProblem { displacement_mm, mode, max_velocity: FREE, max_acceleration }
+        let max_jerk = f64::INFINITY;
+        AxisProblem { displacement_mm, mode, max_velocity: FREE, max_acceleration, max_jerk }
     }
 
     fn velocities(points: &[f64], h: &[f64], mode: Mode, max_acceleration: f64) -> Vec<f64> {
@@ -672,6 +829,38 @@ mod tests {
         // From rest 1 mm takes at least sqrt(2 / 2000) = 31.6 ms, and sqrt(6 / 2000) = 54.8 ms to
         // rest: what the second segment gets is less than the difference.
         assert!(h[0] > 0.0316 && h[0] < 0.0549 && h[1] < 1.0233, "{h:?}");
+    }
+
+    #[test]
+    fn one_segment_with_limited_jerk_by_hand() {
+        // 1 mm in 4 s: j = 32 / 64, a(1) = 1/2, v(2) = 1/2.
+        let (p, v) = problem(&[0.0, 1.0], Mode::Smooth, FREE).smooth_from_rest(&[4.0]);
+        close(&v, &[0.0, 0.25, 0.5, 0.25, 0.0], 1e-15);
+        for (i, expected) in [(0.0, 0.5), (0.5, 0.0), (0.0, -0.5), (-0.5, 0.0)].iter().enumerate() {
+            let a = accelerations(p.displacement_mm[i], v[i], v[i + 1], 1.0);
+            assert!((a.0 - expected.0).abs() + (a.1 - expected.1).abs() < 1e-14, "{i}: {a:?}");
+        }
+    }
+
+    #[test]
+    fn with_limited_jerk_the_acceleration_is_continuous_from_zero_to_zero() {
+        for n in 2..8 {
+            let x: Vec<f64> = (0..=n).map(|i| f64::from((i * i * 7) % 11)).collect();
+            let h: Vec<f64> = (0..n).map(|i| 0.5 + 0.1 * f64::from((i * 5) % 4)).collect();
+            let (p, v) = problem(&x, Mode::Smooth, FREE).smooth_from_rest(&h);
+            let mut u = vec![0.5 * h[0]; 2];
+            u.extend(&h[1..h.len() - 1]);
+            u.extend([0.5 * h[h.len() - 1]; 2]);
+            assert_eq!((p.displacement_mm.len(), v.len()), (u.len(), u.len() + 1));
+            let mut before = 0.0;
+            for i in 0..u.len() {
+                let (start, end) = accelerations(p.displacement_mm[i], v[i], v[i + 1], u[i]);
+                // Rounding of accelerations up to 1e3 mm/s^2.
+                assert!((start - before).abs() < 1e-11, "{n} {i}: {before} {start}");
+                before = end;
+            }
+            assert!(before.abs() < 1e-11, "{n}: {before}");
+        }
     }
 
     #[test]

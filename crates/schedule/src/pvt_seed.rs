@@ -24,13 +24,13 @@
 //! banded positive definite system; the bounds are met by active sets.
 //!
 //! What the report shows and nothing repairs: the squares of unlike units are added, so the
-//! positions, cheapest to violate, are missed by up to 0.5 mm on the reference mirror before Eq. 8
+//! positions, cheapest to violate, are missed by up to 0.37 mm on the reference mirror before Eq. 8
 //! puts them right, which breaks the continuity of the acceleration; an axis at rest is asked for
 //! `v_i >= 0` and moves; neither the inside of a segment nor the limits after Eq. 8 are looked at.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18.
 //! Corrected: Eq. 16 pins the end of the first segment where it means its start (the `v = a = 0`
-//! here is that of node 0); Eq. 18 is not defined for the last node, which rests. The time of the
+//! here is that of node 0; [`Eq16::Printed`] pins both, and misses positions by up to 0.495 mm); Eq. 18 is not defined for the last node, which rests. The time of the
 //! source is absolute, whose t^3 leaves no digit at 30 s; the local one is the same least squares
 //! in other variables.
 //!
@@ -51,6 +51,18 @@ use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
 use serde::Serialize;
 
 use crate::{ScheduleError, break_times, check_lengths, pvt::accelerations, pvt::hermite};
+
+/// Which node the first two rows of Eq. 16 fix.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Eq16 {
+    /// The start: `v = a = 0` at node 0.
+    #[default]
+    Corrected,
+    /// As printed: at node 0 and, since the unknowns of the first segment belong to its end, at
+    /// node 1 too.
+    Printed,
+}
 
 /// What came of it, per axis [x, y].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -92,6 +104,7 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
+    eq_16: Eq16,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = Report::default();
@@ -120,6 +133,7 @@ pub fn schedule(
         duration_s: h.clone(),
         max_velocity: limits.max_velocity_mm_per_s()[axis],
         max_acceleration: limits.max_acceleration_mm_per_s2()[axis],
+        eq_16,
     });
     let (x, y) = rayon::join(|| axes[0].solve(), || axes[1].solve());
     let nodes = [x.ok_or_else(failed)?, y.ok_or_else(failed)?];
@@ -194,6 +208,7 @@ struct Axis {
     duration_s: Vec<f64>,
     max_velocity: f64,
     max_acceleration: f64,
+    eq_16: Eq16,
 }
 
 /// The solution of one axis.
@@ -291,13 +306,13 @@ impl Axis {
         let n = self.duration_s.len();
         let (mut low, mut high) = (Vec::new(), Vec::new());
         for i in 0..=n {
+            let pinned = i == 0 || i == n || (i == 1 && self.eq_16 == Eq16::Printed);
             let velocity = match i {
-                0 => [0.0, 0.0],
-                i if i == n => [0.0, 0.0],
+                _ if pinned => [0.0, 0.0],
                 i if self.displacement_mm[i] >= 0.0 => [0.0, self.max_velocity],
                 _ => [-self.max_velocity, 0.0],
             };
-            let a = if i == 0 || i == n { 0.0 } else { self.max_acceleration };
+            let a = if pinned { 0.0 } else { self.max_acceleration };
             low.extend([velocity[0], f64::NEG_INFINITY, -a]);
             high.extend([velocity[1], f64::INFINITY, a]);
         }
@@ -507,6 +522,7 @@ mod tests {
             duration_s: h.to_vec(),
             max_velocity,
             max_acceleration,
+            eq_16: Eq16::Corrected,
         }
     }
 
@@ -633,7 +649,7 @@ mod tests {
         };
         let axes = vec![axis("x"), axis("y")];
         let limits = Limits { name: "m".into(), axes, min_segment_s: 0.0 };
-        let s = schedule(&path, &dwell, &limits).unwrap();
+        let s = schedule(&path, &dwell, &limits, Eq16::Corrected).unwrap();
         assert_eq!(s.report.resting_segments, [3, 2]);
         assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);
         assert!(s.report.largest_resting_velocity_mm_per_s[0] >= 0.0);
@@ -644,7 +660,7 @@ mod tests {
             assert!((end[0] - p[0]).abs() + (end[1] - p[1]).abs() < 1e-14, "{i}: {end:?} {p:?}");
         }
         let never = DwellTime::new(vec![0.3, 0.0, 0.3, 0.25, 0.3]).unwrap();
-        let message = schedule(&path, &never, &limits).unwrap_err().to_string();
+        let message = schedule(&path, &never, &limits, Eq16::Corrected).unwrap_err().to_string();
         assert!(message.contains("dwell_s[1]: is 0 s on a segment of 1 mm"), "{message}");
     }
 }

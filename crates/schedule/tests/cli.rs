@@ -326,6 +326,7 @@ fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
         refused(tmp.path(), scheduler, &[], expected);
     }
     refused(tmp.path(), "pvt", &["--formulation=seed"], expected);
+    refused(tmp.path(), "constant-acceleration", &["--corners=stop"], expected);
 }
 
 /// Takes the manifest of an artifact away and puts `array` in.
@@ -439,6 +440,7 @@ fn bad_flags_end_with_2() {
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
     refused(tmp.path(), "pvt", &["--mode=fast"], &["invalid value 'fast'"]);
     refused(tmp.path(), "position", &["--no-stretch"], &["unexpected argument '--no-stretch'"]);
+    refused(tmp.path(), "pvt", &["--eq-16=printed"], &["--eq-16 belongs to --formulation seed"]);
     refused(tmp.path(), "spline", &[], &["unrecognized subcommand 'spline'"]);
 }
 
@@ -483,14 +485,82 @@ fn the_manifest_says_which_limits_are_kept() {
         assert_eq!(outcome["claim"]["limits_respected"], kept, "{scheduler}: {outcome}");
         assert_eq!(outcome["claim"]["jerk"], Value::Null, "{scheduler}");
     }
-    // PVT starts with a step in the acceleration: a limit on jerk is not kept, and it is said.
+    let corners = ["--force", "--corners=stop"];
+    let (_, outcome) = scheduled(tmp.path(), "constant-acceleration", &corners);
+    assert_eq!(outcome["claim"]["limits_respected"], true, "{outcome}");
+    // A limit on jerk is kept by the smooth motion, which starts without a step in the
+    // acceleration; not by the monotone one, and it is said.
     let mut machine = ion_beam();
-    machine["axes"][0]["max_jerk_mm_per_s3"] = json!(1e6);
+    machine["axes"][0]["max_jerk_mm_per_s3"] = json!(1e4);
     fs::write(tmp.path().join("machine.json"), machine.to_string()).unwrap();
-    let output = schedule(tmp.path(), "pvt", &["--force"]);
-    assert!(text(&output.stdout).contains("; the jerk exceeds its limit"), "{output:?}");
+    let (t, outcome) = scheduled(tmp.path(), "pvt", &["--force"]);
+    assert_eq!(outcome["claim"]["limits_respected"], true, "{outcome}");
+    assert_eq!(outcome["claim"]["jerk"], true, "{outcome}");
+    // By this file: |6 c3| and the acceleration at every break, from rest to rest.
+    let mut before = 0.0;
+    for s in t.segments() {
+        let c = &s.coefficient_mm[0];
+        assert!(6.0 * c[3].abs() <= 1e4, "{c:?}");
+        // Rounding of 2000 mm/s^2.
+        assert!((state(c, 0.0)[2] - before).abs() < 1e-8, "{c:?} {before}");
+        before = state(c, s.duration_s)[2];
+    }
+    assert!(before.abs() < 1e-8);
+    let output = schedule(tmp.path(), "pvt", &["--force", "--mode=monotone"]);
+    assert!(text(&output.stdout).contains("; the acceleration steps, which no"), "{output:?}");
     let manifest = artifact::read::<Trajectory>(&tmp.path().join("trajectory")).unwrap().manifest;
-    assert_eq!(manifest.unwrap().outcome["claim"]["jerk"], false);
+    let claim = manifest.unwrap().outcome["claim"].clone();
+    assert_eq!((&claim["jerk"], &claim["jerk_inside_segments"]), (&json!(false), &json!(true)));
+    // Not at the given times.
+    refused_again(tmp.path());
+}
+
+/// The smooth motion within a limit on jerk needs more time; without stretching it is refused.
+fn refused_again(dir: &Path) {
+    fs::remove_dir_all(dir.join("trajectory")).unwrap();
+    prepare(dir, &[[0.0, 0.0], [1.0, 0.0]], &[0.1]);
+    let mut machine = ion_beam();
+    // 32 mm / (0.1 s)^3 = 32000 mm/s^3: four times the limit, whose root is 1.5874.
+    machine["axes"][0]["max_jerk_mm_per_s3"] = json!(8e3);
+    fs::write(dir.join("machine.json"), machine.to_string()).unwrap();
+    let expected = ["segment 0 (1.000000 mm in 0.100000 s)", "a factor 1.5874"];
+    refused(dir, "pvt", &["--no-stretch"], &expected);
+    let (t, outcome) = scheduled(dir, "pvt", &[]);
+    assert_eq!((t.len(), &outcome["claim"]["limits_respected"]), (4, &json!(true)));
+    assert!((t.total_time_s() / 0.158_74 - 1.0).abs() < 0.005, "{} s", t.total_time_s());
+}
+
+#[test]
+fn corners_cost_time_and_no_overshoot_when_it_stops_there() {
+    let tmp = tempfile::tempdir().unwrap();
+    // 2 mm in 0.1 s each way around a corner: w^2 - a d w + a L = 0 with a = 2000 mm/s^2 is
+    // w = 22.54 mm/s along x; y, with 1000 mm/s^2, needs 2 sqrt(2 / 1000) = 0.0894 s.
+    let points = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
+    prepare(tmp.path(), &points, &[0.1, 0.08, 0.1]);
+    let (_, outcome) = scheduled(tmp.path(), "constant-acceleration", &[]);
+    assert!(number(&outcome["report"]["largest_overshoot_mm"][1]) > 0.1, "{outcome}");
+    let more = ["--corners", "stop", "--force"];
+    let (t, outcome) = scheduled(tmp.path(), "constant-acceleration", &more);
+    let report = &outcome["report"];
+    assert_eq!((&report["stops"], &report["late_segments"]), (&json!(2), &json!(1)));
+    let late = 2.0 * (2.0_f64 / 1000.0).sqrt() - 0.08;
+    assert!((number(&report["added_s"]) - late).abs() < 1e-14, "{report}");
+    assert!(!leaves_the_path(&t, &points), "{t:?}");
+    assert_eq!(outcome["claim"]["limits_respected"], true);
+}
+
+/// Whether a piece leaves the box of the segment that it serves.
+fn leaves_the_path(t: &Trajectory, points: &[[f64; 2]]) -> bool {
+    t.segments().any(|s| {
+        let i = s.dwell_index as usize;
+        (0..=50).any(|k| {
+            let p = s.position_mm(s.duration_s * f64::from(k) / 50.0);
+            (0..2).any(|a| {
+                let (from, to) = (points[i][a], points[i + 1][a]);
+                p[a] < from.min(to) - 1e-11 || p[a] > from.max(to) + 1e-11
+            })
+        })
+    })
 }
 
 #[test]

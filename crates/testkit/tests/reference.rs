@@ -8,7 +8,9 @@ use planish_dwell::{
     bounded_least_squares::{self, Bound},
     columns::Columns,
 };
-use planish_schedule::{constant_acceleration, position, pvt, pvt_seed, trig_spline};
+use planish_schedule::{
+    constant_acceleration, position, pvt, pvt_seed, pvt_seed::Eq16, trig_spline,
+};
 use planish_simulate::{direct, simulate};
 use planish_testkit::{
     case_generator, ion_beam,
@@ -112,12 +114,22 @@ fn published_maze_executed_by_constant_acceleration() {
 #[test]
 fn the_seed_formulation_and_its_defects() {
     let Some(mirror) = mirror() else { return };
-    for (name, rms) in [("raster", 0.1956), ("maze", 0.1999)] {
+    for (name, rms, um, um_as_printed) in [
+        ("raster", 0.1956, [366.0, 271.7], [495.1, 271.7]),
+        ("maze", 0.1999, [269.6, 367.8], [269.6, 494.8]),
+    ] {
         let (path, dwell) = (mirror.path(name), mirror.dwell(name));
-        let seed = pvt_seed::schedule(&path, &dwell, &ion_beam()).unwrap();
+        let seed = pvt_seed::schedule(&path, &dwell, &ion_beam(), Eq16::Corrected).unwrap();
         println!("{name}: {:?}", seed.report);
         let largest = seed.report.largest_position_error_mm;
-        assert!(largest.iter().all(|e| (0.2..0.5).contains(e)), "{largest:?}");
+        // All 6N unknowns by clarabel (Python), um; Eq. 16 as printed makes 0.37 mm 0.495 mm.
+        let printed = pvt_seed::schedule(&path, &dwell, &ion_beam(), Eq16::Printed).unwrap();
+        println!("{name}, Eq. 16 as printed: {:?}", printed.report);
+        let as_printed = printed.report.largest_position_error_mm;
+        for axis in 0..2 {
+            near(name, 1e3 * largest[axis], um[axis], 0.1);
+            near(name, 1e3 * as_printed[axis], um_as_printed[axis], 0.1);
+        }
         assert!(seed.report.largest_resting_velocity_mm_per_s[1] > 1.0, "{name}");
         let hermite = smooth(&path, &dwell);
         let step = |t: &Trajectory| {

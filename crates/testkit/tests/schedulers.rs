@@ -11,7 +11,7 @@ use planish_schedule::{
     interpolator::{self, Interpolator},
     position,
     pvt::{self, Mode},
-    pvt_seed,
+    pvt_seed, stop_at_corners,
     trig_spline::{self, Repair},
 };
 use planish_testkit::{case_generator, ion_beam, machine};
@@ -81,14 +81,18 @@ impl Case {
 /// A scheduler: its name and its motion, or why it refuses.
 type Scheduler = (&'static str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Trajectory, String>);
 
-const SCHEDULERS: [Scheduler; 8] = [
+const SCHEDULERS: [Scheduler; 9] = [
     ("pvt smooth", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
     ("pvt monotone", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
     ("pvt seed", |p, d, l| {
-        pvt_seed::schedule(p, d, l).map(|s| s.trajectory).map_err(|e| e.to_string())
+        let seed = pvt_seed::schedule(p, d, l, pvt_seed::Eq16::Corrected);
+        seed.map(|s| s.trajectory).map_err(|e| e.to_string())
     }),
     ("constant-acceleration", |p, d, l| {
         constant_acceleration::schedule(p, d, l).map(|s| s.trajectory).map_err(|e| e.to_string())
+    }),
+    ("stop-at-corners", |p, d, l| {
+        stop_at_corners::schedule(p, d, l).map(|s| s.trajectory).map_err(|e| e.to_string())
     }),
     ("average-velocity", |p, d, l| {
         average_velocity::schedule(p, d, l).map(|s| s.trajectory).map_err(|e| e.to_string())
@@ -271,14 +275,37 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
     Case { points: walk(generator, &lengths), dwell_s: times(generator, n, 1e-4, 10.0), limits }
 }
 
-/// Runs `check` on every case of every population and reports all that fail.
+/// Cases that the long test has found: population, seed, number. Always among those that run.
+const FOUND: [(&str, u64, u64); 13] = [
+    // A late start: pieces of 1e-17 s vanished in the rounding of break times that the sum of the
+    // dwell times said nothing about (constant acceleration).
+    ("unequal", 1, 8559),
+    ("harsh", 1, 8238),
+    // A lift without time that is at its end but for rounding (constant acceleration).
+    ("degenerate", 1, 307),
+    ("degenerate", 1, 361),
+    ("degenerate", 1, 3633),
+    ("degenerate", 1, 4630),
+    ("degenerate", 1, 9046),
+    ("degenerate", 1, 9310),
+    ("degenerate", 1, 10629),
+    ("degenerate", 1, 12502),
+    ("degenerate", 1, 13237),
+    ("degenerate", 1, 14220),
+    // Braking to the very end of a segment, to wait there: 0/0 (stop at corners).
+    ("raster-like", 1, 264),
+];
+
+/// Runs `check` on every case of every population, and on those found, and reports all that fail.
 fn on_every_case(check: impl Fn(&Case) -> Result<(), String> + Sync) {
     let (seed, count) = (number_from_env("PLANISH_SEED", 1), number_from_env("PLANISH_CASES", 40));
-    let cases: Vec<(usize, u64)> =
-        (0..POPULATIONS.len()).flat_map(|p| (0..count).map(move |i| (p, i))).collect();
+    let named = |name: &str| POPULATIONS.iter().position(|p| p.0 == name).unwrap();
+    let found = FOUND.iter().map(|(name, seed, i)| (named(name), *seed, *i));
+    let random = (0..POPULATIONS.len()).flat_map(|p| (0..count).map(move |i| (p, seed, i)));
+    let cases: Vec<(usize, u64, u64)> = found.chain(random).collect();
     let failures: Vec<String> = cases
         .into_par_iter()
-        .filter_map(|(p, i)| {
+        .filter_map(|(p, seed, i)| {
             let (name, population) = POPULATIONS[p];
             let case = population(&mut case_generator(seed, p as u64, i));
             let message = check(&case).err()?;
@@ -356,6 +383,8 @@ fn the_judge_agrees_with_every_claim() {
                 "trig-spline offset" | "trig-spline local" => {
                     continuous && claim.velocity && claim.acceleration
                 }
+                // A phase may be shorter than the controller's least segment.
+                "stop-at-corners" => continuous && claim.velocity && claim.acceleration,
                 "constant-acceleration" => continuous && claim.acceleration,
                 "average-velocity" => claim.continuous_position && claim.velocity,
                 _ => claim.velocity && claim.acceleration,
@@ -625,21 +654,27 @@ fn pvt_keeps_the_limits_of_a_long_path() {
     let dwell_s = times(&mut generator, points.len() - 1, 0.05, 0.5);
     let case = Case { points, dwell_s, limits: machine([25.0, 15.0], [200.0, 100.0]) };
     for mode in MODES {
-        passes_and_lasts(&case, mode).unwrap();
         let schedule = case.pvt(mode).unwrap();
+        passes_and_lasts(&case, mode, &schedule).unwrap();
         let verdict = judge(&schedule.trajectory, &case.limits);
         assert!(verdict.limits_respected, "{mode:?}: {:?}", verdict.violations);
         assert!(schedule.report.rounds > 0, "{mode:?}: no limit was active");
     }
 }
 
+/// One schedule per mode and case for both properties: the programs take most of the long test.
 #[test]
-fn pvt_passes_every_control_point_at_its_break_and_takes_at_least_the_dwell_time() {
-    on_every_case(|case| MODES.iter().try_for_each(|&mode| passes_and_lasts(case, mode)));
+fn pvt_passes_every_control_point_in_time_and_monotone_stays_in_its_boxes() {
+    on_every_case(|case| {
+        MODES.iter().try_for_each(|&mode| {
+            let schedule = case.pvt(mode)?;
+            passes_and_lasts(case, mode, &schedule)?;
+            stays_in_its_boxes(case, mode, &schedule)
+        })
+    });
 }
 
-fn passes_and_lasts(case: &Case, mode: Mode) -> Result<(), String> {
-    let schedule = case.pvt(mode)?;
+fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result<(), String> {
     let t = &schedule.trajectory;
     // The cubic ends where the next one starts up to the rounding of its four terms, each of
     // which is at most a few times the extent.
@@ -672,20 +707,18 @@ fn passes_and_lasts(case: &Case, mode: Mode) -> Result<(), String> {
     })
 }
 
-#[test]
-fn monotone_never_leaves_the_box_of_a_segment() {
-    on_every_case(|case| {
-        let verdict = judge(&case.pvt(Mode::Monotone)?.trajectory, &case.limits);
-        let count =
-            verdict.axes.each_ref().map(|a| [a.overshoot_mm.count, a.reversal_mm_per_s.count]);
-        ensure(count == [[0, 0]; 2], || {
-            let largest = verdict
-                .axes
-                .each_ref()
-                .map(|a| (a.overshoot_mm.largest, a.reversal_mm_per_s.largest));
-            format!("overshoot, reversal {count:?}: {largest:?}")
-        })
-    });
+/// Neither overshoot nor reversal inside a segment.
+fn stays_in_its_boxes(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result<(), String> {
+    if mode == Mode::Smooth {
+        return Ok(());
+    }
+    let verdict = judge(&schedule.trajectory, &case.limits);
+    let count = verdict.axes.each_ref().map(|a| [a.overshoot_mm.count, a.reversal_mm_per_s.count]);
+    ensure(count == [[0, 0]; 2], || {
+        let largest =
+            verdict.axes.each_ref().map(|a| (a.overshoot_mm.largest, a.reversal_mm_per_s.largest));
+        format!("overshoot, reversal {count:?}: {largest:?}")
+    })
 }
 
 /// Path and times backwards give the mirrored motion: p'(T - t) = p(t).
@@ -910,6 +943,87 @@ fn constant_acceleration_reports_what_it_missed() {
         ensure((largest - missed).abs() <= 2e-9 + 1e-9 * missed, || {
             format!("ends up to {largest} mm from its points, reported {missed} mm")
         })
+    });
+}
+
+/// At rest in corners the tool is on the path everywhere, passes every control point, and no dwell
+/// time is cut; what is added is reported.
+#[test]
+fn stop_at_corners_stays_on_the_path_and_cuts_no_dwell_time() {
+    on_every_case(|case| {
+        for path in [case.path(), lifted(case)] {
+            let s = stop_at_corners::schedule(&path, &case.dwell(), &case.limits)
+                .map_err(|e| e.to_string())?;
+            let (t, n) = (&s.trajectory, case.dwell_s.len());
+            let (mut served_s, mut end) = (vec![0.0; n], case.points.clone());
+            for (k, piece) in t.segments().enumerate() {
+                let i = piece.dwell_index as usize;
+                served_s[i] += piece.duration_s;
+                end[i + 1] = piece.position_mm(piece.duration_s);
+                if !piece.tool_on {
+                    continue;
+                }
+                for part in [0.0, 0.5, 1.0] {
+                    let p = piece.position_mm(part * piece.duration_s);
+                    let off = distance_to_chord(p, case.points[i], case.points[i + 1]);
+                    // A thousandth of a nanometre: the rounding of v^2/a in one segment.
+                    ensure(off <= 1e-9, || format!("piece {k} is {off} mm beside segment {i}"))?;
+                }
+            }
+            let total_s = t.total_time_s();
+            for i in 0..n {
+                let off = (0..2).map(|a| (end[i + 1][a] - case.points[i + 1][a]).abs());
+                let off = off.fold(0.0, f64::max);
+                ensure(off <= 1e-8, || format!("segment {i} misses its end by {off} mm"))?;
+                // A piece below 64 epsilon of the time may be left out.
+                let early_s = case.dwell_s[i] - served_s[i];
+                ensure(early_s <= 1e-12 * total_s, || format!("segment {i} early by {early_s} s"))?;
+            }
+            let added_s = s.report.added_s + s.report.added_lifted_s;
+            let reported_s = case.dwell_s.iter().sum::<f64>() + added_s;
+            ensure((total_s - reported_s).abs() <= 1e-11 * total_s, || {
+                format!("takes {total_s} s, reported {reported_s} s")
+            })?;
+        }
+        Ok(())
+    });
+}
+
+/// With a limit on jerk the smooth motion keeps it, steps of the acceleration included, and every
+/// other limit; monotone keeps it inside segments only, and claims no more.
+#[test]
+fn pvt_keeps_a_limit_on_jerk() {
+    on_every_case(|case| {
+        let mut limited = case.clone();
+        for (axis, j) in limited.limits.axes.iter_mut().zip([5e3, 2e3]) {
+            axis.max_jerk_mm_per_s3 = Some(j);
+        }
+        let s = limited.pvt(Mode::Smooth)?;
+        let verdict = judge(&s.trajectory, &limited.limits);
+        ensure(verdict.limits_respected, || format!("smooth: {:?}", verdict.violations))?;
+        let claim = Claim::of(&s.trajectory, &limited.limits);
+        ensure(claim.limits_respected && claim.jerk == Some(true), || format!("{claim:?}"))?;
+        let (mut served_s, mut end) = (vec![0.0; case.dwell_s.len()], case.points.clone());
+        for piece in s.trajectory.segments() {
+            let i = piece.dwell_index as usize;
+            served_s[i] += piece.duration_s;
+            end[i + 1] = piece.position_mm(piece.duration_s);
+        }
+        let total_s = s.trajectory.total_time_s();
+        for (i, served_s) in served_s.iter().enumerate() {
+            let off = (0..2).map(|a| (end[i + 1][a] - case.points[i + 1][a]).abs());
+            let off = off.fold(0.0, f64::max);
+            // As in `passes_and_lasts`.
+            ensure(off <= 1e-12 * case.extent_mm().max(1.0), || {
+                format!("smooth: segment {i} misses its end by {off}")
+            })?;
+            ensure(*served_s >= case.dwell_s[i] - 4.0 * f64::EPSILON * total_s, || {
+                format!("smooth: segment {i} lasts {served_s} s, dwell {} s", case.dwell_s[i])
+            })?;
+        }
+        let t = limited.pvt(Mode::Monotone)?.trajectory;
+        let jerk = judge(&t, &limited.limits).axes.map(|a| a.jerk_mm_per_s3.exceeded);
+        ensure(jerk == [false; 2], || "monotone: exceeds the jerk inside segments".into())
     });
 }
 

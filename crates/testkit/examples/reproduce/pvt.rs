@@ -407,7 +407,8 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
     // A segment of this motion has two pieces; its own report counts by segment.
     let constant_um = 1e3 * largest(constant.report.largest_overshoot_mm);
     let steps = [&smooth[1], &constant.trajectory].map(acceleration_step);
-    let seed = pvt_seed::schedule(&maze.path, &maze.dwell, &ion_beam()).expect("a motion").report;
+    let seed = pvt_seed::schedule(&maze.path, &maze.dwell, &ion_beam(), Default::default());
+    let seed = seed.expect("a motion").report;
     let one = udo_dwell(desired, tif, &raster.path, 1);
     let again = Run { desired, tif, path: raster.path.clone(), dwell: one };
     let again_nm = again.residual_nm(&again.position());

@@ -1,0 +1,397 @@
+//! Constant acceleration along the path, at rest in every corner: within all limits.
+//!
+//! [`crate::constant_acceleration`] moves each axis by itself and goes beyond corners. Here the tool
+//! stays on the path. Along a segment of length `L` and direction `t`, with
+//!
+//! ```text
+//! v_max = min over axes v_axis / |t_axis|,   a = min over axes a_axis / |t_axis|
+//! ```
+//!
+//! it accelerates or brakes with `a`, or keeps its velocity; where the direction changes, where it
+//! stands, and at the ends it is at rest. From `v0` a segment takes its dwell time `d` by
+//! Eqs 5 and 6 of the source, as there: `a` for a while, then `v` to the end. Look-ahead bounds the
+//! velocity at every node, so that the next ones can be braked for and no segment is left early:
+//!
+//! ```text
+//! V_i <= v_max on both sides,   V_i^2 <= V_{i+1}^2 + 2 a L                                     (1)
+//! V_i <= L/d + a d/2  where  d^2 < 2 L/a,  else  V_i^2 <= 2 a L
+//! ```
+//!
+//! Where Eqs 5 and 6 would end faster than `V`, the segment ends with `v1 = V` and has a velocity
+//! `w` of its own in between,
+//!
+//! ```text
+//! w^2 - (a d + v0 + v1) w + a L + (v0^2 + v1^2)/2 = 0        faster than both ends             (2)
+//! w = (L - (v0^2 - v1^2)/(2 a)) / (d - (v0 - v1)/a)          between them
+//! ```
+//!
+//! and where the machine cannot do that in the time `d`, it takes the least time it can. Dwell times
+//! are kept or exceeded, never cut; the report says by how much. Lifts are links, rest to rest.
+//!
+//! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 3-7, for
+//! the motion within a segment; stops and look-ahead are not in it.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | L | `Along::length_mm` | (n) | mm |
+//! | d | `Along::duration_s` | (n) | s |
+//! | V | `bound` | (n+1) | mm/s |
+
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+
+use crate::{
+    ScheduleError, break_times, check_lengths,
+    constant_acceleration::least_piece_s,
+    link::{End, link},
+};
+
+/// What it took.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Nodes between two segments with the tool on where the tool comes to rest.
+    pub stops: usize,
+    /// Segments with the tool on that took longer than their dwell time.
+    pub late_segments: usize,
+    /// Time that they took in addition, s.
+    pub added_s: f64,
+    /// Largest addition, s.
+    pub largest_added_s: f64,
+    /// Lifts: segments with the tool off, each a link from rest to rest.
+    pub lifts: usize,
+    /// Time that the lifts took beyond their dwell time, s.
+    pub added_lifted_s: f64,
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+}
+
+/// The motion and what it took.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What it took.
+    pub report: Report,
+}
+
+/// Largest step of the velocity at a node that is no corner, mm/s: a tenth of what is taken for
+/// rounding when a motion is judged.
+const STRAIGHT_MM_PER_S: f64 = 1e-7;
+
+/// Schedules `path` with at least the times `dwell` within `limits`.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    let mut report = Report::default();
+    let all = (0..path.len()).map(|i| Along::new(path, dwell, limits, i));
+    let (along, dropped): (Vec<Along>, Vec<Along>) =
+        all.partition(|s| s.length_mm > 0.0 || s.dwell_s > 0.0);
+    report.dropped = dropped.iter().map(|s| s.index).collect();
+    let bound = bounds(&along);
+    let (mut duration_s, mut coefficient_mm) = (Vec::new(), Vec::new());
+    let (mut tool_on, mut dwell_index) = (Vec::new(), Vec::new());
+    let mut end_s = 0.0;
+    let mut add = |piece_s: f64, c: [[f64; 4]; 2], on: bool, i: usize| {
+        duration_s.push(piece_s);
+        coefficient_mm.push(c);
+        tool_on.push(on);
+        dwell_index.push(i as i64);
+    };
+    let mut v = 0.0;
+    for (k, segment) in along.iter().enumerate() {
+        let i = segment.index;
+        let start = path.point_mm()[i];
+        if !segment.tool_on {
+            let at_rest = |position_mm| End { position_mm, velocity_mm_per_s: [0.0; 2] };
+            let to = at_rest(path.point_mm()[i + 1]);
+            if let Some(link) = link(at_rest(start), to, limits, segment.dwell_s) {
+                add(link.duration_s, link.coefficient_mm, false, i);
+                end_s += link.duration_s;
+                report.lifts += 1;
+                report.added_lifted_s += link.duration_s - segment.dwell_s;
+            }
+            continue;
+        }
+        report.stops += usize::from(bound[k] == 0.0 && k > 0 && along[k - 1].tool_on);
+        let profile = segment.profile(v, bound[k + 1]);
+        end_s += profile.duration_s();
+        let least_s = least_piece_s(end_s);
+        for [from, to] in profile.cuts(least_s) {
+            let [s, ds, half] = profile.state(0.5 * (from + to), from);
+            let c = [0, 1].map(|a| {
+                let t = segment.direction[a];
+                [start[a] + t * s, t * ds, t * half, 0.0]
+            });
+            add(to - from, c, true, i);
+        }
+        v = profile.velocity[2];
+        let added = profile.duration_s() - segment.dwell_s;
+        if added > least_s {
+            report.late_segments += 1;
+            report.added_s += added;
+            report.largest_added_s = report.largest_added_s.max(added);
+        }
+    }
+    if duration_s.is_empty() {
+        return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    let trajectory =
+        Trajectory::new(break_times(&duration_s), coefficient_mm, tool_on, dwell_index)?;
+    Ok(Schedule { trajectory, report })
+}
+
+/// A segment as the motion along it sees it.
+#[derive(Clone, Copy, Debug)]
+struct Along {
+    index: usize,
+    tool_on: bool,
+    length_mm: f64,
+    /// Unit vector; zero where the tool stands.
+    direction: [f64; 2],
+    dwell_s: f64,
+    /// The dwell time, or the least that the controller accepts.
+    duration_s: f64,
+    max_velocity: f64,
+    max_acceleration: f64,
+}
+
+impl Along {
+    fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits, i: usize) -> Self {
+        let (d, length_mm) = (path.displacement_mm(i), path.segment_length_mm(i));
+        let direction = if length_mm > 0.0 { d.map(|d| d / length_mm) } else { [0.0; 2] };
+        let along = |limit: [f64; 2]| {
+            let of = |a: usize| limit[a] / direction[a].abs();
+            of(0).min(of(1))
+        };
+        Self {
+            index: i,
+            tool_on: path.tool_on()[i],
+            length_mm,
+            direction,
+            dwell_s: dwell.dwell_s()[i],
+            duration_s: dwell.dwell_s()[i].max(limits.min_segment_s),
+            max_velocity: along(limits.max_velocity_mm_per_s()),
+            max_acceleration: along(limits.max_acceleration_mm_per_s2()),
+        }
+    }
+
+    /// Whether the motion goes on into the next segment.
+    fn joins(&self, next: &Self) -> bool {
+        let speed = self.max_velocity.min(next.max_velocity);
+        let step = |a: usize| (self.direction[a] - next.direction[a]).abs() * speed;
+        self.tool_on
+            && next.tool_on
+            && self.length_mm > 0.0
+            && next.length_mm > 0.0
+            && step(0).max(step(1)) <= STRAIGHT_MM_PER_S
+    }
+
+    /// (1): the largest velocity at the start, for `next` at the end.
+    fn bound(&self, next: f64) -> f64 {
+        let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
+        let in_time = if d * d < 2.0 * l / a { l / d + 0.5 * a * d } else { (2.0 * a * l).sqrt() };
+        self.max_velocity.min((next * next + 2.0 * a * l).sqrt()).min(in_time)
+    }
+
+    /// The motion from `v0` that ends at `bound` at most.
+    fn profile(&self, v0: f64, bound: f64) -> Profile {
+        let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
+        if l == 0.0 {
+            return Profile { time_s: [0.0, d, 0.0], velocity: [0.0; 3] };
+        }
+        // Eqs 5 and 6: v = v0 + 2 r / (d + sqrt(d^2 - 2 |r| / a)),  r = L - v0 d
+        let r = l - v0 * d;
+        let root = d * d - 2.0 * r.abs() / a;
+        if root >= 0.0 {
+            let v = (v0 + 2.0 * r / (d + root.sqrt())).max(0.0);
+            if v <= bound {
+                let tau_s = ((v - v0).abs() / a).min(d);
+                return Profile { time_s: [tau_s, d - tau_s, 0.0], velocity: [v0, v, v] };
+            }
+        } else if r < 0.0 {
+            // By (1) only up to rounding: braking all the way.
+            let v = (v0 * v0 - 2.0 * a * l).max(0.0).sqrt().min(bound);
+            return Profile { time_s: [(v0 - v) / a, 0.0, 0.0], velocity: [v0, v, v] };
+        }
+        let v1 = bound.min((v0 * v0 + 2.0 * a * l).sqrt());
+        // (2)
+        let (b, c) = (a * d + v0 + v1, a * l + 0.5 * (v0 * v0 + v1 * v1));
+        let fastest = self.max_velocity.min(c.sqrt()).max(v0).max(v1);
+        let discriminant = b * b - 4.0 * c;
+        let wanted =
+            if discriminant > 0.0 { 2.0 * c / (b + discriminant.sqrt()) } else { f64::INFINITY };
+        let phases = |w: f64| ((w - v0).abs() / a, (w - v1).abs() / a);
+        if wanted > fastest {
+            // Late.
+            let (w, (t0, t2)) = (fastest, phases(fastest));
+            let rest_mm = l - 0.5 * ((v0 + w) * t0 + (w + v1) * t2);
+            return Profile { time_s: [t0, rest_mm.max(0.0) / w, t2], velocity: [v0, w, v1] };
+        }
+        let w = if wanted >= v0.max(v1) {
+            wanted
+        } else {
+            // Where it brakes all the way and then waits, w is 0.
+            let (coast_mm, coast_s) = (l - (v0 * v0 - v1 * v1) / (2.0 * a), d - (v0 - v1) / a);
+            let w = if coast_s > 0.0 { coast_mm / coast_s } else { v0.max(v1) };
+            w.clamp(v0.min(v1), v0.max(v1))
+        };
+        let (t0, t2) = phases(w);
+        Profile { time_s: [t0, (d - t0 - t2).max(0.0), t2], velocity: [v0, w, v1] }
+    }
+}
+
+/// (1) at every node, from the end backwards.
+fn bounds(along: &[Along]) -> Vec<f64> {
+    let mut bound = vec![0.0; along.len() + 1];
+    for i in (1..along.len()).rev() {
+        if along[i - 1].joins(&along[i]) {
+            bound[i] = along[i].bound(bound[i + 1]).min(along[i - 1].max_velocity);
+        }
+    }
+    bound
+}
+
+/// From velocity[0] to velocity[1] in time_s[0], at velocity[1] for time_s[1], to velocity[2] in
+/// time_s[2].
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Profile {
+    time_s: [f64; 3],
+    velocity: [f64; 3],
+}
+
+impl Profile {
+    fn duration_s(&self) -> f64 {
+        self.time_s.iter().sum()
+    }
+
+    /// Pieces that last longer than `least_s`, from 0 to the end.
+    fn cuts(&self, least_s: f64) -> Vec<[f64; 2]> {
+        let end = self.duration_s();
+        let mut cut = vec![0.0, self.time_s[0], self.time_s[0] + self.time_s[1], end];
+        cut.dedup_by(|later, earlier| *later - *earlier <= least_s);
+        if let Some(last) = cut.last_mut() {
+            *last = end;
+        }
+        cut.windows(2).map(|w| [w[0], w[1]]).collect()
+    }
+
+    /// Distance, velocity and half the acceleration at the time `t` of the phase that `during` is in.
+    fn state(&self, during: f64, t: f64) -> [f64; 3] {
+        let ([t0, t1, t2], [v0, w, v1]) = (self.time_s, self.velocity);
+        let slope = |change: f64, time: f64| if time > 0.0 { change / time } else { 0.0 };
+        if during < t0 {
+            let half = 0.5 * slope(w - v0, t0);
+            [t * (v0 + t * half), v0 + 2.0 * t * half, half]
+        } else if during < t0 + t1 {
+            [0.5 * (v0 + w) * t0 + w * (t - t0), w, 0.0]
+        } else {
+            let (half, u) = (0.5 * slope(v1 - w, t2), t - t0 - t1);
+            let before = 0.5 * (v0 + w) * t0 + w * t1;
+            [before + u * (w + u * half), w + 2.0 * u * half, half]
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::AxisLimits;
+
+    fn limits(v: f64, a: f64) -> Limits {
+        let axis = |name: &str| AxisLimits {
+            name: name.into(),
+            max_velocity_mm_per_s: v,
+            max_acceleration_mm_per_s2: a,
+            max_jerk_mm_per_s3: None,
+        };
+        Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    }
+
+    fn motion(points: &[[f64; 2]], dwell_s: &[f64], limits: &Limits) -> Schedule {
+        let n = dwell_s.len();
+        let path = ToolPath::through(points.to_vec(), vec![true; n], vec![0; n]).unwrap();
+        schedule(&path, &DwellTime::new(dwell_s.to_vec()).unwrap(), limits).unwrap()
+    }
+
+    #[test]
+    fn one_segment_from_rest_to_rest_by_hand() {
+        // 1 mm in 1 s at 8 mm/s^2: w^2 - 8 w + 8 = 0, w = 4 - sqrt 8, up and down in w / 8 each.
+        let s = motion(&[[0.0; 2], [1.0, 0.0]], &[1.0], &limits(100.0, 8.0));
+        let w = 4.0 - 8.0_f64.sqrt();
+        let times = s.trajectory.break_time_s();
+        for (found, expected) in times.iter().zip([0.0, w / 8.0, 1.0 - w / 8.0, 1.0]) {
+            assert!((found - expected).abs() < 1e-15, "{times:?}");
+        }
+        let c = s.trajectory.coefficient_mm()[1][0];
+        assert!((c[0] - w * w / 16.0).abs() < 1e-15 && (c[1] - w).abs() < 1e-15, "{c:?}");
+        assert_eq!((s.report.added_s, s.report.late_segments, s.report.stops), (0.0, 0, 0));
+        // Too short a time takes sqrt(4 L / a), or L / v + v / a where the velocity is limited.
+        let s = motion(&[[0.0; 2], [1.0, 0.0]], &[0.1], &limits(100.0, 16.0));
+        assert!((s.trajectory.total_time_s() - 0.5).abs() < 1e-15);
+        assert!((s.report.added_s - 0.4).abs() < 1e-15 && s.report.late_segments == 1);
+        let s = motion(&[[0.0; 2], [1.0, 0.0]], &[0.1], &limits(2.0, 16.0));
+        assert!((s.trajectory.total_time_s() - 0.625).abs() < 1e-15);
+    }
+
+    #[test]
+    fn it_stops_in_corners_and_goes_on_along_lines() {
+        let points = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 0.0], [2.0, 0.0]];
+        let s = motion(&points, &[0.5; 5], &limits(10.0, 100.0));
+        // The corner, the reversal and the point it stands on; not the node on the line.
+        assert_eq!((s.report.stops, s.report.added_s), (3, 0.0));
+        let at = |time_s: f64| {
+            let t = &s.trajectory;
+            let i = t.break_time_s().partition_point(|b| *b <= time_s).clamp(1, t.len()) - 1;
+            (i, time_s - t.break_time_s()[i])
+        };
+        for (node, moving) in [(1, true), (2, false), (3, false), (4, false)] {
+            let (i, u) = at(0.5 * f64::from(node));
+            let p = s.trajectory.segment(i).position_mm(u);
+            let speed = s.trajectory.coefficient_mm()[i].map(|c| c[1] + 2.0 * c[2] * u);
+            let expected = points[node as usize];
+            assert!((p[0] - expected[0]).abs() + (p[1] - expected[1]).abs() < 1e-12, "{p:?}");
+            assert_eq!(speed[0].hypot(speed[1]) > 1.0, moving, "node {node}: {speed:?}");
+        }
+    }
+
+    #[test]
+    fn it_brakes_to_the_very_end_and_waits_there() {
+        // 4 mm/s and 8 mm/s^2: 1 mm and half a second to rest, of three seconds.
+        let along = Along {
+            index: 0,
+            tool_on: true,
+            length_mm: 1.0,
+            direction: [1.0, 0.0],
+            dwell_s: 3.0,
+            duration_s: 3.0,
+            max_velocity: 10.0,
+            max_acceleration: 8.0,
+        };
+        let profile = along.profile(4.0, 0.0);
+        assert_eq!(profile, Profile { time_s: [0.5, 2.5, 0.0], velocity: [4.0, 0.0, 0.0] });
+        // Braking from a little less leaves the rest of the way for the rest of the time.
+        let v0 = 3.999_999_999_999;
+        let profile = along.profile(v0, 0.0);
+        assert!((profile.duration_s() - 3.0).abs() < 1e-15, "{profile:?}");
+    }
+
+    #[test]
+    fn it_brakes_ahead_of_a_slow_segment_and_is_never_early() {
+        // 10 mm at 20 mm/s, then 0.1 mm in 2 s and in 0.05 s: braking from 20 mm/s takes 2 mm.
+        let points = [[0.0, 0.0], [10.0, 0.0], [10.1, 0.0], [10.2, 0.0]];
+        let dwell_s = [0.6, 2.0, 0.05];
+        let s = motion(&points, &dwell_s, &limits(30.0, 100.0));
+        let mut served = [0.0; 3];
+        for piece in s.trajectory.segments() {
+            served[piece.dwell_index as usize] += piece.duration_s;
+        }
+        for (served, dwell_s) in served.iter().zip(dwell_s) {
+            assert!(*served >= dwell_s - 1e-15, "{served} {dwell_s}");
+        }
+        let late: f64 = served.iter().zip(dwell_s).map(|(s, d)| s - d).sum();
+        assert!((late - s.report.added_s).abs() < 1e-14, "{late} {}", s.report.added_s);
+    }
+}
