@@ -487,14 +487,13 @@ fn a_ring_shaped_tool_is_refined() {
 
 #[test]
 fn where_nothing_can_be_gained_the_loop_says_so() {
-    // 2 s at every point is more than this map asks for anywhere: all stay at the floor.
+    // With noise of 3 nm in the map, a plan that leaves less is as good as any.
     let line = Line::new(2);
-    let [_, said] = refined(&line, "coupon", "--min-dwell-s 2", "");
+    let [_, said] = refined(&line, "coupon", "--min-dwell-s 0.1", "--noise-rms-nm 3");
     let outcome = &line.json("run/refined/iterations/manifest.json")["outcome"];
-    assert_eq!(outcome["end"], "no-improvement", "{said}");
+    assert_eq!((&outcome["end"], &outcome["best_round"]), (&"no-improvement".into(), &0.into()));
     assert!(said.contains("no-improvement after") && said.contains("at a bound"), "{said}");
     let [before, after] =
         ["run/pvt", "run/refined/trajectory"].map(|m| missed(&line, m, "run/fixture/surface"));
-    assert!(after <= before, "{before} {after}");
-    println!("{said}");
+    assert!(before < 3.0 && (after - before).abs() < 1e-12, "{before} {after}");
 }
