@@ -59,16 +59,20 @@ test-gcode: build
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
 # The residual with counts of 0.1 and 1 um, on the mirror in PLANISH_REFERENCE
-quantisation: build
-    @mkdir -p out/quantisation/mirror/surface out/quantisation/mirror/tif
-    @for axis in x_mm y_mm; do \
-        cp "$PLANISH_REFERENCE/nsls2-mirror/$axis.npy" out/quantisation/mirror/surface; \
-        cp "$PLANISH_REFERENCE/nsls2-mirror/tif_$axis.npy" out/quantisation/mirror/tif/$axis.npy; \
-    done
-    @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" out/quantisation/mirror/surface
-    @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" out/quantisation/mirror/tif/rate_nm_per_s.npy
+quantisation: build (reference-mirror "out/quantisation/mirror")
     just run raster surface=out/quantisation/mirror/surface tif=out/quantisation/mirror/tif out=out/quantisation/raster
     pipelines/quantisation.sh out/quantisation/raster out/quantisation/mirror/tif
+
+# Surface and TIF of the mirror in PLANISH_REFERENCE, as artifacts without manifests
+[private]
+reference-mirror out:
+    @mkdir -p {{ out }}/surface {{ out }}/tif
+    @for axis in x_mm y_mm; do \
+        cp "$PLANISH_REFERENCE/nsls2-mirror/$axis.npy" {{ out }}/surface; \
+        cp "$PLANISH_REFERENCE/nsls2-mirror/tif_$axis.npy" {{ out }}/tif/$axis.npy; \
+    done
+    @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" {{ out }}/surface
+    @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" {{ out }}/tif/rate_nm_per_s.npy
 
 # The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction.md
 reproduce paper="all":
@@ -86,11 +90,15 @@ ci: test
     just run maze fixture=coupon refine=no export=galil out=out/ci-maze
     just python-example
 
-# Residual against total time along a raster: prints the table, draws out/pareto/FIXTURE/curve/pareto.svg
+# Residual against total time along a raster: prints the table, draws out/pareto/FIXTURE/curve/pareto.svg (just pareto reference: the mirror in PLANISH_REFERENCE)
 pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_s_per_mm="0.02": build
-    @target/release/planish-fixture fixtures/{{ fixture }}.json --out out/pareto/{{ fixture }} --force
+    @{{ if fixture == "reference" { "just reference-mirror out/pareto/reference" } else { "target/release/planish-fixture fixtures/" + fixture + ".json --out out/pareto/" + fixture + " --force" } }}
     @target/release/planish-toolpath raster --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --pitch-mm 1 --step-mm 1 --out out/pareto/{{ fixture }}/tool_path --force
     @target/release/planish-refine pareto --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --tool-path out/pareto/{{ fixture }}/tool_path --machine {{ machine }} --min-dwell-s-per-mm {{ min_dwell_s_per_mm }} --out out/pareto/{{ fixture }}/curve --force
+
+# The tables of docs/refine.md; with PLANISH_REFERENCE set, also those of the reference mirror
+refine-table:
+    @cargo run --quiet --release --locked -p planish-testkit --example refined
 
 # Write the generated pages and pictures in docs/
 docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "raster-angle" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --angle-deg 30") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")

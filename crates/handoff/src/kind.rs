@@ -372,7 +372,7 @@ pub const ITERATIONS: Kind = Kind {
             "Segments whose dwell time the machine needed stretched.",
         ),
     ],
-    files: &[],
+    files: &["pareto.svg"],
 };
 
 /// Whether a trajectory keeps the machine's limits.

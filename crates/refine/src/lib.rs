@@ -7,17 +7,26 @@
 //! repeat   P = schedule(t)                     the motion, within the limits
 //!          h = time of every segment in P      >= t where the machine needs more
 //!          e = RMS of the residual of P        simulated: what will be executed
-//!          lo_j = max(lo_j, h_j) where h_j > t_j     the machine's need becomes a lower bound
-//!          B_ij = mean over the time of segment j of R(x_i - P(u))     what a second there removes
-//!          t = bounded least squares with B, lo
-//! until    e falls by less than a fraction, and nothing was stretched
+//!          if e is the smallest so far:        t*, P* = h, P
+//!            lo_j = max(lo_j, h_j) where h_j > t_j   the machine's need becomes a lower bound
+//!            B_ij = mean over the time of segment j of R(x_i - P*(u))   what a second there removes
+//!            t^ = bounded least squares with B, lo, and less smoothness than before
+//!          else: s = s / 2
+//!          t = t* + s (t^ - t*)
+//! until    e falls by less than a fraction, or s is spent
 //! ```
+//!
+//! The operator must be the executed one: a fixed one converges on gentle paths and diverges where
+//! the curve leaves the chords. It holds for the curve that it was made of, and t^ bends the curve:
+//! the rougher the correction, the more. Hence the share s of the step, which is halved until the
+//! executed residual falls and doubled where it falls at the first try; and hence the smoothness,
+//! which falls from round to round to its last value: the
+//! first corrections are of a plan far from its own operator, the last ones are not.
 //!
 //! The result is the iterate of the smallest `e` that keeps the limits, never the last by
 //! accident. With a price `lambda` on the total time T the place of `e` is taken by
 //! `sqrt(e^2 + 2 lambda T)`, twice the objective of the dwell solver. With a noise level the first
-//! correction chooses the smoothness at which the residual reaches the noise; it stays. The operator must be the executed one: a fixed one converges on gentle paths and
-//! diverges where the curve leaves the chords.
+//! correction chooses the smoothness at which the residual reaches the noise; it stays.
 //!
 //! This is the only crate that sees several stages. What it promises is what `planish-simulate`
 //! and `planish-verify` say of the trajectory it writes; both are called inside as they are.
@@ -27,6 +36,7 @@
 //! | t, h | `dwell_s` | (n) | s |
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | e | `rms_nm` | - | nm |
+//! | t^, s | `proposed_s`, `share` | (n), - | s, 1 |
 
 pub mod trade_off;
 
@@ -57,8 +67,11 @@ pub enum Scheduler {
 pub struct Settings {
     /// What makes the motion.
     pub scheduler: Scheduler,
-    /// The dwell solver of every round; its columns are those of the first round.
+    /// The dwell solver; its columns are those of the first plan, its smoothness that of the last
+    /// corrections.
     pub dwell: dwell_solver::Settings,
+    /// Smoothness of the first correction; it falls to that of `dwell`.
+    pub first_smoothness: f64,
     /// Most rounds of schedule and correction.
     pub max_rounds: usize,
     /// Fraction of the RMS by which a round must improve on the best one to count as progress.
@@ -68,15 +81,16 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            scheduler: Scheduler::Pvt(pvt::Mode::Smooth),
+            scheduler: Scheduler::Pvt(pvt::Mode::Monotone),
             dwell: dwell_solver::Settings {
                 // The columns are the executed ones, so the smoothness need not stand for what a
                 // machine can execute; the pull to the lower bound buys machine time.
                 tikhonov: 1e-4,
-                smoothness: 3e-3,
+                smoothness: 1e-4,
                 ..dwell_solver::Settings::default()
             },
-            max_rounds: 8,
+            first_smoothness: 3e-3,
+            max_rounds: 12,
             least_improvement: 1e-3,
         }
     }
@@ -142,9 +156,15 @@ pub struct Refined {
     pub iterates: Vec<Iterate>,
     /// Why it ended: `no-improvement` or `round-limit`.
     pub end: &'static str,
+    /// Dwell times of the best round that are at a bound: the floor, or the need of the machine.
+    pub at_bound: usize,
 }
 
-/// Rounds without progress after which the loop ends: one may be the price of raised bounds.
+/// By what the smoothness falls from one correction to the next: half a decade.
+const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
+/// Share of the step below which a correction is given up.
+const LEAST_SHARE: f64 = 0.1;
+/// Part steps in a row without progress after which the loop ends; of full steps, one is enough.
 const PATIENCE: usize = 2;
 
 /// A motion and what it needed.
@@ -204,14 +224,20 @@ pub fn refine(
 ) -> Result<Refined, RefineError> {
     let mut solver = settings.dwell;
     let (mut lo, hi) = dwell_solver::bounds(path, &solver)?;
+    let last_smoothness = solver.smoothness;
+    solver.smoothness = last_smoothness.max(settings.first_smoothness);
     let mut t = match first {
         Some(dwell) => dwell,
         None => dwell_solver::solve(desired, tif, path, None, &solver)?.dwell,
     };
+    let simulation = Plan::new(tif, desired.grid(), Simulation::Gridded)?;
+    // Below the noise (its RMS over m pixels scatters by 1 / sqrt(2 m)) nothing is gained.
+    let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
+    let known = solver.noise_rms_nm.map_or(0.0, |s| s * (1.0 + 3.0 / (2.0 * pixels).sqrt()));
     let mut iterates: Vec<Iterate> = Vec::new();
     let mut best: Option<(usize, Trajectory)> = None;
+    let (mut proposed_s, mut share, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
-    let simulation = Plan::new(tif, desired.grid(), Simulation::Gridded)?;
     let mut end = "round-limit";
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
@@ -224,11 +250,6 @@ pub fn refine(
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
         let rms_nm = predicted.removal.residual().statistics().rms;
         let total_time_s = motion.trajectory.total_time_s();
-        // Below the noise (its RMS over m pixels scatters by 1 / sqrt(2 m)) nothing is gained.
-        let known = settings.dwell.noise_rms_nm.map_or(0.0, |noise| {
-            let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
-            noise * (1.0 + 3.0 / (2.0 * pixels).sqrt())
-        });
         let price = 2.0 * solver.time_weight_nm2_per_s * total_time_s;
         let iterate = Iterate {
             rms_nm,
@@ -236,23 +257,42 @@ pub fn refine(
             total_time_s,
             stretched: motion.stretched.len(),
             limits_respected: verdict.limits_respected,
-            dwell_s: h.clone(),
+            dwell_s: h,
         };
 
         // Keep the best; a plan beyond the limits is worse than any within them.
         let before = best.as_ref().map(|(b, _)| &iterates[*b]);
         let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
-        if before.is_none_or(|b| rank(&iterate) < rank(b)) {
-            best = Some((round, motion.trajectory.clone()));
-        }
+        let better = before.is_none_or(|b| rank(&iterate) < rank(b));
         let progress = before.is_none_or(|b| {
             iterate.merit_nm < (1.0 - settings.least_improvement) * b.merit_nm
                 || iterate.limits_respected && !b.limits_respected
         });
-        without_progress = if progress { 0 } else { without_progress + 1 };
-        let stretched = iterate.stretched > 0;
         iterates.push(iterate);
-        if without_progress >= PATIENCE || (!progress && !stretched) {
+        tries += 1;
+        let at_last = solver.smoothness <= last_smoothness || settings.dwell.noise_rms_nm.is_some();
+        if better {
+            best = Some((round, motion.trajectory));
+            // The machine's need becomes a lower bound.
+            for &(j, needed_s) in &motion.stretched {
+                if needed_s > hi[j] {
+                    return Err(RefineError::BoundBelowNeed {
+                        segment: j,
+                        length_mm: path.segment_length_mm(j),
+                        needed_s,
+                        bound_s: hi[j],
+                    });
+                }
+                lo[j] = lo[j].max(needed_s);
+            }
+            without_progress = match progress {
+                true => 0,
+                false if share < 1.0 => without_progress + 1,
+                false => PATIENCE,
+            };
+        }
+        let spent = !better && 0.5 * share < LEAST_SHARE;
+        if at_last && (spent || without_progress >= PATIENCE) {
             end = "no-improvement";
             break;
         }
@@ -260,27 +300,39 @@ pub fn refine(
             break;
         }
 
-        // The machine's need becomes a lower bound; B of the motion; t = bounded least squares.
-        for &(j, needed_s) in &motion.stretched {
-            if needed_s > hi[j] {
-                return Err(RefineError::BoundBelowNeed {
-                    segment: j,
-                    length_mm: path.segment_length_mm(j),
-                    needed_s,
-                    bound_s: hi[j],
-                });
+        let (b, trajectory) = best.as_ref().expect("the first round is the best one so far");
+        let best_s = &iterates[*b].dwell_s;
+        if better || spent {
+            // A step that held at the first try may be longer, and rougher, the next time; a
+            // correction that is given up is tried as rough as they get.
+            if tries == 1 || spent {
+                share = f64::min(2.0 * share, 1.0);
+                if round > 0 && !at_last {
+                    solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
+                }
             }
-            lo[j] = lo[j].max(needed_s);
+            // B of the motion; t^ = bounded least squares.
+            let places = columns::executed(trajectory, path.len());
+            let (lo, hi, guess) = (lo.clone(), hi.clone(), Some(best_s.clone()));
+            let program = Program { places: &places, lo, hi, guess };
+            let solution =
+                dwell_solver::solve_columns(desired, tif, path, None, &solver, &program)?;
+            if solver.noise_rms_nm.take().is_some() {
+                solver.smoothness = solution.report.smoothness;
+            }
+            proposed_s = solution.dwell.dwell_s().to_vec();
+            tries = 0;
+        } else {
+            share *= 0.5;
         }
-        let places = columns::executed(&motion.trajectory, path.len());
-        let program = Program { places: &places, lo: lo.clone(), hi: hi.clone(), guess: Some(h) };
-        let solution = dwell_solver::solve_columns(desired, tif, path, None, &solver, &program)?;
-        if solver.noise_rms_nm.take().is_some() {
-            solver.smoothness = solution.report.smoothness;
-        }
-        t = solution.dwell;
+        // t = t* + s (t^ - t*)
+        let step = best_s.iter().zip(&proposed_s).map(|(t, to)| t + share * (to - t));
+        t = DwellTime::new(step.collect())?;
     }
     let (best, trajectory) = best.expect("the first round is the best one so far");
     let dwell = DwellTime::new(iterates[best].dwell_s.clone())?;
-    Ok(Refined { dwell, trajectory, best, iterates, end })
+    let at_bound =
+        dwell.dwell_s().iter().enumerate().filter(|(j, t)| **t <= lo[*j] || **t >= hi[*j]);
+    let at_bound = at_bound.count();
+    Ok(Refined { dwell, trajectory, best, iterates, end, at_bound })
 }

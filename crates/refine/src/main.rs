@@ -66,7 +66,7 @@ struct Refine {
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
     tikhonov: f64,
-    /// Weight of the roughness of the dwell-time density along the path
+    /// Weight of the roughness of the dwell-time density along the path, in the last corrections
     #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
     smoothness: f64,
     /// Price of a second beside half the mean square of the residual, nm^2/s
@@ -79,7 +79,7 @@ struct Refine {
     #[arg(long, value_enum, default_value = "pvt")]
     scheduler: SchedulerKind,
     /// Shape of the PVT motion
-    #[arg(long, value_enum, default_value = "smooth")]
+    #[arg(long, value_enum, default_value = "monotone")]
     mode: Mode,
     /// Most rounds
     #[arg(long, value_name = "N", default_value_t = Settings::default().max_rounds)]
@@ -164,6 +164,7 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
     let outcome = json!({
         "best_round": refined.best,
         "end": refined.end,
+        "at_bound": refined.at_bound,
         "rms_nm": best.rms_nm,
         "total_time_s": best.total_time_s,
     });
@@ -188,9 +189,12 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
     }
     let before = &refined.iterates[0];
     say(format!(
-        "{} after {} rounds: {:.4} nm in {:.2} s before, {:.4} nm in {:.2} s after -> {}",
+        "{} after {} rounds, {} of {} dwell times at a bound: {:.4} nm in {:.2} s before, {:.4} nm \
+         in {:.2} s after -> {}",
         refined.end,
         refined.iterates.len(),
+        refined.at_bound,
+        path.len(),
         before.rms_nm,
         before.total_time_s,
         best.rms_nm,

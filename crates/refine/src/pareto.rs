@@ -39,8 +39,8 @@ pub struct Pareto {
     /// Prices beside that of nothing
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,
-    /// Most rounds of every refinement
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    /// Most rounds of every refinement but the first
+    #[arg(long, value_name = "N", default_value_t = 6)]
     max_rounds: usize,
     #[command(flatten)]
     output: OutputArgs,

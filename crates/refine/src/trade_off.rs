@@ -60,6 +60,10 @@ pub fn trade_off(
     for &price in prices {
         let mut settings = *settings;
         settings.dwell.time_weight_nm2_per_s = price;
+        if first.is_none() {
+            // What the other prices begin with.
+            settings.max_rounds = settings.max_rounds.max(Settings::default().max_rounds);
+        }
         let mut refined = refine(desired, tif, path, limits, first, &settings)?;
         first = Some(refined.dwell);
         let best = refined.iterates.swap_remove(refined.best);

@@ -81,6 +81,23 @@ fn the_executed_residual_falls_and_the_promise_is_what_the_judges_find() {
 }
 
 #[test]
+fn a_correction_that_bends_the_curve_too_far_is_taken_in_part() {
+    // Without a floor the density of this plan falls to nothing beyond the part: the least energy
+    // swings out there, and a whole step leaves more than the plan before it.
+    let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
+    let mut how = settings(pvt::Mode::Smooth);
+    how.dwell.min_dwell = Bound::SecondsPerMm(0.02);
+    let refined = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
+    let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
+    println!("{rms:?}");
+    let worse =
+        rms.windows(2).position(|w| w[1] > w[0]).expect("every whole step is good: no test");
+    assert!(refined.best > worse, "{rms:?}");
+    assert!(rms[refined.best] < 0.95 * rms[..=worse + 1].iter().copied().fold(f64::MAX, f64::min));
+    assert!(refined.iterates[refined.best].limits_respected);
+}
+
+#[test]
 fn a_slow_machine_gets_its_time_and_the_limits_hold() {
     let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(8.0, 20.0));
     let how = settings(pvt::Mode::Smooth);
@@ -179,7 +196,7 @@ fn noise_is_not_fitted_at_the_cost_of_the_true_surface() {
     let measured = noisy(&clean, noise_nm);
     let mut how = settings(pvt::Mode::Smooth);
     // So little that the noise is fitted.
-    (how.dwell.smoothness, how.dwell.tikhonov) = (1e-6, 1e-6);
+    (how.dwell.smoothness, how.first_smoothness, how.dwell.tikhonov) = (1e-6, 1e-6, 1e-6);
     how.dwell.noise_rms_nm = Some(noise_nm);
     let missed = |refined: &Refined| {
         let p = simulate(&refined.trajectory, &tif, &clean, planish_simulate::Settings::Gridded);

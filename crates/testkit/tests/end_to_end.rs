@@ -409,4 +409,91 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
     assert!(rows[3][1] < 0.7 * rows[0][1] && rows[3][2] > rows[0][2], "{said}");
     assert!(said.contains("volume / VRR: 64.0 s") && rows[3][1] > 64.0, "{said}");
     assert!(line.path("run/pareto/pareto.svg").exists());
+    // With other prices it takes the place of what is there.
+    line.expect(0, &format!("refine pareto {inputs} --prices 1 --force --out run/pareto"));
+}
+
+/// RMS of the residual of the motion `run` against `surface`.
+fn missed(line: &Line, run: &str, surface: &str) -> f64 {
+    let out = format!("{run}-against-{surface}").replace('/', "-");
+    let simulate = format!("simulate --trajectory {run} --tif run/fixture/tif --surface {surface}");
+    line.expect(0, &format!("{simulate} --out {out}"));
+    number(&line.json(&format!("{out}/manifest.json"))["outcome"]["rms_nm"])
+}
+
+/// Plans, schedules and refines the fixture `name` in `line`; the commands write `run/pvt` and
+/// `run/refined`. Returns the inputs of `refine` and what it said.
+fn refined(line: &Line, name: &str, floor: &str, flags: &str) -> [String; 2] {
+    let recipe = workspace().join("fixtures").join(format!("{name}.json"));
+    fs::copy(recipe, line.path("recipe.json")).unwrap();
+    line.expect(0, "fixture recipe.json --out run/fixture");
+    let plan = "--surface run/fixture/surface --tif run/fixture/tif";
+    for command in [
+        format!("toolpath raster {plan} --pitch-mm 1 --step-mm 1 --out run/tool_path"),
+        format!(
+            "dwell bounded-least-squares {plan} --tool-path run/tool_path {floor} --out run/dwell"
+        ),
+        "schedule pvt --mode monotone --tool-path run/tool_path --dwell run/dwell \
+         --machine machine.json --out run/pvt"
+            .into(),
+    ] {
+        line.expect(0, &command);
+    }
+    let inputs = format!("{plan} --tool-path run/tool_path --machine machine.json {floor}");
+    let said =
+        line.expect(0, &format!("refine {inputs} --dwell run/dwell {flags} --out run/refined"));
+    line.expect(
+        0,
+        "verify --trajectory run/refined/trajectory --machine machine.json --out run/verdict",
+    );
+    [inputs, said]
+}
+
+#[test]
+fn with_noise_the_loop_gains_on_the_true_surface() {
+    for (floor, flags) in [
+        ("--min-dwell-s 0.1", ""),
+        ("--min-dwell-s 0.1", "--noise-rms-nm 0.5"),
+        ("--min-dwell-s-per-mm 0.02", ""),
+    ] {
+        let line = Line::new(2);
+        refined(&line, "coupon-noise", floor, flags);
+        let recipe = fs::read_to_string(line.path("recipe.json")).unwrap();
+        let mut recipe: Value = serde_json::from_str(&recipe).unwrap();
+        recipe["noise_rms_nm"] = 0.into();
+        fs::write(line.path("true.json"), recipe.to_string()).unwrap();
+        line.expect(0, "fixture true.json --out true");
+        let [before, after] = ["run/pvt", "run/refined/trajectory"].map(|motion| {
+            let measured = missed(&line, motion, "run/fixture/surface");
+            (measured, missed(&line, motion, "true/surface"))
+        });
+        println!("{floor} {flags}: measured, true {before:?} before, {after:?} after");
+        assert!(after.0 < before.0, "{before:?} {after:?}");
+        // The noise is not in the true surface: what is gained there is no fit of it.
+        assert!(after.1 < before.1, "{before:?} {after:?}");
+        assert!(after.1 < after.0, "the noise of 0.5 nm is in the measured residual: {after:?}");
+    }
+}
+
+#[test]
+fn a_ring_shaped_tool_is_refined() {
+    let line = Line::new(2);
+    refined(&line, "coupon-ring", "--min-dwell-s 0.1", "");
+    let [before, after] =
+        ["run/pvt", "run/refined/trajectory"].map(|m| missed(&line, m, "run/fixture/surface"));
+    println!("{before} nm before, {after} nm after");
+    assert!(after <= before, "{before} {after}");
+}
+
+#[test]
+fn where_nothing_can_be_gained_the_loop_says_so() {
+    // With noise of 3 nm in the map, a plan that leaves less is as good as any.
+    let line = Line::new(2);
+    let [_, said] = refined(&line, "coupon", "--min-dwell-s 0.1", "--noise-rms-nm 3");
+    let outcome = &line.json("run/refined/iterations/manifest.json")["outcome"];
+    assert_eq!((&outcome["end"], &outcome["best_round"]), (&"no-improvement".into(), &0.into()));
+    assert!(said.contains("no-improvement after") && said.contains("at a bound"), "{said}");
+    let [before, after] =
+        ["run/pvt", "run/refined/trajectory"].map(|m| missed(&line, m, "run/fixture/surface"));
+    assert!(before < 3.0 && (after - before).abs() < 1e-12, "{before} {after}");
 }

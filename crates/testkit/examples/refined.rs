@@ -1,0 +1,260 @@
+//! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
+//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool.
+use std::fs;
+
+use planish_dwell::bounded_least_squares::{self, Bound};
+use planish_fixture::{Fixture, Recipe, make};
+use planish_refine::{Refined, Scheduler, Settings, refine};
+use planish_schedule::pvt::Mode;
+use planish_simulate::{Settings::Gridded, simulate};
+use planish_testkit::{ion_beam, machine, mirror, workspace};
+use planish_toolpath::{
+    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
+    Turn, maze, random_adaptive, raster,
+};
+use planish_types::{Limits, Surface, Tif, ToolPath};
+
+const FLOORS: [(&str, Bound); 2] =
+    [("0.1 s", Bound::Seconds(0.1)), ("0.02 s/mm", Bound::SecondsPerMm(0.02))];
+/// Pitches at which the random paths have about the published number of dwell points, 2678.
+const MESH_TREE_PITCH_MM: f64 = 1.13;
+const TOUR_PITCH_MM: f64 = 1.17;
+
+/// The part, the tool, and what is to happen to them.
+struct Case<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    limits: &'a Limits,
+    mode: Mode,
+    floor: Bound,
+    noise_rms_nm: Option<f64>,
+}
+
+impl Case<'_> {
+    /// From the dwell times of the solver with its own settings, as a pipeline does.
+    fn refined(&self, path: &ToolPath) -> Refined {
+        let mut settings = Settings { scheduler: Scheduler::Pvt(self.mode), ..Settings::default() };
+        settings.dwell.min_dwell = self.floor;
+        settings.dwell.noise_rms_nm = self.noise_rms_nm;
+        let solver =
+            bounded_least_squares::Settings { min_dwell: self.floor, ..Default::default() };
+        let first = bounded_least_squares::solve(self.desired, self.tif, path, None, &solver);
+        let first = Some(first.expect("a plan").dwell);
+        let refined = refine(self.desired, self.tif, path, self.limits, first, &settings);
+        refined.expect("a motion")
+    }
+
+    fn row(&self, name: &str, floor: &str, path: &ToolPath) -> [f64; 2] {
+        let refined = self.refined(path);
+        let (before, after) = (&refined.iterates[0], &refined.iterates[refined.best]);
+        assert!(after.limits_respected, "{name}");
+        println!(
+            "| {name} | {} | {floor} | {:.4} | {:.4} | {:.1} | {:.1} | {} |",
+            path.len(),
+            before.rms_nm,
+            after.rms_nm,
+            before.total_time_s,
+            after.total_time_s,
+            refined.iterates.len(),
+        );
+        [after.rms_nm, after.total_time_s]
+    }
+}
+
+fn heading() {
+    println!("| path | points | floor | before, nm | after, nm | before, s | after, s | rounds |");
+    println!("|---|---|---|---|---|---|---|---|");
+}
+
+fn random(desired: &Surface, construction: Construction, seed: u64) -> ToolPath {
+    let (pitch_mm, rounding_passes) = match construction {
+        Construction::MeshTree => (MESH_TREE_PITCH_MM, 1),
+        Construction::Tour => (TOUR_PITCH_MM, 0),
+    };
+    let settings = RandomAdaptiveSettings {
+        pitch_mm,
+        overscan_mm: 5.0,
+        step_mm: Some(pitch_mm),
+        contrast: 1.0,
+        construction,
+        rounding_passes,
+        seed,
+    };
+    random_adaptive(desired, &settings).expect("a path").path
+}
+
+fn own_maze(desired: &Surface) -> ToolPath {
+    let settings = MazeSettings {
+        pitch_mm: 1.0,
+        step_mm: 1.0,
+        overscan_mm: 5.0,
+        corner_radius_mm: 0.0,
+        tree: Tree::DepthFirst { straightness: 0.0 },
+        open: false,
+        seed: 1,
+    };
+    maze(desired, &settings).expect("a path").path
+}
+
+fn on_the_mirror(reference: &mirror::Mirror) {
+    let (desired, tif, limits) = (&reference.desired, &reference.tif, &ion_beam());
+    let case = |limits, floor| Case {
+        desired,
+        tif,
+        limits,
+        mode: Mode::Monotone,
+        floor,
+        noise_rms_nm: None,
+    };
+    let paths = [
+        ("published raster", reference.path("raster")),
+        ("published maze", reference.path("maze")),
+        ("own maze", own_maze(desired)),
+    ];
+    let seeds = |construction| (1..=5).map(move |seed| random(desired, construction, seed));
+    let mesh: Vec<ToolPath> = seeds(Construction::MeshTree).collect();
+    let tour: Vec<ToolPath> = seeds(Construction::Tour).collect();
+
+    println!("\nThe reference mirror\n");
+    heading();
+    let mut summary = Vec::new();
+    for (name, path) in &paths {
+        for (floor, bound) in FLOORS {
+            case(limits, bound).row(name, floor, path);
+        }
+    }
+    for (name, paths) in [("mesh-tree", &mesh), ("tour", &tour)] {
+        for (floor, bound) in FLOORS {
+            let rows: Vec<[f64; 2]> = paths
+                .iter()
+                .zip(1..)
+                .map(|(path, seed)| {
+                    case(limits, bound).row(&format!("{name}, seed {seed}"), floor, path)
+                })
+                .collect();
+            let sorted = |k: usize| {
+                let mut all: Vec<f64> = rows.iter().map(|r| r[k]).collect();
+                all.sort_by(f64::total_cmp);
+                all
+            };
+            let (rms, time) = (sorted(0), sorted(1));
+            summary.push(format!(
+                "| {name} | {floor} | {:.4}, {:.4} | {:.1}, {:.1} |",
+                rms[2], rms[4], time[2], time[4]
+            ));
+        }
+    }
+    println!("\nThe random-adaptive paths: median and worst of the seeds\n");
+    println!("| construction | floor | after, nm | after, s |\n|---|---|---|---|");
+    summary.iter().for_each(|line| println!("{line}"));
+
+    println!("\nA tenth of every limit\n");
+    heading();
+    let slow = machine([25.0, 15.0], [200.0, 100.0]);
+    let (floor, bound) = FLOORS[1];
+    for (name, path) in &paths {
+        case(&slow, bound).row(name, floor, path);
+    }
+    case(&slow, bound).row("mesh-tree, seed 1", floor, &mesh[0]);
+    case(&slow, bound).row("tour, seed 1", floor, &tour[0]);
+}
+
+fn fixture(name: &str, noise: bool) -> Fixture {
+    let file = workspace().join("fixtures").join(format!("{name}.json"));
+    let text = fs::read_to_string(file).expect("the recipe is in fixtures/");
+    let mut recipe: Recipe = serde_json::from_str(&text).expect("a recipe");
+    if !noise {
+        recipe.noise_rms_nm = 0.0;
+    }
+    make(&recipe).expect("a fixture")
+}
+
+fn over_the_coupon(desired: &Surface, tif: &Tif) -> ToolPath {
+    let [x, y] = tif.half_size_mm();
+    let settings = RasterSettings {
+        pitch_mm: 1.0,
+        step_mm: 1.0,
+        overscan_mm: x.max(y),
+        scan: Scan::X,
+        turn: Turn::Square,
+        line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
+    };
+    raster(desired, &settings).expect("a path")
+}
+
+fn with_noise() {
+    println!(
+        "\nNoise of 5 %: `coupon-noise`, raster, residual against the measured and the true map\n"
+    );
+    println!(
+        "| mode | floor | noise level given | measured before, nm | after, nm | true before, nm \
+         | after, nm | before, s | after, s |\n|---|---|---|---|---|---|---|---|---|"
+    );
+    let (measured, truth) = (fixture("coupon-noise", true), fixture("coupon-noise", false));
+    let (tif, limits) = (&measured.tif, &ion_beam());
+    let path = over_the_coupon(&measured.surface, tif);
+    let missed = |motion: &_| {
+        let p = simulate(motion, tif, &truth.surface, Gridded).expect("a removal");
+        p.removal.residual().statistics().rms
+    };
+    for (mode, name) in [(Mode::Monotone, "monotone"), (Mode::Smooth, "smooth")] {
+        for (floor, bound) in FLOORS {
+            for noise_rms_nm in [None, Some(0.5)] {
+                let desired = &measured.surface;
+                let case = Case { desired, tif, limits, mode, floor: bound, noise_rms_nm };
+                let refined = case.refined(&path);
+                let solver =
+                    bounded_least_squares::Settings { min_dwell: bound, ..Default::default() };
+                let first = bounded_least_squares::solve(desired, tif, &path, None, &solver);
+                let how = planish_schedule::pvt::Settings { mode, stretch: true };
+                let first = first.expect("a plan").dwell;
+                let first = planish_schedule::pvt::schedule(&path, &first, limits, &how);
+                let before = missed(&first.expect("a motion").trajectory);
+                let after = missed(&refined.trajectory);
+                assert!(after <= before, "{after} nm after, {before} nm before");
+                let (r0, r1) = (&refined.iterates[0], &refined.iterates[refined.best]);
+                println!(
+                    "| {name} | {floor} | {} | {:.4} | {:.4} | {before:.4} | {after:.4} | {:.1} | {:.1} |",
+                    if noise_rms_nm.is_some() { "0.5 nm" } else { "no" },
+                    r0.rms_nm,
+                    r1.rms_nm,
+                    r0.total_time_s,
+                    r1.total_time_s
+                );
+            }
+        }
+    }
+}
+
+fn on_the_coupons() {
+    println!("\nThe coupon with a Gaussian tool, and with a ring\n");
+    heading();
+    for name in ["coupon", "coupon-ring"] {
+        let Fixture { surface, tif, .. } = fixture(name, true);
+        let path = over_the_coupon(&surface, &tif);
+        for (mode, shape) in [(Mode::Monotone, "monotone"), (Mode::Smooth, "smooth")] {
+            for (floor, bound) in FLOORS {
+                let case = Case {
+                    desired: &surface,
+                    tif: &tif,
+                    limits: &ion_beam(),
+                    mode,
+                    floor: bound,
+                    noise_rms_nm: None,
+                };
+                case.row(&format!("{name}, {shape}"), floor, &path);
+            }
+        }
+    }
+}
+
+fn main() {
+    if let Some(reference) = mirror::mirror() {
+        on_the_mirror(&reference);
+    }
+    on_the_coupons();
+    with_noise();
+}
