@@ -164,11 +164,12 @@ pub fn schedule(
         return jerk_limited(path, dwell, limits, settings, timing, &axes);
     }
 
+    let [mut of_x, mut of_y] = [Rounds::default(), Rounds::default()];
     for rounds in 0..=MAX_ROUNDS {
         // Durations as the difference of the break times, so that the segments join to rounding.
         let break_time_s = break_times(&timing.duration_s);
         let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
-        let (x, y) = rayon::join(|| axes[0].solve(&h), || axes[1].solve(&h));
+        let (x, y) = rayon::join(|| axes[0].solve(&h, &mut of_x), || axes[1].solve(&h, &mut of_y));
         match (x, y) {
             (Ok(x), Ok(y)) => {
                 let solver = [x.solver, y.solver];
@@ -424,6 +425,19 @@ struct AxisProblem {
     max_jerk: f64,
 }
 
+/// Excess above which the next round, whose times are longer by little, begins with the elastic
+/// program. Nearer to the limits the elastic one may exceed by its tolerance what the hard one keeps.
+const CLEARLY: f64 = 1.01;
+
+/// What a round of stretching knows of the rounds before it.
+#[derive(Debug, Default)]
+struct Rounds {
+    /// Segments that needed the rows of the machine's limits.
+    limited: Vec<usize>,
+    /// The last durations had clearly no motion within the limits.
+    infeasible: bool,
+}
+
 /// Node velocities (N+1) and how they were found.
 #[derive(Debug)]
 struct Solved {
@@ -434,28 +448,36 @@ struct Solved {
 impl AxisProblem {
     /// Node velocities within the limits at the durations `h`, or how much each segment exceeds
     /// them: the factor by which its time should grow.
-    fn solve(&self, h: &[f64]) -> Result<Solved, Vec<f64>> {
+    fn solve(&self, h: &[f64], before: &mut Rounds) -> Result<Solved, Vec<f64>> {
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
         if allowed && self.excess(&free, h).iter().all(|e| *e <= 1.0) {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
-        if let Some(velocity) = self.quadratic_program(h, Bounds::Hard) {
-            return Ok(Solved { velocity, solver: Solver::QuadraticProgram });
+        let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
+        if !before.infeasible
+            && let Some(velocity) = self.quadratic_program(h, Bounds::Hard, before)
+        {
+            return solved(velocity);
         }
         // Where the bounds leave a single motion, hard rows have no interior and the method does
         // not converge; with the elastic ones it does, and nothing exceeds.
         let within = 1.0 + 0.5 * MARGIN;
-        let mut excess = match self.quadratic_program(h, Bounds::Elastic) {
+        let mut excess = match self.quadratic_program(h, Bounds::Elastic, before) {
             Some(velocity) => {
                 let excess = self.excess(&velocity, h);
                 if excess.iter().all(|e| *e <= within) {
-                    return Ok(Solved { velocity, solver: Solver::QuadraticProgram });
+                    let hard = before.infeasible.then(|| {
+                        before.infeasible = false;
+                        self.quadratic_program(h, Bounds::Hard, before)
+                    });
+                    return solved(hard.flatten().unwrap_or(velocity));
                 }
                 excess
             }
             None => self.excess(&free, h),
         };
+        before.infeasible = excess.iter().any(|e| *e > CLEARLY);
         if excess.iter().all(|e| *e <= within) {
             // Only the solver's tolerance stands in the way.
             excess.fill(1.0 + MARGIN);
@@ -574,12 +596,18 @@ impl AxisProblem {
     /// without exceeds them, with more and more of its neighbours; the velocity, whose largest
     /// value lies anywhere in the segment, is bounded at its middle first and then wherever the
     /// limit was exceeded.
-    fn quadratic_program(&self, h: &[f64], bounds: Bounds) -> Option<Vec<f64>> {
+    fn quadratic_program(
+        &self,
+        h: &[f64],
+        bounds: Bounds,
+        before: &mut Rounds,
+    ) -> Option<Vec<f64>> {
         let n = h.len();
         if self.displacement_mm.iter().all(|dp| *dp == 0.0) {
             return Some(vec![0.0; n + 1]); // an axis at rest
         }
         let mut limited: Vec<Vec<f64>> = vec![Vec::new(); n];
+        before.limited.iter().for_each(|i| limited[*i].push(0.5));
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
             let v = chain::solve(&self.program(h, bounds, &limited)).ok()?;
@@ -601,9 +629,10 @@ impl AxisProblem {
                 }
             }
             for i in with_rows {
-                for near in &mut limited[i.saturating_sub(reach)..(i + reach + 1).min(n)] {
-                    if near.is_empty() {
-                        near.push(0.5);
+                for near in i.saturating_sub(reach)..(i + reach + 1).min(n) {
+                    if limited[near].is_empty() {
+                        limited[near].push(0.5);
+                        before.limited.push(near);
                     }
                 }
                 complete = false;
@@ -738,7 +767,7 @@ mod tests {
     }
 
     fn velocities(points: &[f64], h: &[f64], mode: Mode, max_acceleration: f64) -> Vec<f64> {
-        problem(points, mode, max_acceleration).solve(h).unwrap().velocity
+        problem(points, mode, max_acceleration).solve(h, &mut Rounds::default()).unwrap().velocity
     }
 
     fn close(a: &[f64], b: &[f64], tolerance: f64) {
@@ -781,8 +810,10 @@ mod tests {
         let p = [0.0, 0.7, 1.9, 2.4, 2.2, -1.0, -1.5, 0.3];
         let h = [0.3, 0.4, 0.11, 0.7, 0.9, 0.25, 0.6];
         let problem = problem(&p, Mode::Smooth, FREE);
-        let (a, b) =
-            (problem.clamped_spline(&h), problem.quadratic_program(&h, Bounds::Hard).unwrap());
+        let (a, b) = (
+            problem.clamped_spline(&h),
+            problem.quadratic_program(&h, Bounds::Hard, &mut Rounds::default()).unwrap(),
+        );
         // The interior point method starts from the same elimination: nothing is active.
         close(&a, &b, 1e-12);
     }
@@ -792,7 +823,7 @@ mod tests {
         let p = [0.0, 1.0, 3.0, 4.0];
         let h = [1.0; 3];
         let free = velocities(&p, &h, Mode::Smooth, FREE);
-        let bounded = problem(&p, Mode::Smooth, 2.2).solve(&h).unwrap();
+        let bounded = problem(&p, Mode::Smooth, 2.2).solve(&h, &mut Rounds::default()).unwrap();
         assert_eq!(bounded.solver, Solver::QuadraticProgram);
         let energy = |v: &[f64]| -> f64 {
             (0..3)
@@ -810,7 +841,7 @@ mod tests {
         );
         assert!(energy(&bounded.velocity) > energy(&free));
         // Below 2 no velocities exist: 1 mm from rest, 2 mm, 1 mm to rest in 1 s each.
-        assert!(problem(&p, Mode::Smooth, 1.5).solve(&h).is_err());
+        assert!(problem(&p, Mode::Smooth, 1.5).solve(&h, &mut Rounds::default()).is_err());
     }
 
     #[test]
@@ -820,12 +851,12 @@ mod tests {
         let mut p = problem(&[0.0, 1.0, 2.0], Mode::Smooth, 2000.0);
         p.max_velocity = 250.0;
         for _ in 0..40 {
-            match p.solve(&h) {
+            match p.solve(&h, &mut Rounds::default()) {
                 Ok(_) => break,
                 Err(e) => h.iter_mut().zip(e).for_each(|(h, e)| *h *= 1.002 * e.clamp(1.0, 1.5)),
             }
         }
-        assert!(p.solve(&h).is_ok());
+        assert!(p.solve(&h, &mut Rounds::default()).is_ok());
         // From rest 1 mm takes at least sqrt(2 / 2000) = 31.6 ms, and sqrt(6 / 2000) = 54.8 ms to
         // rest: what the second segment gets is less than the difference.
         assert!(h[0] > 0.0316 && h[0] < 0.0549 && h[1] < 1.0233, "{h:?}");
@@ -868,9 +899,9 @@ mod tests {
         // Rest to rest: the nodes are at zero, the middle at 1.5 times the mean velocity.
         let mut one = problem(&[0.0, 1.0], Mode::Smooth, FREE);
         one.max_velocity = 1.49;
-        let excess = one.solve(&[1.0]).unwrap_err();
+        let excess = one.solve(&[1.0], &mut Rounds::default()).unwrap_err();
         assert!((excess[0] - 1.5 / 1.49).abs() < 1e-12);
         one.max_velocity = 1.51;
-        assert!(one.solve(&[1.0]).is_ok());
+        assert!(one.solve(&[1.0], &mut Rounds::default()).is_ok());
     }
 }
