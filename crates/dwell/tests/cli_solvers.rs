@@ -51,7 +51,7 @@ fn prepare(dir: &Path) {
 }
 
 /// Subcommands with a flag of their own.
-const SOLVERS: [&[&str]; 9] = [
+const SOLVERS: [&[&str]; 10] = [
     &["bcls", "--machine=machine.json"],
     &["non-negative-least-squares", "--min-dwell-s=0.05"],
     &["tikhonov-lsqr", "--min-dwell-s=0.05", "--damping=0.03"],
@@ -59,7 +59,7 @@ const SOLVERS: [&[&str]; 9] = [
     &["truncated-svd", "--min-dwell-s=0.05", "--cut=0.05"],
     &["lucy-richardson", "--min-dwell-s=0.05", "--total-variation=0.01"],
     &["lucy-richardson", "--min-dwell-s-per-mm=0.05", "--unknowns=map"],
-    &["lucy-richardson", "--unknowns=map", "--pixels-per-cell=2"],
+    &["lucy-richardson", "--min-dwell-s=0.05", "--unknowns=map", "--pixels-per-cell=2"],
     &["rifta", "--min-dwell-s=0.05"],
     &["udo", "--min-dwell-s=0.05", "--floor=shift"],
 ];
