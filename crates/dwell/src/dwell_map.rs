@@ -28,22 +28,7 @@ pub(crate) struct DwellMap {
 impl DwellMap {
     /// The lattice for maps on `grid`.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
-        let samples = |map: &Axis, tif: &Axis| {
-            // The tolerance of a shared pitch that is rounded differently in the two files.
-            ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1
-        };
-        let t = tif.grid();
-        let (sx, sy) = (samples(&grid.x, &t.x), samples(&grid.y, &t.y));
-        let offset = |map: &Axis, tif: &Axis, k: usize| tif.start_mm() + k as f64 * map.step_mm();
-        let kernel = Array2::from_shape_fn((sy, sx), |(r, c)| {
-            tif.rate_at(offset(&grid.x, &t.x, c), offset(&grid.y, &t.y, r))
-        });
-        // Node 0 reaches pixel 0 with the last sample of R.
-        let lattice = |map: &Axis, tif: &Axis, samples: usize| {
-            let start = map.start_mm() - offset(map, tif, samples - 1);
-            Axis::new(start, map.step_mm(), map.len() + samples - 1)
-        };
-        let nodes = Grid { x: lattice(&grid.x, &t.x, sx)?, y: lattice(&grid.y, &t.y, sy)? };
+        let (kernel, nodes) = lattice(tif, grid)?;
         let convolution = Convolution::new(kernel.view(), nodes.shape());
         Ok(Self { grid: nodes, rate_sum: kernel.sum(), convolution })
     }
@@ -53,12 +38,7 @@ impl DwellMap {
         self.convolution.valid(seconds)
     }
 
-    /// Adjoint of (1).
-    pub fn adjoint(&self, map: &Array2<f64>) -> Array2<f64> {
-        self.convolution.adjoint(map.view())
-    }
-
-    /// The adjoint with `filter` of the spectrum of R in place of its conjugate.
+    /// The adjoint of (1) with `filter` of the spectrum of R in place of its conjugate.
     pub fn filtered(
         &self,
         map: &Array2<f64>,
@@ -68,10 +48,33 @@ impl DwellMap {
     }
 }
 
+/// R at the pitch of the map, and the tool positions from which it reaches the map.
+pub(crate) fn lattice(tif: &Tif, grid: &Grid) -> Result<(Array2<f64>, Grid), Invalid> {
+    let samples = |map: &Axis, tif: &Axis| {
+        // The tolerance of a shared pitch that is rounded differently in the two files.
+        ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1
+    };
+    let t = tif.grid();
+    let (sx, sy) = (samples(&grid.x, &t.x), samples(&grid.y, &t.y));
+    let offset = |map: &Axis, tif: &Axis, k: usize| tif.start_mm() + k as f64 * map.step_mm();
+    let kernel = Array2::from_shape_fn((sy, sx), |(r, c)| {
+        tif.rate_at(offset(&grid.x, &t.x, c), offset(&grid.y, &t.y, r))
+    });
+    // Node 0 reaches pixel 0 with the last sample of R.
+    let lattice = |map: &Axis, tif: &Axis, samples: usize| {
+        let start = map.start_mm() - offset(map, tif, samples - 1);
+        Axis::new(start, map.step_mm(), map.len() + samples - 1)
+    };
+    let nodes = Grid { x: lattice(&grid.x, &t.x, sx)?, y: lattice(&grid.y, &t.y, sy)? };
+    Ok((kernel, nodes))
+}
+
 /// Which dwell point a node belongs to.
 pub(crate) struct Cells {
-    /// Nearest dwell point, [`NOBODY`] where none is near enough.
-    owner: Array2<u32>,
+    /// Nearest dwell point.
+    nearest: Array2<u32>,
+    /// Whether it is near enough.
+    owned: Array2<bool>,
 }
 
 const NOBODY: u32 = u32::MAX;
@@ -88,31 +91,45 @@ impl Cells {
         let buckets = Buckets::new(&points);
         let mut nearest = Array2::from_elem(grid.shape(), (NOBODY, f64::INFINITY));
         nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
+            let mut guess = 0;
             for (c, n) in row.iter_mut().enumerate() {
-                *n = buckets.nearest([grid.x.at(c), grid.y.at(r)]);
+                (guess, *n) = buckets.nearest([grid.x.at(c), grid.y.at(r)], guess);
             }
         });
         let mut inside: Vec<f64> = nearest
-            .indexed_iter()
-            .filter(|((r, c), _)| aperture([grid.x.at(*c), grid.y.at(*r)]))
-            .map(|(_, n)| n.1)
+            .outer_iter()
+            .into_par_iter()
+            .enumerate()
+            .flat_map_iter(|(r, row)| {
+                let distances = row.to_vec().into_iter().map(|n| n.1).enumerate();
+                let aperture = &aperture;
+                distances
+                    .filter(move |(c, _)| aperture([grid.x.at(*c), grid.y.at(r)]))
+                    .map(|(_, d)| d)
+            })
             .collect();
-        inside.sort_by(f64::total_cmp);
-        let far = inside.get(inside.len() / 2).map_or(0.0, |median| 2.0 * median);
-        Self { owner: nearest.mapv(|(j, d)| if d <= far { j } else { NOBODY }) }
+        let middle = inside.len() / 2;
+        let far = if inside.is_empty() {
+            0.0
+        } else {
+            2.0 * *inside.select_nth_unstable_by(middle, f64::total_cmp).1
+        };
+        let owned = nearest.mapv(|(j, d)| j != NOBODY && d <= far);
+        Self { nearest: nearest.mapv(|n| n.0), owned }
     }
 
     /// Whether somebody is near enough.
-    pub fn owned(&self) -> Array2<bool> {
-        self.owner.mapv(|j| j != NOBODY)
+    pub fn owned(&self) -> &Array2<bool> {
+        &self.owned
     }
 
-    /// (2) for `n` dwell points, s.
+    /// (2) for `n` dwell points, s. Time on a node that nobody is near enough to goes to the nearest
+    /// dwell point too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
         let mut t = vec![0.0; n];
-        Zip::from(&self.owner).and(seconds).for_each(|j, tau| {
-            if *j != NOBODY {
-                t[*j as usize] += tau;
+        Zip::from(&self.nearest).and(seconds).for_each(|j, tau| {
+            if let Some(t) = t.get_mut(*j as usize) {
+                *t += tau;
             }
         });
         t
@@ -124,7 +141,9 @@ struct Buckets {
     start: [f64; 2],
     side: f64,
     shape: [usize; 2],
-    points: Vec<Vec<(u32, [f64; 2])>>,
+    /// First of the points of every square, and their number at the end.
+    first: Vec<usize>,
+    points: Vec<(u32, [f64; 2])>,
 }
 
 impl Buckets {
@@ -139,23 +158,34 @@ impl Buckets {
         let n = points.len().max(1) as f64;
         let side = (width * height / n).sqrt().max((width + height) / n).max(1e-9);
         let shape = [width, height].map(|w| (w / side) as usize + 1);
-        let mut buckets =
-            Self { start: [x.0, y.0], side, shape, points: vec![Vec::new(); shape[0] * shape[1]] };
-        for (j, p) in points {
-            let [bx, by] = [0, 1]
-                .map(|a| (((p[a] - buckets.start[a]) / side) as usize).min(buckets.shape[a] - 1));
-            buckets.points[by * shape[0] + bx].push((*j, *p));
+        let start = [x.0, y.0];
+        let square = |p: &[f64; 2]| {
+            let [bx, by] = [0, 1].map(|a| (((p[a] - start[a]) / side) as usize).min(shape[a] - 1));
+            by * shape[0] + bx
+        };
+        let mut points = points.to_vec();
+        points.sort_by_key(|(_, p)| square(p));
+        let mut first = vec![0; shape[0] * shape[1] + 1];
+        points.iter().for_each(|(_, p)| first[square(p) + 1] += 1);
+        for b in 1..first.len() {
+            first[b] += first[b - 1];
         }
-        buckets
+        Self { start, side, shape, first, points }
     }
 
-    /// Number of and distance to the nearest point; the lowest number of equals.
-    fn nearest(&self, p: [f64; 2]) -> (u32, f64) {
+    /// Place (for the next guess), and number of and distance to the nearest point; the lowest number
+    /// of equals. The nearer the guess, the quicker.
+    fn nearest(&self, p: [f64; 2], guess: usize) -> (usize, (u32, f64)) {
         let at = [0, 1].map(|a| {
             let b = ((p[a] - self.start[a]) / self.side).floor();
             b.clamp(-1e9, 1e9) as isize
         });
-        let mut best = (NOBODY, f64::INFINITY);
+        let Some((j, q)) = self.points.get(guess) else { return (0, (NOBODY, f64::INFINITY)) };
+        let mut place = guess;
+        let mut best = (*j, (q[0] - p[0]).hypot(q[1] - p[1]));
+        // Squared distances above this are larger than the best by more than rounding.
+        let bound = |d: f64| 1.000_001 * d * d;
+        let mut above = bound(best.1);
         // Rings of squares; the first that can hold a point, and the last.
         let gap = |a: usize| (-at[a]).max(at[a] - self.shape[a] as isize + 1).max(0);
         let span = |a: usize| at[a].abs().max((self.shape[a] as isize - 1 - at[a]).abs());
@@ -169,10 +199,25 @@ impl Buckets {
                 if !(inside(bx, 0) && inside(by, 1)) {
                     return;
                 }
-                for (j, q) in &self.points[by as usize * self.shape[0] + bx as usize] {
-                    let d = (q[0] - p[0]).hypot(q[1] - p[1]);
-                    if d < best.1 || d == best.1 && *j < best.0 {
-                        best = (*j, d);
+                let gap = |b: isize, a: usize| {
+                    let low = self.start[a] + b as f64 * self.side - p[a];
+                    low.max(-low - self.side).max(0.0)
+                };
+                let (x, y) = (gap(bx, 0), gap(by, 1));
+                if x * x + y * y > above {
+                    return;
+                }
+                let square = by as usize * self.shape[0] + bx as usize;
+                for k in self.first[square]..self.first[square + 1] {
+                    let (j, q) = self.points[k];
+                    let (x, y) = (q[0] - p[0], q[1] - p[1]);
+                    if x * x + y * y > above {
+                        continue;
+                    }
+                    let d = x.hypot(y);
+                    if d < best.1 || d == best.1 && j < best.0 {
+                        (place, best) = (k, (j, d));
+                        above = bound(d);
                     }
                 }
             };
@@ -192,7 +237,7 @@ impl Buckets {
                 }
             }
         }
-        best
+        (place, best)
     }
 }
 
@@ -234,11 +279,13 @@ mod tests {
         let points: Vec<(u32, [f64; 2])> = (0..70).map(|j| (j, random(&mut rng))).collect();
         for points in [&points[..], &points[..1]] {
             let buckets = Buckets::new(points);
-            for _ in 0..500 {
+            for k in 0..500 {
                 let p = [rng.random_range(-9.0..18.0), rng.random_range(-9.0..9.0)];
                 let d = |q: &[f64; 2]| (q[0] - p[0]).hypot(q[1] - p[1]);
                 let best = points.iter().map(|(_, q)| d(q)).fold(f64::INFINITY, f64::min);
-                assert_eq!(buckets.nearest(p).1, best);
+                let (place, (j, d)) = buckets.nearest(p, k % points.len());
+                assert_eq!(d, best);
+                assert_eq!(points[j as usize], buckets.points[place]);
             }
         }
     }
@@ -261,9 +308,9 @@ mod tests {
         let density = |x: f64| 2.0 + 0.1 * x;
         let seconds = Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.at(c)));
         let t = cells.to_path(&seconds, n);
-        let owned: f64 =
-            cells.owned().iter().zip(&seconds).filter(|(o, _)| **o).map(|(_, s)| s).sum();
-        assert!((t.iter().sum::<f64>() - owned).abs() < 1e-9, "the total time is kept");
+        assert!((t.iter().sum::<f64>() - seconds.sum()).abs() < 1e-9, "the total time is kept");
+        let far = cells.owned().iter().filter(|owned| !**owned).count();
+        assert!(far > 0 && far < seconds.len());
         for (t, p) in t.iter().zip(path.dwell_point_mm()) {
             if inside(*p) {
                 // Nodes on the border of two cells fall to one of them: up to 10 in 100.

@@ -100,6 +100,10 @@ pub struct LucyRichardson {
     /// Start every step from a point extrapolated along the last two: fewer steps
     #[arg(long)]
     accelerated: bool,
+    /// Solve for the map on squares of this many pixels a side [default: 1, and what the TIF allows
+    /// from a million pixels on]
+    #[arg(long, value_name = "K")]
+    pixels_per_cell: Option<usize>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -316,6 +320,7 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
         tolerance: cli.tolerance,
         max_iterations: cli.max_iterations,
         accelerated: cli.accelerated,
+        pixels_per_cell: cli.pixels_per_cell,
     };
     let solver = lucy_richardson::solve;
     solve("lucy-richardson", &cli.given, &cli.least, settings, solver, |r| {
@@ -323,7 +328,11 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
             0 => String::new(),
             n => format!(", {n} negative samples of the TIF taken as 0"),
         };
-        (None, format!("{} after {} steps{clipped}", r.end, r.iterations))
+        let cells = match r.pixels_per_cell {
+            1 => String::new(),
+            k => format!(" on cells of {k} x {k} pixels"),
+        };
+        (None, format!("{} after {} steps{cells}{clipped}", r.end, r.iterations))
     })
 }
 

@@ -21,6 +21,7 @@
 mod approximate;
 pub mod bcls;
 pub mod bounded_least_squares;
+mod coarse;
 pub mod columns;
 mod dwell_map;
 mod extension;

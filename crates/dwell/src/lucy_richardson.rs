@@ -17,6 +17,10 @@
 //! of dwell times on the pixels, as in the source (smoothness in two dimensions), which then goes to
 //! the path (`dwell_map.rs`).
 //!
+//! A map of dwell times has nothing to say at the scale of a pixel where the TIF is many pixels wide:
+//! on large maps it is solved on squares of pixels (`coarse.rs`). What it leaves is always computed
+//! on all pixels.
+//!
 //! Accelerated, a step starts from a point extrapolated along the last two,
 //!
 //! ```text
@@ -48,7 +52,8 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    dwell_map::{Cells, DwellMap},
+    coarse::{self, CoarseMap, MAX_SIZE},
+    dwell_map::Cells,
     problem::{Model, Problem, Solution, check},
 };
 
@@ -79,6 +84,9 @@ pub struct Settings {
     pub max_iterations: usize,
     /// Whether steps start from extrapolated points, (3).
     pub accelerated: bool,
+    /// The side of the squares of pixels that a map of dwell times is solved on, from 1 to 64;
+    /// without it 1 for maps below a million pixels, and for larger ones what the TIF allows.
+    pub pixels_per_cell: Option<usize>,
 }
 
 impl Default for Settings {
@@ -91,6 +99,7 @@ impl Default for Settings {
             tolerance: 1e-3,
             max_iterations: 300,
             accelerated: false,
+            pixels_per_cell: None,
         }
     }
 }
@@ -110,6 +119,9 @@ pub struct Report {
     pub active: usize,
     /// Negative samples of the TIF that were taken as zero.
     pub clipped_tif_samples: usize,
+    /// Side of the squares of pixels that it was solved on; likelihood and RMS above are those of
+    /// their means.
+    pub pixels_per_cell: usize,
 }
 
 /// A dwell point below this part of the largest `B' w` stays at the floor.
@@ -124,6 +136,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
     check("tolerance", settings.tolerance, |t| t >= 0.0, "give a number >= 0")?;
+    check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
     let problem = &Problem { tif: &tif, ..*problem };
     let model = Model::new(problem)?;
@@ -134,6 +147,18 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     report.clipped_tif_samples = clipped_tif_samples;
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
+}
+
+fn check_size(settings: &Settings) -> Result<(), DwellError> {
+    let problem = match settings.pixels_per_cell {
+        Some(size) if !(1..=MAX_SIZE).contains(&size) => format!("is {size}"),
+        Some(size) if size > 1 && settings.unknowns == Unknowns::Path => {
+            format!("is {size}, but the unknowns are those of the path")
+        }
+        _ => return Ok(()),
+    };
+    let remedy = format!("give a number from 1 to {MAX_SIZE} with --unknowns map, or none");
+    Err(planish_types::Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 
 /// The likelihood needs a TIF that is not negative; how many samples were.
@@ -200,7 +225,7 @@ fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>
         active: &active,
         uniform: &model.shape,
     };
-    iterate(model, e, &unknown, settings)
+    iterate(&model.weight, e, &unknown, settings)
 }
 
 fn on_map(
@@ -209,12 +234,14 @@ fn on_map(
     settings: &Settings,
 ) -> Result<(Vec<f64>, Report), DwellError> {
     let Problem { desired, tif, path, .. } = model.problem;
-    let map = DwellMap::new(tif, desired.grid())?;
-    let cells = Cells::new(path, &map.grid, |p| counts(desired, &model.weight, p));
-    let shape = map.grid.shape();
-    let sensitivity = map.adjoint(&model.weight);
+    let size = settings.pixels_per_cell.unwrap_or_else(|| coarse::automatic_size(tif, desired));
+    let map = CoarseMap::new(tif, desired.grid(), size)?;
+    let cells = Cells::new(path, map.nodes(), |p| counts(desired, &model.weight, p));
+    let (e, weight) = map.restrict(e, &model.weight);
+    let shape = map.shape();
+    let sensitivity = map.adjoint(&weight);
     let largest = sensitivity.iter().copied().fold(0.0, f64::max);
-    let active: Vec<bool> = (sensitivity.iter().zip(&cells.owned()))
+    let active: Vec<bool> = (sensitivity.iter().zip(&map.at_nodes(cells.owned())))
         .map(|(s, owned)| *owned && *s > ACTIVE * largest)
         .collect();
     if !active.iter().any(|a| *a) {
@@ -224,7 +251,15 @@ fn on_map(
     let removal = |t: &[f64]| -> Array2<f64> {
         map.removal(ArrayView2::from_shape(shape, t).expect("one per node"))
     };
-    let curvature = |t: &[f64], mean: f64| curvature_2d(t, &active, shape, 1e-3 * mean);
+    // Differences over `size` pixels, and a curvature in cells: `size` times that in pixels.
+    let step = size as f64;
+    let curvature = |t: &[f64], mean: f64| {
+        let mut kappa = curvature_2d(t, &active, shape, 1e-3 * step * mean);
+        if size > 1 {
+            kappa.par_iter_mut().with_min_len(PART).for_each(|k| *k /= step);
+        }
+        kappa
+    };
     let unknown = Unknown {
         forward: &removal,
         adjoint: &|m| map.adjoint(m).into_raw_vec_and_offset().0,
@@ -233,8 +268,9 @@ fn on_map(
         active: &active,
         uniform: &vec![1.0; active.len()],
     };
-    let (t, report) = iterate(model, e, &unknown, settings);
-    let seconds = Array2::from_shape_vec(shape, t).expect("one per node");
+    let (t, mut report) = iterate(&weight, &e, &unknown, settings);
+    report.pixels_per_cell = size;
+    let seconds = map.prolong(Array2::from_shape_vec(shape, t).expect("one per node"));
     Ok((cells.to_path(&seconds, path.len()), report))
 }
 
@@ -281,13 +317,12 @@ const PART: usize = 1 << 13;
 
 /// (2) until it settles.
 fn iterate(
-    model: &Model<'_>,
+    w: &Array2<f64>,
     e: &Array2<f64>,
     unknown: &Unknown<'_>,
     settings: &Settings,
 ) -> (Vec<f64>, Report) {
     let Unknown { forward, adjoint, curvature, sensitivity: s, active, uniform } = unknown;
-    let w = &model.weight;
     // The uniform density whose removed volume is the desired one.
     let desired: f64 = (e * w).sum();
     let volume: f64 = (0..s.len()).filter(|j| active[*j]).map(|j| s[j] * uniform[j]).sum();
@@ -352,8 +387,15 @@ fn iterate(
         }
         iterations += 1;
     }
-    let report =
-        Report { end, iterations, log_likelihood, rms_nm, active: count, clipped_tif_samples: 0 };
+    let report = Report {
+        end,
+        iterations,
+        log_likelihood,
+        rms_nm,
+        active: count,
+        clipped_tif_samples: 0,
+        pixels_per_cell: 1,
+    };
     (t, report)
 }
 

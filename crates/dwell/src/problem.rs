@@ -258,6 +258,26 @@ impl<'a> Model<'a> {
         Levelled { dwell_s, level_s: level, clipped }
     }
 
+    /// Counted pixels that no dwell point reaches, for what the dwell times remove.
+    fn unreached(&self, removal: &Array2<f64>, dwell_s: &[f64]) -> usize {
+        // With R >= 0 what is removed in B t is at most max(t) of what is in B 1, and that at most
+        // 2 n peak (Keys' interpolation stays below 1.3 peak): most maps need no second removal.
+        let rate = self.problem.tif.rate_nm_per_s();
+        let longest = dwell_s.iter().copied().fold(0.0, f64::max);
+        let most = removal.iter().copied().fold(0.0, f64::max);
+        let enough = (2e-12 * dwell_s.len() as f64 * self.problem.tif.peak_nm_per_s() * longest)
+            .max(1e-9 * most);
+        let counted = |map: &Array2<f64>, floor: f64| {
+            map.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+        };
+        if rate.iter().all(|r| *r >= 0.0) && counted(removal, enough) == 0 {
+            return 0;
+        }
+        let ones = self.operator.apply(&vec![1.0; dwell_s.len()]);
+        // An FFT leaves rounding where nothing is reached.
+        counted(&ones, 1e-12 * ones.iter().copied().fold(0.0, f64::max))
+    }
+
     /// What the dwell times do.
     pub fn finish<R>(&self, dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
         let removal = self.operator.apply(&dwell_s);
@@ -270,9 +290,6 @@ impl<'a> Model<'a> {
         let grid = self.problem.desired.grid();
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
-        let ones = self.operator.apply(&vec![1.0; dwell_s.len()]);
-        // An FFT leaves rounding where nothing is reached.
-        let floor = 1e-12 * ones.iter().copied().fold(0.0, f64::max);
         let n = dwell_s.len();
         let outcome = Outcome {
             operator: self.operator.name(),
@@ -281,11 +298,7 @@ impl<'a> Model<'a> {
             total_time_s: dwell_s.iter().sum(),
             at_floor: (0..n).filter(|j| self.live(*j) && dwell_s[*j] <= self.lo[*j]).count(),
             dead: (0..n).filter(|j| !self.live(*j)).count(),
-            unreached_pixels: ones
-                .iter()
-                .zip(&self.weight)
-                .filter(|(r, w)| **w > 0.0 && **r <= floor)
-                .count(),
+            unreached_pixels: self.unreached(&removal, &dwell_s),
             floor_removal_nm: self.mean(&self.floor_removal),
         };
         Ok(Solution { dwell: DwellTime::new(dwell_s)?, outcome, report })

@@ -51,7 +51,7 @@ fn prepare(dir: &Path) {
 }
 
 /// Subcommands with a flag of their own.
-const SOLVERS: [&[&str]; 9] = [
+const SOLVERS: [&[&str]; 10] = [
     &["bcls", "--machine=machine.json"],
     &["non-negative-least-squares", "--min-dwell-s=0.05"],
     &["tikhonov-lsqr", "--min-dwell-s=0.05", "--damping=0.03"],
@@ -59,6 +59,7 @@ const SOLVERS: [&[&str]; 9] = [
     &["truncated-svd", "--min-dwell-s=0.05", "--cut=0.05"],
     &["lucy-richardson", "--min-dwell-s=0.05", "--total-variation=0.01"],
     &["lucy-richardson", "--min-dwell-s-per-mm=0.05", "--unknowns=map"],
+    &["lucy-richardson", "--min-dwell-s=0.05", "--unknowns=map", "--pixels-per-cell=2"],
     &["rifta", "--min-dwell-s=0.05"],
     &["udo", "--min-dwell-s=0.05", "--floor=shift"],
 ];
@@ -147,6 +148,8 @@ fn bad_flags_and_verdicts() {
         (&["udo", "--step=2"][..], 2, "step: is 2; give a number above 0"),
         (&["rifta", "--margin-tolerance-nm=nan"], 2, "margin_tolerance: is NaN"),
         (&["lucy-richardson", "--min-dwell-s=30"], 2, "min_dwell[0]: is 30 s; the floor alone"),
+        (&["lucy-richardson", "--pixels-per-cell=2"], 2, "pixels_per_cell: is 2, but the unknowns"),
+        (&["lucy-richardson", "--unknowns=map", "--pixels-per-cell=0"], 2, "pixels_per_cell: is 0"),
         (&["tikhonov-lsqr", "--l-curve", "--damping=0.1"], 2, "cannot be used with"),
         (&["bcls", "--machine=nowhere.json"], 2, "nowhere.json: cannot read"),
         (&["bcls", "--machine=machine.json", "--least-feed=1"], 2, "least_feed: is 1; give a part"),

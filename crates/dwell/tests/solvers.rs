@@ -532,6 +532,62 @@ fn lucy_richardson_raises_the_likelihood_and_keeps_the_volume() {
 }
 
 #[test]
+fn lucy_richardson_on_squares_leaves_what_it_leaves_on_pixels() {
+    // 0.1 mm pixels under a bell that rises on 13 of them; a disk without a piece, in whole and in
+    // broken squares.
+    let fine = |a: f64, n: usize| axis(a, 0.1, n);
+    let (g, t) = (
+        Grid { x: fine(0.0, 91), y: fine(0.0, 71) },
+        Grid { x: fine(-3.0, 61), y: fine(-3.0, 61) },
+    );
+    let rate = Array2::from_shape_fn(t.shape(), |(r, c)| {
+        let (x, y) = (t.x.at(c), t.y.at(r));
+        8.0 * (-(x * x + y * y) / (2.0 * 0.8 * 0.8)).exp()
+    });
+    let tool = Tif::new(t, rate).unwrap();
+    let shape = |x: f64, y: f64| 0.9 * x * x - 0.4 * x * y + 0.6 * y * y + 2.0 * (1.1 * x).sin();
+    let height = |masked: bool| {
+        Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) - 4.0, g.y.at(r) - 3.0);
+            let out = x.hypot(y) > 3.15 || (x - 1.0).hypot(y - 1.0) < 0.52;
+            if masked && out { f64::NAN } else { shape(x, y) }
+        })
+    };
+    let path = path(2.0);
+    for masked in [false, true] {
+        let desired = Surface::new(g, height(masked)).unwrap();
+        let problem = Problem {
+            desired: &desired,
+            tif: &tool,
+            path: &path,
+            weight: None,
+            columns: Columns::Segment,
+            min_dwell: Bound::SecondsPerMm(FLOOR),
+        };
+        let solve = |pixels_per_cell| {
+            let settings = lucy_richardson::Settings {
+                unknowns: Unknowns::Map,
+                tolerance: 0.0,
+                max_iterations: 40,
+                pixels_per_cell,
+                ..Default::default()
+            };
+            lucy_richardson::solve(&problem, &settings).unwrap()
+        };
+        let [pixels, squares, default] = [Some(1), Some(2), None].map(solve);
+        assert_eq!(default.dwell, pixels.dwell, "a small map is solved on pixels");
+        assert_eq!([&pixels, &squares].map(|s| s.report.pixels_per_cell), [1, 2]);
+        assert_ne!(squares.dwell, pixels.dwell);
+        let (a, b) = (pixels.outcome.model_rms_nm, squares.outcome.model_rms_nm);
+        println!("masked {masked}: {a} nm on pixels, {b} nm on squares");
+        // On squares the steps go on a little faster (0.125 for 0.134 nm without a mask).
+        assert!((b / a - 1.0).abs() < 0.15, "masked {masked}: {a} {b}");
+        let (a, b) = (pixels.outcome.total_time_s, squares.outcome.total_time_s);
+        assert!((b / a - 1.0).abs() < 0.02, "masked {masked}: {a} s {b} s");
+    }
+}
+
+#[test]
 fn accelerated_lucy_richardson_needs_fewer_steps() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let case =

@@ -103,7 +103,7 @@ fn large_map(side: usize, pitch_mm: f64) -> (Surface, Tif, ToolPath) {
     (surface, tif, path)
 }
 
-/// 20 steps, and 10 accelerated ones: 1641 x 1641 pixels, then to the path.
+/// 20 steps, and 10 accelerated ones: 1641 x 1641 pixels in squares of 4 x 4, then to the path.
 #[divan::bench(consts = [false, true], sample_count = 3)]
 fn dwell_lucy_richardson_large<const ACCELERATED: bool>(bencher: Bencher) {
     let (surface, tif, path) = large_map(1641, 1.0);
@@ -231,7 +231,7 @@ fn schedule_trig_spline_long(bencher: Bencher, segments: usize) {
 }
 
 /// The part of the trigonometric-spline paper on `side` x `side` pixels: 60 steps of Lucy-Richardson
-/// on the map.
+/// on the map: on the pixels of the small one, on squares of 4 x 4 of the large one.
 #[divan::bench(args = [411, 1641], sample_count = 2, sample_size = 1)]
 fn dwell_lucy_richardson_map(bencher: Bencher, side: usize) {
     let name = if side == 411 { "disk-100" } else { "disk-100-1641" };

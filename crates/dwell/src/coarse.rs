@@ -1,0 +1,356 @@
+//! A map of dwell times on squares of K x K pixels.
+//!
+//! Unknown are the times T of every K-th node; between them the dwell map is linear, and what is
+//! compared are the means over K x K pixels. With hat(u) = max(1 - |u| / K, 0), on each axis
+//!
+//! ```text
+//! tau[n] = sum_J hat(n - K J) T[J] / K                 the time is kept                     (1)
+//! mean over a < K of (R * tau)[K I + a] = sum_J G[I - J] T[J]
+//! G[D] = sum_a sum_k R[k] hat(K D + a + s - 1 - k) / K^2                                  (2)
+//! ```
+//!
+//! for the s samples of R: for maps of this form nothing is approximated but at pixels that do not
+//! count. Where some of a square do not, what is desired in its middle is found from the centroid of
+//! those that do, along the plane through the neighbouring squares.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | T | `t` | coarse nodes | s |
+//! | tau | - | nodes | s |
+//! | G | `kernel` | coarse nodes of one square | nm/s |
+
+use ndarray::{Array2, ArrayView2, s};
+use planish_numerics::fft::Convolution;
+use planish_types::{Grid, Invalid, Surface, Tif};
+use rayon::prelude::*;
+
+use crate::dwell_map::lattice;
+
+/// Maps with fewer pixels are solved as they are.
+const LARGE: usize = 1_000_000;
+
+/// Squares on which the TIF rises from nothing to its peak, at its steepest slope. A Gaussian rises
+/// on 0.70 of its full width at half maximum: this is ten squares in that width. Its spectrum ends
+/// long before; near the edge of the map, where the times grow, a linear map would follow them less
+/// well with fewer (docs/dwell.md has the residuals).
+const SQUARES: f64 = 7.0;
+
+/// Largest K.
+pub(crate) const MAX_SIZE: usize = 64;
+
+/// K for a map: the largest that the TIF allows, 1 for one that is not large.
+pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
+    let grid = desired.grid();
+    if grid.x.len() * grid.y.len() < LARGE {
+        return 1;
+    }
+    let rate = tif.rate_nm_per_s();
+    let (ny, nx) = rate.dim();
+    let peak = rate.iter().copied().fold(0.0, f64::max);
+    // Largest slopes, per pixel of the map; what the TIF drops to beyond its samples counts too.
+    let at = |r: isize, c: isize| {
+        let inside = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
+        if inside { rate[[r as usize, c as usize]] } else { 0.0 }
+    };
+    let mut steepest = [0.0_f64; 2];
+    for r in -1..ny as isize {
+        for c in -1..nx as isize {
+            steepest[0] = steepest[0].max((at(r, c + 1) - at(r, c)).abs());
+            steepest[1] = steepest[1].max((at(r + 1, c) - at(r, c)).abs());
+        }
+    }
+    let rise = |slope: f64, tif: f64, map: f64| peak / slope * tif / map;
+    let x = rise(steepest[0], tif.grid().x.step_mm(), grid.x.step_mm());
+    let y = rise(steepest[1], tif.grid().y.step_mm(), grid.y.step_mm());
+    ((x.min(y) / SQUARES) as usize).clamp(1, MAX_SIZE)
+}
+
+/// (1) and (2).
+pub(crate) struct CoarseMap {
+    size: usize,
+    /// Tool positions, all of them.
+    nodes: Grid,
+    /// Of the map.
+    pixels: (usize, usize),
+    /// Coarse nodes.
+    shape: (usize, usize),
+    convolution: Convolution,
+}
+
+impl CoarseMap {
+    /// The lattice for maps on `grid` in squares of `size` x `size` pixels.
+    pub fn new(tif: &Tif, grid: &Grid, size: usize) -> Result<Self, Invalid> {
+        let (samples, nodes) = lattice(tif, grid)?;
+        let kernel = coarse_kernel(&samples, size);
+        let pixels = grid.shape();
+        let (ny, nx) = (pixels.0.div_ceil(size), pixels.1.div_ceil(size));
+        let shape = (ny + kernel.nrows() - 1, nx + kernel.ncols() - 1);
+        let convolution = Convolution::new(kernel.view(), shape);
+        Ok(Self { size, nodes, pixels, shape, convolution })
+    }
+
+    /// All tool positions, not only the coarse ones.
+    pub fn nodes(&self) -> &Grid {
+        &self.nodes
+    }
+
+    /// Coarse nodes.
+    pub fn shape(&self) -> (usize, usize) {
+        self.shape
+    }
+
+    /// (2): means of the removal over the squares, nm.
+    pub fn removal(&self, t: ArrayView2<f64>) -> Array2<f64> {
+        self.convolution.valid(t)
+    }
+
+    /// Adjoint of (2).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Array2<f64> {
+        self.convolution.adjoint(map.view())
+    }
+
+    /// What is true at the coarse nodes; the outermost may lie beyond all others.
+    pub fn at_nodes(&self, fine: &Array2<bool>) -> Array2<bool> {
+        let (ny, nx) = fine.dim();
+        let at = |k: usize, n: usize| (k * self.size).min(n - 1);
+        Array2::from_shape_fn(self.shape, |(r, c)| fine[[at(r, ny), at(c, nx)]])
+    }
+
+    /// (1).
+    pub fn prolong(&self, t: Array2<f64>) -> Array2<f64> {
+        if self.size == 1 {
+            return t;
+        }
+        let size = self.size;
+        // hat / K of the coarse node below and of the one above
+        let weights: Vec<[f64; 2]> = (0..size)
+            .map(|f| [(size - f) as f64, f as f64].map(|w| w / (size * size) as f64))
+            .collect();
+        let last = (self.shape.0 - 1, self.shape.1 - 1);
+        let mut tau = Array2::zeros(self.nodes.shape());
+        tau.outer_iter_mut().into_par_iter().enumerate().for_each_init(
+            || vec![0.0; self.shape.1],
+            |line, (r, mut row)| {
+                let (j, [below, above]) = (r / size, weights[r % size]);
+                let (a, b) = (t.row(j), t.row((j + 1).min(last.0)));
+                for (l, (a, b)) in line.iter_mut().zip(a.iter().zip(b)) {
+                    *l = below * a + above * b;
+                }
+                let row = row.as_slice_mut().expect("in C order");
+                for (i, part) in row.chunks_mut(size).enumerate() {
+                    let (a, b) = (line[i], line[(i + 1).min(last.1)]);
+                    for (v, [below, above]) in part.iter_mut().zip(&weights) {
+                        *v = below * a + above * b;
+                    }
+                }
+            },
+        );
+        tau
+    }
+
+    /// Desired means and weights of the squares.
+    pub fn restrict(&self, e: &Array2<f64>, w: &Array2<f64>) -> (Array2<f64>, Array2<f64>) {
+        if self.size == 1 {
+            return (e.clone(), w.clone());
+        }
+        let size = self.size;
+        let (py, px) = self.pixels;
+        let shape = (py.div_ceil(size), px.div_ceil(size));
+        // Weight, mean, and centroid from the middle of the square [x, y].
+        let mut squares = Array2::from_elem(shape, Square::default());
+        squares.outer_iter_mut().into_par_iter().enumerate().for_each(|(i, mut row)| {
+            let rows = i * size..((i + 1) * size).min(py);
+            for (j, square) in row.iter_mut().enumerate() {
+                let columns = j * size..((j + 1) * size).min(px);
+                let middle = 0.5 * (size - 1) as f64;
+                let mut sums = [0.0; 4];
+                for r in rows.clone() {
+                    let y = (r - rows.start) as f64 - middle;
+                    let line = s![r, columns.clone()];
+                    for (k, (w, e)) in w.slice(line).iter().zip(e.slice(line)).enumerate() {
+                        let x = k as f64 - middle;
+                        for (sum, v) in sums.iter_mut().zip([*w, w * e, w * x, w * y]) {
+                            *sum += v;
+                        }
+                    }
+                }
+                if sums[0] > 0.0 {
+                    let [weight, mean, x, y] = sums;
+                    *square = Square {
+                        weight,
+                        mean: mean / weight,
+                        centroid: [x, y].map(|v| v / weight),
+                    };
+                }
+            }
+        });
+        let desired = Array2::from_shape_fn(shape, |at| in_the_middle(&squares, at, size));
+        (desired, squares.mapv(|square| square.weight))
+    }
+}
+
+#[derive(Clone, Copy, Default)]
+struct Square {
+    weight: f64,
+    mean: f64,
+    /// From the middle, pixels [x, y].
+    centroid: [f64; 2],
+}
+
+/// The mean, moved from the centroid to the middle along the plane through the squares around;
+/// not below half the mean: what is desired stays positive.
+fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) -> f64 {
+    let own = squares[[r, c]];
+    let off = own.centroid.iter().any(|d| d.abs() > 1e-9);
+    if own.weight == 0.0 || !off {
+        return own.mean;
+    }
+    // Normal equations of z = own + gx dx + gy dy, distances from the centroid of this square.
+    let [mut xx, mut xy, mut yy, mut xz, mut yz] = [0.0; 5];
+    for i in r.saturating_sub(1)..(r + 2).min(squares.nrows()) {
+        for j in c.saturating_sub(1)..(c + 2).min(squares.ncols()) {
+            let other = squares[[i, j]];
+            let distance = |axis: usize, there: usize, here: usize| {
+                (there as f64 - here as f64) * size as f64 + other.centroid[axis]
+                    - own.centroid[axis]
+            };
+            let (x, y) = (distance(0, j, c), distance(1, i, r));
+            let (w, z) = (other.weight, other.mean - own.mean);
+            xx += w * x * x;
+            xy += w * x * y;
+            yy += w * y * y;
+            xz += w * x * z;
+            yz += w * y * z;
+        }
+    }
+    let determinant = xx * yy - xy * xy;
+    // Squares in one line say nothing across it.
+    if determinant <= 1e-6 * xx * yy {
+        return own.mean;
+    }
+    let gx = (yy * xz - xy * yz) / determinant;
+    let gy = (xx * yz - xy * xz) / determinant;
+    (own.mean - gx * own.centroid[0] - gy * own.centroid[1]).max(0.5 * own.mean)
+}
+
+/// (2), on both axes.
+fn coarse_kernel(samples: &Array2<f64>, size: usize) -> Array2<f64> {
+    if size == 1 {
+        return samples.clone();
+    }
+    let rows = coarse_lines(samples.view(), size);
+    coarse_lines(rows.t(), size).t().as_standard_layout().into_owned()
+}
+
+/// (2) along the first axis: G[D], D = -(n - 1) ..= 0.
+fn coarse_lines(samples: ArrayView2<f64>, size: usize) -> Array2<f64> {
+    let (s, width) = samples.dim();
+    let (k, n) = (size as isize, (s + 2 * size - 3) / size + 1);
+    let mut g = Array2::zeros((n, width));
+    for (b, mut line) in g.outer_iter_mut().enumerate() {
+        let d = b as isize - (n as isize - 1);
+        for (i, r) in samples.outer_iter().enumerate() {
+            let hat = |a: isize| (k - (k * d + a + s as isize - 1 - i as isize).abs()).max(0);
+            let sum: isize = (0..k).map(hat).sum();
+            if sum > 0 {
+                // hat is here K times that of (2).
+                line.scaled_add(sum as f64 / (k * k * k) as f64, &r);
+            }
+        }
+    }
+    g
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Axis;
+
+    fn case() -> (Tif, Grid) {
+        // Neither even nor centred, cut off at its border; 23 x 17 pixels are no whole squares.
+        let axis = |start: f64, n: usize| Axis::new(start, 0.1, n).unwrap();
+        let t = Grid { x: axis(-0.3, 9), y: axis(-0.2, 6) };
+        let rate = Array2::from_shape_fn(t.shape(), |(r, c)| 1.0 + r as f64 + 0.3 * (c * c) as f64);
+        (Tif::new(t, rate).unwrap(), Grid { x: axis(1.0, 23), y: axis(2.0, 17) })
+    }
+
+    #[test]
+    fn coarse_removal_is_the_mean_of_the_removal_of_the_linear_map() {
+        let (tif, grid) = case();
+        let fine = CoarseMap::new(&tif, &grid, 1).unwrap();
+        for size in 1..=5 {
+            let map = CoarseMap::new(&tif, &grid, size).unwrap();
+            let t = Array2::from_shape_fn(map.shape(), |(r, c)| {
+                1.0 + (0.9 * r as f64).sin() * (1.3 * c as f64).cos()
+            });
+            let found = map.removal(t.view());
+            let tau = map.prolong(t);
+            let removal = fine.removal(tau.view());
+            for (r, c) in ndarray::indices((17 / size, 23 / size)) {
+                let square = s![r * size..(r + 1) * size, c * size..(c + 1) * size];
+                let expected = removal.slice(square).mean().unwrap();
+                // Rounding of FFTs of sums of order 300.
+                assert!((found[[r, c]] / expected - 1.0).abs() < 1e-12, "{size}: {r} {c}");
+            }
+        }
+    }
+
+    #[test]
+    fn between_coarse_nodes_the_map_is_linear_and_keeps_the_time() {
+        let (tif, grid) = case();
+        let map = CoarseMap::new(&tif, &grid, 3).unwrap();
+        // 9 t at the coarse nodes: tau = t / 9.
+        let t = Array2::from_shape_fn(map.shape(), |(r, c)| 27.0 * r as f64 + 9.0 * c as f64);
+        let tau = map.prolong(t);
+        for ((r, c), tau) in tau.indexed_iter() {
+            let expected = r as f64 + c as f64 / 3.0;
+            assert!((tau - expected).abs() < 1e-12, "{r} {c}: {tau} {expected}");
+        }
+    }
+
+    #[test]
+    fn squares_keep_the_weight_and_a_plane_whatever_is_missing() {
+        let (tif, grid) = case();
+        let plane = |x: f64, y: f64| 40.0 + 0.7 * x - 1.1 * y;
+        let e = Array2::from_shape_fn(grid.shape(), |(r, c)| plane(c as f64, r as f64));
+        let w = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let outside = (r as f64 - 8.0).hypot(c as f64 - 11.0) > 8.3;
+            if outside { 0.0 } else { 1.0 + 0.1 * ((r * 5 + c * 3) % 7) as f64 }
+        });
+        let map = CoarseMap::new(&tif, &grid, 3).unwrap();
+        let (means, weight) = map.restrict(&(&e * &w.mapv(|w| f64::from(w > 0.0))), &w);
+        assert!((weight.sum() / w.sum() - 1.0).abs() < 1e-14);
+        let mut partial = 0;
+        for ((r, c), w) in weight.indexed_iter().filter(|(_, w)| **w > 0.0) {
+            let middle = |k: usize| 3.0 * k as f64 + 1.0;
+            let expected = plane(middle(c), middle(r));
+            assert!((means[[r, c]] - expected).abs() < 1e-10, "{r} {c}");
+            partial += usize::from(*w < 9.0);
+        }
+        assert!(partial > 5);
+    }
+
+    #[test]
+    fn only_large_maps_under_wide_tools_are_solved_on_squares() {
+        let axis = |step: f64, n: usize| Axis::new(0.0, step, n).unwrap();
+        let bell = |sigma: f64| {
+            let t = Axis::new(-5.0, 0.1, 101).unwrap();
+            let g = Grid { x: t, y: t };
+            let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+                (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / (2.0 * sigma * sigma)).exp()
+            });
+            Tif::new(g, rate).unwrap()
+        };
+        let map = |step: f64, n: usize| {
+            let grid = Grid { x: axis(step, n), y: axis(step, n) };
+            Surface::new(grid, Array2::zeros(grid.shape())).unwrap()
+        };
+        assert_eq!(automatic_size(&bell(1.6), &map(0.1, 900)), 1);
+        // It rises on sigma e^(1/2) = 26.4 pixels.
+        assert_eq!(automatic_size(&bell(1.6), &map(0.1, 1001)), 3);
+        assert_eq!(automatic_size(&bell(1.6), &map(0.05, 1001)), 7);
+        assert_eq!(automatic_size(&bell(0.5), &map(0.1, 1001)), 1);
+        // 0.14 of the peak at the border: it falls by that within a pixel, and rises on 7.
+        assert_eq!(automatic_size(&bell(2.5), &map(0.1, 1001)), 1);
+    }
+}
