@@ -250,13 +250,23 @@ impl Piece {
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
         // Half-angle form: no density below the smaller of the two by rounding.
         let [d1, d2] = self.density_s_per_mm;
-        let (sine, cosine) = (0.5 * PI * x).sin_cos();
+        let (sine, cosine) = ((0.5 * PI * x).sin(), (0.5 * PI * (1.0 - x)).sin());
         d1 * cosine * cosine + d2 * sine * sine
     }
 
-    /// (2): the time at the part `x` of the length, s.
-    pub fn elapsed_s(&self, x: f64) -> f64 {
-        self.duration_s() * (x - self.eccentricity() / PI * (PI * x).sin())
+    /// (2): the time between the parts `from` and `to` of the length, s, to rounding of itself: where the
+    /// densities of the ends differ by orders of magnitude, a difference of two times of (2) leaves
+    /// no digit of a short one.
+    pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
+        // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
+        //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
+        //   of cos^2(pi x/2):  the same with 1 - m
+        let [d1, d2] = self.density_s_per_mm;
+        let theta = 0.5 * PI * (to - from);
+        let excess = angle_less_sine(theta);
+        let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * theta.sin()) / PI;
+        let (m, rest) = (0.5 * (from + to), 0.5 * ((1.0 - from) + (1.0 - to)));
+        self.length_mm * (d1 * part(rest) + d2 * part(m))
     }
 
     /// (2) inverted: the part of the length at the part `m` of the time, by Newton's method kept in
@@ -285,18 +295,37 @@ impl Piece {
     /// (3), mm/s^2.
     pub fn peak_acceleration(&self) -> f64 {
         let r = self.eccentricity().abs();
-        // c = (1 - sqrt(1 + 24 r^2)) / (4 r), without its cancellation
-        let c = -6.0 * r / (1.0 + (1.0 + 24.0 * r * r).sqrt());
-        let m2 = self.sum();
-        4.0 * PI * r * (1.0 - c * c).sqrt()
-            / (self.length_mm * (m2 * (1.0 + r * c)).powi(2))
-            / (1.0 + r * c)
+        let [d1, d2] = self.density_s_per_mm;
+        // (3) where 1 - r, 1 + r c and 1 + c would cancel: q = 1 - r = 2 min(d)/M2, s^2 = 1 + 24 r^2,
+        //   1 + r c = 6 q (1 + r)/(5 + s),    1 - |c| = 2 q/(1 + s + 4 r)
+        let q = 2.0 * d1.min(d2) / self.sum();
+        let s = (1.0 + 24.0 * r * r).sqrt();
+        let below_one = 2.0 * q / (1.0 + s + 4.0 * r);
+        let slowest = self.sum() * (6.0 * q * (1.0 + r) / (5.0 + s));
+        // 1 - c^2 = (1 - |c|) (1 + |c|); M2^3 (1 + r c)^3 by factors, which neither under- nor overflow
+        let sine = (below_one * (2.0 - below_one)).sqrt();
+        4.0 * PI * r * sine * (self.sum() / slowest) / (self.length_mm * slowest * slowest)
     }
 
     fn raised(&self, by: [f64; 2]) -> Self {
         let [d1, d2] = self.density_s_per_mm;
         Self { density_s_per_mm: [d1 + by[0], d2 + by[1]], ..*self }
     }
+}
+
+/// x - sin x for 0 <= x <= pi/2 to rounding of itself.
+fn angle_less_sine(x: f64) -> f64 {
+    if x > 0.5 {
+        return x - x.sin();
+    }
+    // x^3/3! - x^5/5! + ...; 0.5^18/19! is below rounding.
+    let x2 = x * x;
+    let (mut term, mut sum) = (x * x2 / 6.0, 0.0);
+    for k in 1..=8 {
+        sum += term;
+        term *= -x2 / f64::from((2 * k + 2) * (2 * k + 3));
+    }
+    sum
 }
 
 /// A piece with what the machine allows along it.
@@ -980,14 +1009,13 @@ impl Fit {
     fn cubic(&self, from: f64, to: f64) -> (Cubic, bool) {
         let piece = &self.shape;
         let [v0, v1] = [from, to].map(|x| 1.0 / piece.density_s_per_mm_at(x));
-        let start_s = piece.elapsed_s(from);
-        let h = piece.elapsed_s(to) - start_s;
+        let h = piece.elapsed_s(from, to);
         let dp = piece.length_mm * (to - from);
         let c = hermite(piece.length_mm * from, dp, v0, v1, h);
         let error_mm = (1..=FIT_POINTS)
             .map(|i| {
                 let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
-                let u = piece.elapsed_s(x) - start_s;
+                let u = piece.elapsed_s(from, x);
                 (c[0] + u * (c[1] + u * (c[2] + u * c[3])) - piece.length_mm * x).abs()
             })
             .fold(0.0, f64::max);
@@ -1083,10 +1111,13 @@ mod tests {
                 let x = |k: f64| (f64::from(i) + k) / f64::from(n);
                 let d = |k: f64| p.density_s_per_mm_at(x(k));
                 t += 0.7 / f64::from(n) * (d(0.0) + 4.0 * d(0.5) + d(1.0)) / 6.0;
-                assert!((t - p.elapsed_s(x(1.0))).abs() < 1e-12 * p.duration_s(), "{d1} {d2} {i}");
+                assert!(
+                    (t - p.elapsed_s(0.0, x(1.0))).abs() < 1e-12 * p.duration_s(),
+                    "{d1} {d2} {i}"
+                );
                 // The residual of the equation; its inverse may be ill-conditioned.
                 let m = p.progress(x(1.0));
-                let found = p.elapsed_s(m) / p.duration_s();
+                let found = p.elapsed_s(0.0, m) / p.duration_s();
                 assert!((found - x(1.0)).abs() < 1e-15, "{d1} {d2}: {found} {}", x(1.0));
             }
         }

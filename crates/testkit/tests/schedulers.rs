@@ -276,7 +276,7 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
 }
 
 /// Cases that the long test has found: population, seed, number. Always among those that run.
-const FOUND: [(&str, u64, u64); 13] = [
+const FOUND: [(&str, u64, u64); 33] = [
     // A late start: pieces of 1e-17 s vanished in the rounding of break times that the sum of the
     // dwell times said nothing about (constant acceleration).
     ("unequal", 1, 8559),
@@ -294,6 +294,28 @@ const FOUND: [(&str, u64, u64); 13] = [
     ("degenerate", 1, 14220),
     // Braking to the very end of a segment, to wait there: 0/0 (stop at corners).
     ("raster-like", 1, 264),
+    // TRIG
+    ("unequal", 1, 221),
+    ("unequal", 1, 1418),
+    ("unequal", 1, 2613),
+    ("unequal", 1, 2668),
+    ("unequal", 1, 3433),
+    ("unequal", 1, 5395),
+    ("unequal", 1, 5563),
+    ("unequal", 1, 5872),
+    ("unequal", 1, 8675),
+    ("unequal", 1, 8844),
+    ("unequal", 1, 8868),
+    ("unequal", 1, 10069),
+    ("unequal", 1, 13050),
+    ("unequal", 1, 13250),
+    ("harsh", 1, 6655),
+    // SEED
+    ("unequal", 1, 1975),
+    ("unequal", 1, 4597),
+    ("unequal", 1, 4937),
+    ("unequal", 1, 8471),
+    ("unequal", 1, 9060),
 ];
 
 /// Runs `check` on every case of every population, and on those found, and reports all that fail.
