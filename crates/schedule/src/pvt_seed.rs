@@ -634,6 +634,39 @@ mod tests {
         }
     }
 
+    /// A motion with continuous acceleration, from rest to rest, is its own least squares, whatever
+    /// its times: runs of segments of 1e-4 s among those of seconds, whose rows the squares of the
+    /// normal equations do not hold.
+    #[test]
+    fn a_smooth_motion_is_found_again_at_unequal_times() {
+        let h = [2.0, 1e-4, 1e-4, 2e-4, 1e-4, 3e-4, 0.5, 1.0, 1e-3, 1e-4, 1e-4, 2e-4, 1.5, 3.0];
+        // Accelerations of the nodes; the last but one brings the velocity to 0.
+        let mut a =
+            vec![0.0, 0.5, 0.6, 0.4, 0.7, 0.5, 0.3, 0.2, 0.1, 0.2, 0.0, -0.1, 0.1, 0.0, 0.0];
+        let n = h.len();
+        // v1 = v0 + h (A0 + A1)/2
+        let velocities = |a: &[f64]| -> Vec<f64> {
+            (0..n).fold(vec![0.0], |mut v, i| {
+                v.push(v[i] + 0.5 * h[i] * (a[i] + a[i + 1]));
+                v
+            })
+        };
+        a[n - 1] = -2.0 * velocities(&a)[n] / (h[n - 2] + h[n - 1]);
+        let v = velocities(&a);
+        // p(h) - p(0) = h v0 + h^2 (A0/3 + A1/6)
+        let dp: Vec<f64> =
+            (0..n).map(|i| h[i] * v[i] + h[i] * h[i] * (a[i] / 3.0 + a[i + 1] / 6.0)).collect();
+        let problem = axis(&dp, &h, 1e3, 1e3);
+        let nodes = problem.solve().unwrap();
+        assert_eq!((nodes.velocities_at_a_bound, nodes.factorisations), (0, 1));
+        for (k, v) in v.iter().enumerate() {
+            // The velocities are known to rounding times sqrt 2 / h, the weight of the positions.
+            assert!((nodes.velocity(k) - v).abs() < 1e-11, "{k}: {} {v}", nodes.velocity(k));
+        }
+        let missed = (0..n).flat_map(|i| problem.position_errors(&nodes, i));
+        assert!(missed.fold(0.0, |m: f64, e| m.max(e.abs())) < 1e-13);
+    }
+
     #[test]
     fn a_resting_axis_is_asked_to_move_and_the_report_says_so() {
         // A move and then rest: without reverse motion the spline would swing back; Eq. 18 forbids
