@@ -90,9 +90,12 @@ pub struct Report {
     pub largest_acceleration_step_mm_per_s2: [f64; 2],
     /// Nodes whose velocity is at a bound of Eq. 18.
     pub velocities_at_a_bound: [usize; 2],
-    /// Factorisations of the active set method; 0 where it did not end and the interior point
-    /// method has the last word.
+    /// Factorisations of the active set method; more than 60 where it repeated itself and went on
+    /// one bound at a time from the solution of the interior point method.
     pub factorisations: [usize; 2],
+    /// How far the solution is from a least one: the longest step of one unknown within its bounds
+    /// that the gradient asks for, by the change of the rows, over the right-hand side.
+    pub optimality: [f64; 2],
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
 }
@@ -169,7 +172,7 @@ pub fn schedule(
 fn failed() -> ScheduleError {
     Invalid::whole(
         "dwell_s",
-        "the least squares of the seed formulation cannot be solved to rounding",
+        "gives a least squares of the seed formulation that is not solved to 1e-9",
         "its times differ by too many orders of magnitude; use the hermite formulation",
     )
     .into()
@@ -207,6 +210,7 @@ impl Report {
         }
         self.velocities_at_a_bound[axis] = nodes.velocities_at_a_bound;
         self.factorisations[axis] = nodes.factorisations;
+        self.optimality[axis] = nodes.optimality;
     }
 }
 
@@ -227,6 +231,7 @@ struct Nodes {
     value: Vec<f64>,
     velocities_at_a_bound: usize,
     factorisations: usize,
+    optimality: f64,
 }
 
 impl Nodes {
@@ -244,6 +249,15 @@ const BAND: usize = 5;
 /// Most rounds of the active set method: it ends after 4 to 12 on real paths, and where it has
 /// not ended after 60 it repeats itself.
 const MAX_ROUNDS: usize = 60;
+
+/// Most changes of one bound; a random path of 60 segments needs some tens.
+const MAX_CHANGES: usize = 2000;
+
+/// Gradients below this part of the right-hand side are rounding.
+const ROUNDING: f64 = 1e-13;
+
+/// A solution farther from a least one than this is refused; see [`Report::optimality`].
+const LARGEST_OPTIMALITY: f64 = 1e-9;
 
 impl Axis {
     /// Distances p(0) - P0, p(h) - P1 of the least-squares cubic.
@@ -311,7 +325,8 @@ impl Axis {
         (low, high)
     }
 
-    /// Active sets from the free solution; where they repeat, from the interior point method's.
+    /// Active sets from the free solution; where they repeat, one bound at a time from the solution
+    /// of the interior point method.
     fn solve(&self) -> Option<Nodes> {
         let problem = self.least_squares();
         let (low, high) = self.bounds();
@@ -320,8 +335,8 @@ impl Axis {
             Some(found) => found,
             None => {
                 let near = problem.interior_point(&low, &high)?;
-                let sides = problem.sides(&low, &high, &near);
-                problem.active_set(&low, &high, sides).unwrap_or((near, 0))
+                let (value, changes) = problem.descend(&low, &high, near)?;
+                (value, MAX_ROUNDS + changes)
             }
         };
         let inner = 1..self.duration_s.len();
@@ -330,7 +345,9 @@ impl Axis {
             v == low[PER_NODE * i] || v == high[PER_NODE * i]
         };
         let velocities_at_a_bound = inner.filter(at_a_bound).count();
-        Some(Nodes { value, velocities_at_a_bound, factorisations })
+        let optimality = problem.optimality(&low, &high, &value);
+        let nodes = Nodes { value, velocities_at_a_bound, factorisations, optimality };
+        (optimality <= LARGEST_OPTIMALITY).then_some(nodes)
     }
 }
 
@@ -378,6 +395,19 @@ impl LeastSquares {
         (gradient, square)
     }
 
+    /// max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|, 0 at the minimum and only there.
+    fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
+        let (gradient, square) = self.gradient(x);
+        let scale = self.right_norm();
+        let off = |j: usize| {
+            let wanted = (x[j] - gradient[j] / square[j]).clamp(low[j], high[j]);
+            square[j].sqrt() * (x[j] - wanted).abs()
+        };
+        let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
+        // At rest along the whole axis nothing is asked for.
+        if largest == 0.0 { 0.0 } else { largest / scale }
+    }
+
     /// The side to which x - gradient / |J_j|^2 points.
     fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
         let (gradient, square) = self.gradient(x);
@@ -422,6 +452,65 @@ impl LeastSquares {
             side = next;
         }
         None
+    }
+
+    /// From the feasible x down to the minimum: to the solution of the free unknowns, or to the
+    /// first bound on the way, which holds from then on; there, the bound that keeps most from the
+    /// minimum is given up. The sum of squares never grows.
+    fn descend(&self, low: &[f64], high: &[f64], x: Vec<f64>) -> Option<(Vec<f64>, usize)> {
+        let mut x = x;
+        let mut side = self.sides(low, high, &x);
+        let bound = |j: usize, side: Side| match side {
+            Side::Low => Some(low[j]),
+            Side::High => Some(high[j]),
+            Side::Free => None,
+        };
+        for (j, x) in x.iter_mut().enumerate() {
+            *x = bound(j, side[j]).unwrap_or(*x);
+        }
+        let scale = self.right_norm();
+        for change in 1..=MAX_CHANGES {
+            let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
+            let (mut step, mut first) = (1.0, None);
+            for j in 0..x.len() {
+                let (at, hit) = match wanted[j] {
+                    w if w < low[j] => (low[j], Side::Low),
+                    w if w > high[j] => (high[j], Side::High),
+                    _ => continue,
+                };
+                let part = (at - x[j]) / (wanted[j] - x[j]);
+                if part < step {
+                    (step, first) = (part, Some((j, hit)));
+                }
+            }
+            if let Some((hit, at)) = first {
+                side[hit] = at;
+                for (j, x) in x.iter_mut().enumerate() {
+                    let moved = *x + step * (wanted[j] - *x);
+                    *x = bound(j, side[j]).unwrap_or_else(|| moved.clamp(low[j], high[j]));
+                }
+                continue;
+            }
+            x = (0..x.len()).map(|j| wanted[j].clamp(low[j], high[j])).collect();
+            let (gradient, square) = self.gradient(&x);
+            let pull = |j: usize| match side[j] {
+                _ if low[j] == high[j] => 0.0,
+                Side::Low => -gradient[j] / square[j].sqrt(),
+                Side::High => gradient[j] / square[j].sqrt(),
+                Side::Free => 0.0,
+            };
+            let most = (0..x.len()).max_by(|a, b| pull(*a).total_cmp(&pull(*b)))?;
+            if pull(most) <= ROUNDING * scale {
+                return Some((x, change));
+            }
+            side[most] = Side::Free;
+        }
+        Some((x, MAX_CHANGES))
+    }
+
+    /// |r|.
+    fn right_norm(&self) -> f64 {
+        self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
     }
 
     /// Solves for the unknowns that `fixed` leaves free: Givens rotations of row after row into a
@@ -619,6 +708,12 @@ mod tests {
         let free = vec![Side::Free; low.len()];
         let (x, rounds) = least_squares.active_set(&low, &high, free).unwrap();
         assert!(rounds > 1, "no bound is active");
+        assert!(least_squares.optimality(&low, &high, &x) < 1e-13);
+        // A velocity changed by 1e-3 mm/s moves the rows by sqrt 2/2 of that or more.
+        let mut moved = x.clone();
+        let free = (1..12).find(|i| x[3 * i] > low[3 * i] && x[3 * i] < high[3 * i]).unwrap();
+        moved[3 * free] += 1e-3;
+        assert!(least_squares.optimality(&low, &high, &moved) > 1e-4);
         let y = least_squares.interior_point(&low, &high).unwrap();
         let (gradient, square) = least_squares.gradient(&x);
         for j in 0..x.len() {
