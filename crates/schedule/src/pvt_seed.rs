@@ -52,7 +52,7 @@
 use clarabel::{
     algebra::CscMatrix,
     solver::{
-        DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus,
+        DefaultSettingsBuilder, DefaultSolver, IPSolver,
         SupportedConeT::{NonnegativeConeT, ZeroConeT},
     },
 };
@@ -334,7 +334,7 @@ impl Axis {
         let (value, factorisations) = match problem.active_set(&low, &high, free) {
             Some(found) => found,
             None => {
-                let near = problem.interior_point(&low, &high)?;
+                let near = problem.interior_point(&low, &high);
                 let (value, changes) = problem.descend(&low, &high, near)?;
                 (value, MAX_ROUNDS + changes)
             }
@@ -560,7 +560,7 @@ impl LeastSquares {
     }
 
     /// The same problem by clarabel, to its tolerance of 1e-8: min |z|^2/2 with J x - z = r.
-    fn interior_point(&self, low: &[f64], high: &[f64]) -> Option<Vec<f64>> {
+    fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
         let (n, m) = (self.unknowns, self.rows.len());
         let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (i, row) in self.rows.iter().enumerate() {
@@ -591,12 +591,17 @@ impl LeastSquares {
         let settings = DefaultSettingsBuilder::default().verbose(false).build().expect("valid");
         let cones = [ZeroConeT(m), NonnegativeConeT(bound.len() - m)];
         let q = vec![0.0; n + m];
-        let mut solver = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings).ok()?;
+        let Ok(mut solver) = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings) else {
+            return vec![0.0; n];
+        };
         solver.solve();
-        let solved =
-            matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
-        let clamped = |j: usize| solver.solution.x[j].clamp(low[j], high[j]);
-        solved.then(|| (0..n).map(clamped).collect())
+        // Any point within the bounds is a start for `descend`, the last one of a run that made too
+        // little progress too.
+        let clamped = |j: usize| {
+            let x = solver.solution.x[j];
+            if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }
+        };
+        (0..n).map(clamped).collect()
     }
 }
 
@@ -714,7 +719,7 @@ mod tests {
         let free = (1..12).find(|i| x[3 * i] > low[3 * i] && x[3 * i] < high[3 * i]).unwrap();
         moved[3 * free] += 1e-3;
         assert!(least_squares.optimality(&low, &high, &moved) > 1e-4);
-        let y = least_squares.interior_point(&low, &high).unwrap();
+        let y = least_squares.interior_point(&low, &high);
         let (gradient, square) = least_squares.gradient(&x);
         for j in 0..x.len() {
             // 1e-8 of the objective is some 1e-4 of an unknown.

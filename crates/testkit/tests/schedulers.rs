@@ -276,7 +276,7 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
 }
 
 /// Cases that the long test has found: population, seed, number. Always among those that run.
-const FOUND: [(&str, u64, u64); 33] = [
+const FOUND: [(&str, u64, u64); 34] = [
     // A late start: pieces of 1e-17 s vanished in the rounding of break times that the sum of the
     // dwell times said nothing about (constant acceleration).
     ("unequal", 1, 8559),
@@ -316,6 +316,8 @@ const FOUND: [(&str, u64, u64); 33] = [
     ("unequal", 1, 4937),
     ("unequal", 1, 8471),
     ("unequal", 1, 9060),
+    // The interior point method makes too little progress (seed).
+    ("unequal", 1, 2976),
 ];
 
 /// Runs `check` on every case of every population, and on those found, and reports all that fail.
