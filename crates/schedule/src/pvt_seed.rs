@@ -19,9 +19,18 @@
 //! p(h) = p + h w + h^2 (A0/3 + A1/6),   p'(h) = w + h (A0 + A1)/2                             (2)
 //! ```
 //!
-//! and `(p, w)` is eliminated from the four first rows of (1): with `B` their columns, what is
-//! left are the rows times `Q = I - B (B'B)^-1 B'`. The unknowns `(v, A, a)` of the nodes make a
-//! banded positive definite system; the bounds are met by active sets.
+//! and `(p, w)` is eliminated from the four first rows of (1): the two combinations without them,
+//! of length 1 and at right angles, are
+//!
+//! ```text
+//! (v1 - v0 - h (A0 + A1)/2) / sqrt 2 = 0
+//! (P1 - P0 - h (v0 + v1)/2 + h^2 (A1 - A0)/12) / sqrt(2 + h^2/2) = 0                          (3)
+//! ```
+//!
+//! and the cubic misses its points by the last, r: `p(0) - P0 = P1 - p(h) = r / sqrt(2 + h^2/2)`.
+//! The unknowns `(v, A, a)` of the nodes are solved for by Givens rotations of the rows; the normal
+//! equations hold the squares of `h^2/12`, which at 1e-4 s vanish in the rounding of 1. The bounds
+//! are met by active sets.
 //!
 //! What the report shows and nothing repairs: the squares of unlike units are added, so the
 //! positions, cheapest to violate, are missed by up to 0.37 mm on the reference mirror before Eq. 8
@@ -43,8 +52,8 @@
 use clarabel::{
     algebra::CscMatrix,
     solver::{
-        DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus,
-        SupportedConeT::NonnegativeConeT,
+        DefaultSettingsBuilder, DefaultSolver, IPSolver,
+        SupportedConeT::{NonnegativeConeT, ZeroConeT},
     },
 };
 use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
@@ -81,9 +90,12 @@ pub struct Report {
     pub largest_acceleration_step_mm_per_s2: [f64; 2],
     /// Nodes whose velocity is at a bound of Eq. 18.
     pub velocities_at_a_bound: [usize; 2],
-    /// Factorisations of the active set method; 0 where it did not end and the interior point
-    /// method has the last word.
+    /// Factorisations of the active set method; more than 60 where it repeated itself and went on
+    /// one bound at a time from the solution of the interior point method.
     pub factorisations: [usize; 2],
+    /// How far the solution is from a least one: the longest step of one unknown within its bounds
+    /// that the gradient asks for, by the change of the rows, over the right-hand side.
+    pub optimality: [f64; 2],
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
 }
@@ -160,7 +172,7 @@ pub fn schedule(
 fn failed() -> ScheduleError {
     Invalid::whole(
         "dwell_s",
-        "the least squares of the seed formulation cannot be solved to rounding",
+        "gives a least squares of the seed formulation that is not solved to 1e-9",
         "its times differ by too many orders of magnitude; use the hermite formulation",
     )
     .into()
@@ -198,6 +210,7 @@ impl Report {
         }
         self.velocities_at_a_bound[axis] = nodes.velocities_at_a_bound;
         self.factorisations[axis] = nodes.factorisations;
+        self.optimality[axis] = nodes.optimality;
     }
 }
 
@@ -218,6 +231,7 @@ struct Nodes {
     value: Vec<f64>,
     velocities_at_a_bound: usize,
     factorisations: usize,
+    optimality: f64,
 }
 
 impl Nodes {
@@ -236,69 +250,61 @@ const BAND: usize = 5;
 /// not ended after 60 it repeats itself.
 const MAX_ROUNDS: usize = 60;
 
+/// Most changes of one bound; a random path of 60 segments needs some tens.
+const MAX_CHANGES: usize = 2000;
+
+/// Gradients below this part of the right-hand side are rounding.
+const ROUNDING: f64 = 1e-13;
+
+/// A solution farther from a least one than this is refused; see [`Report::optimality`].
+const LARGEST_OPTIMALITY: f64 = 1e-9;
+
 impl Axis {
-    /// Rows of (1) with (2) for segment i as functions of (v0, A0, v1, A1), P0 = 0:
-    /// columns, then the constant.
-    fn rows(&self, i: usize) -> [[f64; 5]; 4] {
+    /// Distances p(0) - P0, p(h) - P1 of the least-squares cubic.
+    fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
+        let h = self.duration_s[i];
+        let [_, row] = self.rows(i);
+        let error = row.residual(&nodes.value) / (2.0 + 0.5 * h * h).sqrt();
+        [error, -error]
+    }
+
+    /// (3) of segment i.
+    fn rows(&self, i: usize) -> [Row; 2] {
         let (h, dp) = (self.duration_s[i], self.displacement_mm[i]);
+        let (turn, shift) = (0.5_f64.sqrt(), 1.0 / (2.0 + 0.5 * h * h).sqrt());
+        let area = h * h / 12.0;
+        let first = PER_NODE * i;
         [
-            [0.0, 0.0, 0.0, 0.0, 0.0],
-            [0.0, h * h / 3.0, 0.0, h * h / 6.0, -dp],
-            [-1.0, 0.0, 0.0, 0.0, 0.0],
-            [0.0, 0.5 * h, -1.0, 0.5 * h, 0.0],
+            Row {
+                first,
+                value: [-1.0, -0.5 * h, 0.0, 1.0, -0.5 * h, 0.0].map(|c| c * turn),
+                right: 0.0,
+            },
+            Row {
+                first,
+                value: [-0.5 * h, -area, 0.0, -0.5 * h, area, 0.0].map(|c| c * shift),
+                right: -dp * shift,
+            },
         ]
     }
 
-    /// (p, w) = -(B'B)^-1 B' g of segment i, B = [1 0; 1 h; 0 1; 0 1].
-    fn start(&self, i: usize, g: [f64; 4]) -> [f64; 2] {
-        let h = self.duration_s[i];
-        // B'B = [2 h; h h^2+2]
-        let (b0, b1) = (g[0] + g[1], h * g[1] + g[2] + g[3]);
-        let determinant = h * h + 4.0;
-        [-((h * h + 2.0) * b0 - h * b1) / determinant, -(2.0 * b1 - h * b0) / determinant]
-    }
-
-    /// Q g.
-    fn project(&self, i: usize, g: [f64; 4]) -> [f64; 4] {
-        let (h, [p, w]) = (self.duration_s[i], self.start(i, g));
-        [g[0] + p, g[1] + p + h * w, g[2] + w, g[3] + w]
-    }
-
-    /// Distances p(0) - P0, p(h) - P1 of the least-squares cubic.
-    fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
-        let z = |node: usize, k: usize| nodes.value[PER_NODE * node + k];
-        let x = [z(i, 0), z(i, 1), z(i + 1, 0), z(i + 1, 1), 1.0];
-        let g = self.rows(i).map(|row| row.iter().zip(x).map(|(r, x)| r * x).sum());
-        let r = self.project(i, g);
-        [r[0], r[1]]
-    }
-
-    /// min sum |Q g|^2 + (A - a)^2 per end of every segment: H x = b without the bounds.
-    fn normal_equations(&self) -> (Banded, Vec<f64>) {
+    /// All rows: `A - a` of every node, once per segment that ends there, and (3), by segments.
+    fn least_squares(&self) -> LeastSquares {
         let n = self.duration_s.len();
-        let mut matrix = Banded::zeros(PER_NODE * (n + 1));
-        let mut b = vec![0.0; PER_NODE * (n + 1)];
-        for i in 0..n {
-            let rows = self.rows(i);
-            let column = |c: usize| rows.map(|row| row[c]);
-            let projected: Vec<[f64; 4]> = (0..5).map(|c| self.project(i, column(c))).collect();
-            let dot =
-                |a: [f64; 4], b: [f64; 4]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
-            let place = [0, 1, PER_NODE, PER_NODE + 1].map(|k| PER_NODE * i + k);
-            for r in 0..4 {
-                for c in 0..=r {
-                    matrix.add(place[r], place[c], dot(column(r), projected[c]));
-                }
-                b[place[r]] -= dot(column(r), projected[4]);
-            }
-            for node in [i, i + 1] {
-                let (cubic, wanted) = (PER_NODE * node + 1, PER_NODE * node + 2);
-                matrix.add(cubic, cubic, 1.0);
-                matrix.add(wanted, wanted, 1.0);
-                matrix.add(wanted, cubic, -1.0);
+        let mut rows = Vec::with_capacity(3 * n + 1);
+        for i in 0..=n {
+            // The last node is the second of its rows.
+            let (first, own) =
+                if i < n { (PER_NODE * i, 0) } else { (PER_NODE * (n - 1), PER_NODE) };
+            let weight = if i == 0 || i == n { 1.0 } else { 2.0_f64.sqrt() };
+            let mut value = [0.0; 2 * PER_NODE];
+            (value[own + 1], value[own + 2]) = (weight, -weight);
+            rows.push(Row { first, value, right: 0.0 });
+            if i < n {
+                rows.extend(self.rows(i));
             }
         }
-        (matrix, b)
+        LeastSquares { rows, unknowns: PER_NODE * (n + 1) }
     }
 
     /// Bounds of the unknowns: Eqs 16-18.
@@ -319,17 +325,18 @@ impl Axis {
         (low, high)
     }
 
-    /// Active sets from the free solution; where they repeat, from the interior point method's.
+    /// Active sets from the free solution; where they repeat, one bound at a time from the solution
+    /// of the interior point method.
     fn solve(&self) -> Option<Nodes> {
-        let (matrix, b) = self.normal_equations();
+        let problem = self.least_squares();
         let (low, high) = self.bounds();
-        let free = vec![Side::Free; b.len()];
-        let (value, factorisations) = match active_set(&matrix, &b, &low, &high, free) {
+        let free = vec![Side::Free; low.len()];
+        let (value, factorisations) = match problem.active_set(&low, &high, free) {
             Some(found) => found,
             None => {
-                let near = interior_point(&matrix, &b, &low, &high)?;
-                let sides = sides_of(&matrix, &b, &low, &high, &near);
-                active_set(&matrix, &b, &low, &high, sides).unwrap_or((near, 0))
+                let near = problem.interior_point(&low, &high);
+                let (value, changes) = problem.descend(&low, &high, near)?;
+                (value, MAX_ROUNDS + changes)
             }
         };
         let inner = 1..self.duration_s.len();
@@ -338,7 +345,9 @@ impl Axis {
             v == low[PER_NODE * i] || v == high[PER_NODE * i]
         };
         let velocities_at_a_bound = inner.filter(at_a_bound).count();
-        Some(Nodes { value, velocities_at_a_bound, factorisations })
+        let optimality = problem.optimality(&low, &high, &value);
+        let nodes = Nodes { value, velocities_at_a_bound, factorisations, optimality };
+        (optimality <= LARGEST_OPTIMALITY).then_some(nodes)
     }
 }
 
@@ -350,164 +359,249 @@ enum Side {
     High,
 }
 
-/// The side to which x - gradient / H_jj points: lambda = H x - b.
-fn sides_of(matrix: &Banded, b: &[f64], low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
-    let product = matrix.times(x);
-    (0..b.len())
-        .map(|j| {
-            let wanted = x[j] - (product[j] - b[j]) / matrix.at(j, j);
-            if low[j] == high[j] || wanted < low[j] {
-                Side::Low
-            } else if wanted > high[j] {
-                Side::High
-            } else {
-                Side::Free
-            }
-        })
-        .collect()
+/// A row `value x[first..] = right` of the least squares.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    first: usize,
+    value: [f64; 2 * PER_NODE],
+    right: f64,
 }
 
-/// Primal-dual active sets: solve with the unknowns on their sides, choose the sides anew, until
-/// they stay. `None` when they do not, or the matrix is not positive definite to rounding.
-fn active_set(
-    matrix: &Banded,
-    b: &[f64],
-    low: &[f64],
-    high: &[f64],
-    mut side: Vec<Side>,
-) -> Option<(Vec<f64>, usize)> {
-    for j in 0..b.len() {
-        if low[j] == high[j] {
-            side[j] = Side::Low;
-        }
+impl Row {
+    fn residual(&self, x: &[f64]) -> f64 {
+        let terms = self.value.iter().zip(&x[self.first..]).map(|(c, x)| c * x);
+        terms.sum::<f64>() - self.right
     }
-    for round in 1..=MAX_ROUNDS {
-        let fixed = |j: usize| match side[j] {
+}
+
+/// min |J x - r|^2, rows ascending in `first`.
+#[derive(Clone, Debug)]
+struct LeastSquares {
+    rows: Vec<Row>,
+    unknowns: usize,
+}
+
+impl LeastSquares {
+    /// J'(J x - r) and the diagonal of J'J.
+    fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let (mut gradient, mut square) = (vec![0.0; self.unknowns], vec![0.0; self.unknowns]);
+        for row in &self.rows {
+            let residual = row.residual(x);
+            for (k, c) in row.value.iter().enumerate() {
+                gradient[row.first + k] += c * residual;
+                square[row.first + k] += c * c;
+            }
+        }
+        (gradient, square)
+    }
+
+    /// max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|, 0 at the minimum and only there.
+    fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
+        let (gradient, square) = self.gradient(x);
+        let scale = self.right_norm();
+        let off = |j: usize| {
+            let wanted = (x[j] - gradient[j] / square[j]).clamp(low[j], high[j]);
+            square[j].sqrt() * (x[j] - wanted).abs()
+        };
+        let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
+        // At rest along the whole axis nothing is asked for.
+        if largest == 0.0 { 0.0 } else { largest / scale }
+    }
+
+    /// The side to which x - gradient / |J_j|^2 points.
+    fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
+        let (gradient, square) = self.gradient(x);
+        (0..self.unknowns)
+            .map(|j| {
+                let wanted = x[j] - gradient[j] / square[j];
+                if low[j] == high[j] || wanted < low[j] {
+                    Side::Low
+                } else if wanted > high[j] {
+                    Side::High
+                } else {
+                    Side::Free
+                }
+            })
+            .collect()
+    }
+
+    /// Primal-dual active sets: solve with the unknowns on their sides, choose the sides anew,
+    /// until they stay. `None` when they do not, or the rows are dependent.
+    fn active_set(
+        &self,
+        low: &[f64],
+        high: &[f64],
+        mut side: Vec<Side>,
+    ) -> Option<(Vec<f64>, usize)> {
+        for j in 0..self.unknowns {
+            if low[j] == high[j] {
+                side[j] = Side::Low;
+            }
+        }
+        for round in 1..=MAX_ROUNDS {
+            let fixed = |j: usize| match side[j] {
+                Side::Low => Some(low[j]),
+                Side::High => Some(high[j]),
+                Side::Free => None,
+            };
+            let x = self.solve_with_fixed(fixed)?;
+            let next = self.sides(low, high, &x);
+            if next == side {
+                return Some((x, round));
+            }
+            side = next;
+        }
+        None
+    }
+
+    /// From the feasible x down to the minimum: to the solution of the free unknowns, or to the
+    /// first bound on the way, which holds from then on; there, the bound that keeps most from the
+    /// minimum is given up. The sum of squares never grows.
+    fn descend(&self, low: &[f64], high: &[f64], x: Vec<f64>) -> Option<(Vec<f64>, usize)> {
+        let mut x = x;
+        let mut side = self.sides(low, high, &x);
+        let bound = |j: usize, side: Side| match side {
             Side::Low => Some(low[j]),
             Side::High => Some(high[j]),
             Side::Free => None,
         };
-        let x = matrix.solve_with_fixed(b, fixed)?;
-        let next = sides_of(matrix, b, low, high, &x);
-        if next == side {
-            return Some((x, round));
+        for (j, x) in x.iter_mut().enumerate() {
+            *x = bound(j, side[j]).unwrap_or(*x);
         }
-        side = next;
-    }
-    None
-}
-
-/// The same problem by clarabel, to its tolerance of 1e-8.
-fn interior_point(matrix: &Banded, b: &[f64], low: &[f64], high: &[f64]) -> Option<Vec<f64>> {
-    let n = b.len();
-    let (mut r, mut c, mut v) = (Vec::new(), Vec::new(), Vec::new());
-    for i in 0..n {
-        for j in i.saturating_sub(BAND)..=i {
-            // Upper triangle.
-            r.push(j);
-            c.push(i);
-            v.push(matrix.at(i, j));
-        }
-    }
-    let p = CscMatrix::new_from_triplets(n, n, r, c, v);
-    let q: Vec<f64> = b.iter().map(|b| -b).collect();
-    let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for j in 0..n {
-        for (limit, sign) in [(high[j], 1.0), (low[j], -1.0)] {
-            if limit.is_finite() {
-                r.push(bound.len());
-                c.push(j);
-                v.push(sign);
-                bound.push(sign * limit);
+        let scale = self.right_norm();
+        for change in 1..=MAX_CHANGES {
+            let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
+            let (mut step, mut first) = (1.0, None);
+            for j in 0..x.len() {
+                let (at, hit) = match wanted[j] {
+                    w if w < low[j] => (low[j], Side::Low),
+                    w if w > high[j] => (high[j], Side::High),
+                    _ => continue,
+                };
+                let part = (at - x[j]) / (wanted[j] - x[j]);
+                if part < step {
+                    (step, first) = (part, Some((j, hit)));
+                }
             }
+            if let Some((hit, at)) = first {
+                side[hit] = at;
+                for (j, x) in x.iter_mut().enumerate() {
+                    let moved = *x + step * (wanted[j] - *x);
+                    *x = bound(j, side[j]).unwrap_or_else(|| moved.clamp(low[j], high[j]));
+                }
+                continue;
+            }
+            x = (0..x.len()).map(|j| wanted[j].clamp(low[j], high[j])).collect();
+            let (gradient, square) = self.gradient(&x);
+            let pull = |j: usize| match side[j] {
+                _ if low[j] == high[j] => 0.0,
+                Side::Low => -gradient[j] / square[j].sqrt(),
+                Side::High => gradient[j] / square[j].sqrt(),
+                Side::Free => 0.0,
+            };
+            let most = (0..x.len()).max_by(|a, b| pull(*a).total_cmp(&pull(*b)))?;
+            if pull(most) <= ROUNDING * scale {
+                return Some((x, change));
+            }
+            side[most] = Side::Free;
         }
-    }
-    let rows = bound.len();
-    let a = CscMatrix::new_from_triplets(rows, n, r, c, v);
-    let settings = DefaultSettingsBuilder::default().verbose(false).build().expect("valid");
-    let cones = [NonnegativeConeT(rows)];
-    let mut solver = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings).ok()?;
-    solver.solve();
-    let solved =
-        matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
-    let clamped = |j: usize| solver.solution.x[j].clamp(low[j], high[j]);
-    solved.then(|| (0..n).map(clamped).collect())
-}
-
-/// A symmetric matrix of half bandwidth [`BAND`]: the lower triangle by rows.
-#[derive(Clone, Debug)]
-struct Banded(Vec<[f64; BAND + 1]>);
-
-impl Banded {
-    fn zeros(n: usize) -> Self {
-        Self(vec![[0.0; BAND + 1]; n])
+        Some((x, MAX_CHANGES))
     }
 
-    /// Adds to the element (r, c), r >= c.
-    fn add(&mut self, r: usize, c: usize, value: f64) {
-        self.0[r][r - c] += value;
+    /// |r|.
+    fn right_norm(&self) -> f64 {
+        self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
     }
 
-    fn at(&self, r: usize, c: usize) -> f64 {
-        let (r, c) = (r.max(c), r.min(c));
-        if r - c > BAND { 0.0 } else { self.0[r][r - c] }
-    }
-
-    fn times(&self, x: &[f64]) -> Vec<f64> {
-        let n = x.len();
-        let row = |i: usize| {
-            let columns = i.saturating_sub(BAND)..(i + BAND + 1).min(n);
-            columns.map(|j| self.at(i, j) * x[j]).sum()
-        };
-        (0..n).map(row).collect()
-    }
-
-    /// Solves for the unknowns that `fixed` leaves free, by a banded Cholesky factorisation.
-    fn solve_with_fixed(
-        &self,
-        b: &[f64],
-        fixed: impl Fn(usize) -> Option<f64>,
-    ) -> Option<Vec<f64>> {
-        let n = b.len();
+    /// Solves for the unknowns that `fixed` leaves free: Givens rotations of row after row into a
+    /// banded upper triangle, and back substitution.
+    fn solve_with_fixed(&self, fixed: impl Fn(usize) -> Option<f64>) -> Option<Vec<f64>> {
+        let n = self.unknowns;
         let value: Vec<Option<f64>> = (0..n).map(fixed).collect();
-        let known: Vec<f64> = value.iter().map(|v| v.unwrap_or(0.0)).collect();
-        let moved = self.times(&known);
-        let mut x: Vec<f64> = (0..n).map(|j| value[j].unwrap_or_else(|| b[j] - moved[j])).collect();
-        let mut l = self.clone();
-        for i in 0..n {
-            for d in 0..=BAND.min(i) {
-                if value[i].is_some() || value[i - d].is_some() {
-                    l.0[i][d] = if d == 0 { 1.0 } else { 0.0 };
+        // Row k: the columns k, k+1, ...; then the right-hand side.
+        let mut triangle = vec![[0.0_f64; BAND + 1]; n];
+        let mut right = vec![0.0; n];
+        for row in &self.rows {
+            let (mut c, mut b) = (row.value, row.right);
+            for (k, c) in c.iter_mut().enumerate() {
+                if let Some(value) = value[row.first + k] {
+                    b -= *c * value;
+                    *c = 0.0;
+                }
+            }
+            for k in 0..c.len() {
+                if c[k] == 0.0 {
+                    continue;
+                }
+                let own = &mut triangle[row.first + k];
+                let size = own[0].hypot(c[k]);
+                let (cosine, sine) = (own[0] / size, c[k] / size);
+                for l in k..c.len() {
+                    let (upper, lower) = (own[l - k], c[l]);
+                    own[l - k] = cosine * upper + sine * lower;
+                    c[l] = cosine * lower - sine * upper;
+                }
+                let (upper, lower) = (right[row.first + k], b);
+                right[row.first + k] = cosine * upper + sine * lower;
+                b = cosine * lower - sine * upper;
+            }
+        }
+        let mut x = vec![0.0; n];
+        for k in (0..n).rev() {
+            x[k] = match value[k] {
+                Some(value) => value,
+                None => {
+                    let later = (1..=BAND.min(n - 1 - k)).map(|d| triangle[k][d] * x[k + d]);
+                    (right[k] - later.sum::<f64>()) / triangle[k][0]
+                }
+            };
+        }
+        x.iter().all(|x| x.is_finite()).then_some(x)
+    }
+
+    /// The same problem by clarabel, to its tolerance of 1e-8: min |z|^2/2 with J x - z = r.
+    fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
+        let (n, m) = (self.unknowns, self.rows.len());
+        let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (i, row) in self.rows.iter().enumerate() {
+            for (k, value) in row.value.iter().enumerate().filter(|(_, value)| **value != 0.0) {
+                r.push(i);
+                c.push(row.first + k);
+                v.push(*value);
+            }
+            r.push(i);
+            c.push(n + i);
+            v.push(-1.0);
+            bound.push(row.right);
+        }
+        for j in 0..n {
+            for (limit, sign) in [(high[j], 1.0), (low[j], -1.0)] {
+                if limit.is_finite() {
+                    r.push(bound.len());
+                    c.push(j);
+                    v.push(sign);
+                    bound.push(sign * limit);
                 }
             }
         }
-        // H = L L'
-        for i in 0..n {
-            let first = i.saturating_sub(BAND);
-            for j in first..=i {
-                let common = first.max(j.saturating_sub(BAND))..j;
-                let sum: f64 = common.map(|k| l.0[i][i - k] * l.0[j][j - k]).sum();
-                let rest = l.0[i][i - j] - sum;
-                if i == j {
-                    if rest.is_nan() || rest <= 0.0 {
-                        return None;
-                    }
-                    l.0[i][0] = rest.sqrt();
-                } else {
-                    l.0[i][i - j] = rest / l.0[j][0];
-                }
-            }
-        }
-        for i in 0..n {
-            let sum: f64 = (i.saturating_sub(BAND)..i).map(|k| l.0[i][i - k] * x[k]).sum();
-            x[i] = (x[i] - sum) / l.0[i][0];
-        }
-        for i in (0..n).rev() {
-            let later = i + 1..(i + BAND + 1).min(n);
-            let sum: f64 = later.map(|k| l.0[k][k - i] * x[k]).sum();
-            x[i] = (x[i] - sum) / l.0[i][0];
-        }
-        Some(x)
+        let a = CscMatrix::new_from_triplets(bound.len(), n + m, r, c, v);
+        let residuals: Vec<usize> = (n..n + m).collect();
+        let p =
+            CscMatrix::new_from_triplets(n + m, n + m, residuals.clone(), residuals, vec![1.0; m]);
+        let settings = DefaultSettingsBuilder::default().verbose(false).build().expect("valid");
+        let cones = [ZeroConeT(m), NonnegativeConeT(bound.len() - m)];
+        let q = vec![0.0; n + m];
+        let Ok(mut solver) = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings) else {
+            return vec![0.0; n];
+        };
+        solver.solve();
+        // Any point within the bounds is a start for `descend`, the last one of a run that made too
+        // little progress too.
+        let clamped = |j: usize| {
+            let x = solver.solution.x[j];
+            if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }
+        };
+        (0..n).map(clamped).collect()
     }
 }
 
@@ -614,24 +708,63 @@ mod tests {
         let dp = [1.0, 0.0, 0.0, 2.0, -1.0, -1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 3.0];
         let h = [0.2, 0.3, 0.2, 0.1, 0.4, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.5];
         let problem = axis(&dp, &h, 12.0, 80.0);
-        let (matrix, b) = problem.normal_equations();
+        let least_squares = problem.least_squares();
         let (low, high) = problem.bounds();
-        let free = vec![Side::Free; b.len()];
-        let (x, rounds) = active_set(&matrix, &b, &low, &high, free).unwrap();
+        let free = vec![Side::Free; low.len()];
+        let (x, rounds) = least_squares.active_set(&low, &high, free).unwrap();
         assert!(rounds > 1, "no bound is active");
-        let y = interior_point(&matrix, &b, &low, &high).unwrap();
-        let gradient = matrix.times(&x);
+        assert!(least_squares.optimality(&low, &high, &x) < 1e-13);
+        // A velocity changed by 1e-3 mm/s moves the rows by sqrt 2/2 of that or more.
+        let mut moved = x.clone();
+        let free = (1..12).find(|i| x[3 * i] > low[3 * i] && x[3 * i] < high[3 * i]).unwrap();
+        moved[3 * free] += 1e-3;
+        assert!(least_squares.optimality(&low, &high, &moved) > 1e-4);
+        let y = least_squares.interior_point(&low, &high);
+        let (gradient, square) = least_squares.gradient(&x);
         for j in 0..x.len() {
             // 1e-8 of the objective is some 1e-4 of an unknown.
             assert!((x[j] - y[j]).abs() < 1e-2 * (1.0 + x[j].abs()), "{j}: {} {}", x[j], y[j]);
             // Optimality: the gradient vanishes or points out of the bounds.
-            let g = gradient[j] - b[j];
-            let scale = 1e-9 * matrix.at(j, j) * (1.0 + x[j].abs());
+            let g = gradient[j];
+            let scale = 1e-9 * square[j] * (1.0 + x[j].abs());
             let optimal = g.abs() < scale
                 || (x[j] == low[j] && (g > 0.0 || low[j] == high[j]))
                 || (x[j] == high[j] && g < 0.0);
             assert!(optimal, "{j}: x {} in [{}, {}], gradient {g}", x[j], low[j], high[j]);
         }
+    }
+
+    /// A motion with continuous acceleration, from rest to rest, is its own least squares, whatever
+    /// its times: runs of segments of 1e-4 s among those of seconds, whose rows the squares of the
+    /// normal equations do not hold.
+    #[test]
+    fn a_smooth_motion_is_found_again_at_unequal_times() {
+        let h = [2.0, 1e-4, 1e-4, 2e-4, 1e-4, 3e-4, 0.5, 1.0, 1e-3, 1e-4, 1e-4, 2e-4, 1.5, 3.0];
+        // Accelerations of the nodes; the last but one brings the velocity to 0.
+        let mut a =
+            vec![0.0, 0.5, 0.6, 0.4, 0.7, 0.5, 0.3, 0.2, 0.1, 0.2, 0.0, -0.1, 0.1, 0.0, 0.0];
+        let n = h.len();
+        // v1 = v0 + h (A0 + A1)/2
+        let velocities = |a: &[f64]| -> Vec<f64> {
+            (0..n).fold(vec![0.0], |mut v, i| {
+                v.push(v[i] + 0.5 * h[i] * (a[i] + a[i + 1]));
+                v
+            })
+        };
+        a[n - 1] = -2.0 * velocities(&a)[n] / (h[n - 2] + h[n - 1]);
+        let v = velocities(&a);
+        // p(h) - p(0) = h v0 + h^2 (A0/3 + A1/6)
+        let dp: Vec<f64> =
+            (0..n).map(|i| h[i] * v[i] + h[i] * h[i] * (a[i] / 3.0 + a[i + 1] / 6.0)).collect();
+        let problem = axis(&dp, &h, 1e3, 1e3);
+        let nodes = problem.solve().unwrap();
+        assert_eq!((nodes.velocities_at_a_bound, nodes.factorisations), (0, 1));
+        for (k, v) in v.iter().enumerate() {
+            // The velocities are known to rounding times sqrt 2 / h, the weight of the positions.
+            assert!((nodes.velocity(k) - v).abs() < 1e-11, "{k}: {} {v}", nodes.velocity(k));
+        }
+        let missed = (0..n).flat_map(|i| problem.position_errors(&nodes, i));
+        assert!(missed.fold(0.0, |m: f64, e| m.max(e.abs())) < 1e-13);
     }
 
     #[test]

@@ -34,6 +34,9 @@
 //!    on the extended line at constant acceleration; lifts are links within all limits.
 //! 5. *Fit.* (2) is inverted and fitted by cubic Hermite polynomials in time, with exact velocities
 //!    at their ends, cut until they are within the tolerance of the position and within the limits.
+//! 6. *Proof.* Every piece is within the limits by (3) and every cubic of it by its own extrema, or
+//!    the smaller density of the piece is raised to the geometric mean of the two, its neighbours as
+//!    far as they need it, and after a few rounds all densities by an offset; the report says so.
 //!
 //! Zero-length segments have no density: their time goes to the neighbours in the pass.
 //!
@@ -123,6 +126,10 @@ pub struct Report {
     pub moved_dwell: Vec<usize>,
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
+    /// Pieces whose motion could not be proven at first, and were evened out; see step 6.
+    pub evened_pieces: usize,
+    /// Offset of all densities that the proof asked for in the end, s/mm.
+    pub proof_offset_s_per_mm: f64,
     /// Largest feedrate over its limit along the path, exact.
     pub feed_use: f64,
     /// Largest acceleration along the path over its limit, exact, by (3).
@@ -155,6 +162,13 @@ const LARGEST_BLEND: f64 = 0.25;
 /// Bisections of a density: 2^-60 of the interval is its rounding.
 const BISECTIONS: usize = 60;
 
+/// Rounds of the proof that even out single pieces: densities that differ by a factor of 1e15
+/// differ by 1.15 after them.
+const EVENING_ROUNDS: usize = 8;
+
+/// Most rounds of the proof: the others add an offset, which halves all relative differences.
+const PROOF_ROUNDS: usize = 16;
+
 /// Schedules `path` with the times `dwell` within `limits`.
 pub fn schedule(
     path: &ToolPath,
@@ -182,27 +196,39 @@ pub fn schedule(
         moving.map(|p| p.duration_s() - dwell.dwell_s()[p.run.clone()].iter().sum::<f64>()).sum();
     repair(&mut passes, settings.repair, &mut report);
     slow_at_corners(&mut passes, &mut report);
+    let mut round = 0;
+    let mut motion = loop {
+        let mut motion = Motion {
+            path,
+            dwell,
+            limits,
+            tolerance_mm: settings.fit_tolerance_mm,
+            report: report.clone(),
+            unproven: Vec::new(),
+            duration_s: Vec::new(),
+            coefficient_mm: Vec::new(),
+            tool_on: Vec::new(),
+            dwell_index: Vec::new(),
+            now: End { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] },
+        };
+        motion.walk(&passes);
+        let Some(&(pass, node)) = motion.unproven.first() else { break motion };
+        if round == PROOF_ROUNDS {
+            let straight = &passes[pass].straights[passes[pass].straight_of[node]];
+            let problem = "gives a motion that rounding keeps from being proven within the limits";
+            let remedy = "raise the dwell times that are orders of magnitude below the others";
+            return Err(Invalid::at("dwell_s", straight.index, problem, remedy).into());
+        }
+        ease(&mut passes, &motion.unproven, round, &mut report);
+        round += 1;
+    };
     for piece in passes.iter().flat_map(Pass::pieces) {
         let acceleration = piece.shape.peak_acceleration() / piece.max_acceleration;
-        report.acceleration_use = report.acceleration_use.max(acceleration);
+        motion.report.acceleration_use = motion.report.acceleration_use.max(acceleration);
     }
     for node in passes.iter().flat_map(|p| &p.nodes) {
-        report.feed_use = report.feed_use.max(node.fastest / node.density);
+        motion.report.feed_use = motion.report.feed_use.max(node.fastest / node.density);
     }
-
-    let mut motion = Motion {
-        path,
-        dwell,
-        limits,
-        tolerance_mm: settings.fit_tolerance_mm,
-        report,
-        duration_s: Vec::new(),
-        coefficient_mm: Vec::new(),
-        tool_on: Vec::new(),
-        dwell_index: Vec::new(),
-        now: End { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] },
-    };
-    motion.walk(&passes);
     if motion.duration_s.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
@@ -250,13 +276,23 @@ impl Piece {
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
         // Half-angle form: no density below the smaller of the two by rounding.
         let [d1, d2] = self.density_s_per_mm;
-        let (sine, cosine) = (0.5 * PI * x).sin_cos();
+        let (sine, cosine) = ((0.5 * PI * x).sin(), (0.5 * PI * (1.0 - x)).sin());
         d1 * cosine * cosine + d2 * sine * sine
     }
 
-    /// (2): the time at the part `x` of the length, s.
-    pub fn elapsed_s(&self, x: f64) -> f64 {
-        self.duration_s() * (x - self.eccentricity() / PI * (PI * x).sin())
+    /// (2): the time between the parts `from` and `to` of the length, s, to rounding of itself: where the
+    /// densities of the ends differ by orders of magnitude, a difference of two times of (2) leaves
+    /// no digit of a short one.
+    pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
+        // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
+        //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
+        //   of cos^2(pi x/2):  the same with 1 - m
+        let [d1, d2] = self.density_s_per_mm;
+        let theta = 0.5 * PI * (to - from);
+        let excess = angle_less_sine(theta);
+        let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * theta.sin()) / PI;
+        let (m, rest) = (0.5 * (from + to), 0.5 * ((1.0 - from) + (1.0 - to)));
+        self.length_mm * (d1 * part(rest) + d2 * part(m))
     }
 
     /// (2) inverted: the part of the length at the part `m` of the time, by Newton's method kept in
@@ -285,18 +321,37 @@ impl Piece {
     /// (3), mm/s^2.
     pub fn peak_acceleration(&self) -> f64 {
         let r = self.eccentricity().abs();
-        // c = (1 - sqrt(1 + 24 r^2)) / (4 r), without its cancellation
-        let c = -6.0 * r / (1.0 + (1.0 + 24.0 * r * r).sqrt());
-        let m2 = self.sum();
-        4.0 * PI * r * (1.0 - c * c).sqrt()
-            / (self.length_mm * (m2 * (1.0 + r * c)).powi(2))
-            / (1.0 + r * c)
+        let [d1, d2] = self.density_s_per_mm;
+        // (3) where 1 - r, 1 + r c and 1 + c would cancel: q = 1 - r = 2 min(d)/M2, s^2 = 1 + 24 r^2,
+        //   1 + r c = 6 q (1 + r)/(5 + s),    1 - |c| = 2 q/(1 + s + 4 r)
+        let q = 2.0 * d1.min(d2) / self.sum();
+        let s = (1.0 + 24.0 * r * r).sqrt();
+        let below_one = 2.0 * q / (1.0 + s + 4.0 * r);
+        let slowest = self.sum() * (6.0 * q * (1.0 + r) / (5.0 + s));
+        // 1 - c^2 = (1 - |c|) (1 + |c|); M2^3 (1 + r c)^3 by factors, which neither under- nor overflow
+        let sine = (below_one * (2.0 - below_one)).sqrt();
+        4.0 * PI * r * sine * (self.sum() / slowest) / (self.length_mm * slowest * slowest)
     }
 
     fn raised(&self, by: [f64; 2]) -> Self {
         let [d1, d2] = self.density_s_per_mm;
         Self { density_s_per_mm: [d1 + by[0], d2 + by[1]], ..*self }
     }
+}
+
+/// x - sin x for 0 <= x <= pi/2 to rounding of itself.
+fn angle_less_sine(x: f64) -> f64 {
+    if x > 0.5 {
+        return x - x.sin();
+    }
+    // x^3/3! - x^5/5! + ...; 0.5^18/19! is below rounding.
+    let x2 = x * x;
+    let (mut term, mut sum) = (x * x2 / 6.0, 0.0);
+    for k in 1..=8 {
+        sum += term;
+        term *= -x2 / f64::from((2 * k + 2) * (2 * k + 3));
+    }
+    sum
 }
 
 /// A piece with what the machine allows along it.
@@ -725,6 +780,31 @@ fn sweep(pass: &mut Pass) -> usize {
     raised
 }
 
+/// Step 6: less of what could not be proven, the pieces (pass, first node).
+fn ease(passes: &mut [Pass], unproven: &[(usize, usize)], round: usize, report: &mut Report) {
+    let before: f64 = passes.iter().map(Pass::duration_s).sum();
+    if round < EVENING_ROUNDS {
+        report.evened_pieces += unproven.len();
+        for &(p, k) in unproven {
+            let [a, b] = [0, 1].map(|end| passes[p].nodes[k + end].density);
+            let smaller = if a < b { k } else { k + 1 };
+            let node = &mut passes[p].nodes[smaller];
+            node.density = node.density.max(a.sqrt() * b.sqrt());
+        }
+        // Nodes are raised only, so that every limit that they kept is kept; what that does to the
+        // pieces beside them is swept.
+        passes.iter_mut().for_each(|pass| {
+            sweep(pass);
+        });
+    } else {
+        let densities = passes.iter().flat_map(|p| &p.nodes).map(|n| n.density);
+        let offset = densities.fold(0.0, f64::max);
+        report.proof_offset_s_per_mm += offset;
+        passes.iter_mut().flat_map(|p| &mut p.nodes).for_each(|n| n.density += offset);
+    }
+    report.offset_added_s += passes.iter().map(Pass::duration_s).sum::<f64>() - before;
+}
+
 // ---------------------------------------------------------------------------------------------
 // Motion
 
@@ -735,6 +815,8 @@ struct Motion<'a> {
     limits: &'a Limits,
     tolerance_mm: f64,
     report: Report,
+    /// Pieces that are not proven: number of the pass, first node.
+    unproven: Vec<(usize, usize)>,
     duration_s: Vec<f64>,
     coefficient_mm: Vec<[[f64; 4]; 2]>,
     tool_on: Vec<bool>,
@@ -746,14 +828,14 @@ struct Motion<'a> {
 impl Motion<'_> {
     fn walk(&mut self, passes: &[Pass]) {
         let mut next = 0;
-        for pass in passes {
+        for (number, pass) in passes.iter().enumerate() {
             let start = pass.start();
             if next == pass.run.start {
                 self.run_up(start);
             } else {
                 self.lift(next..pass.run.start, start);
             }
-            self.pass(pass);
+            self.pass(number, pass);
             next = pass.run.end;
         }
         let rest = |p: [f64; 2]| End { position_mm: p, velocity_mm_per_s: [0.0; 2] };
@@ -831,7 +913,7 @@ impl Motion<'_> {
         self.report.link_s += duration_s;
     }
 
-    fn pass(&mut self, pass: &Pass) {
+    fn pass(&mut self, number: usize, pass: &Pass) {
         if pass.straights.is_empty() {
             // Nothing but standing.
             for i in pass.run.clone() {
@@ -849,7 +931,9 @@ impl Motion<'_> {
         let (first_straight, last_straight) = (&pass.straights[0], pass.straights.len() - 1);
         self.plateau(first_straight, 0.0, 0.5 * first_straight.length, pass.nodes[0].density);
         for k in 0..last {
-            self.piece(pass, k);
+            if !self.piece(pass, k) {
+                self.unproven.push((number, k));
+            }
             if pass.nodes[k + 1].half_length_mm > 0.0 {
                 self.blend(pass, k + 1);
             }
@@ -884,8 +968,8 @@ impl Motion<'_> {
         self.push(half_s, middle, true, next.index as i64);
     }
 
-    /// Step 5 for the piece from node k to the next one.
-    fn piece(&mut self, pass: &Pass, k: usize) {
+    /// Step 5 for the piece from node k to the next one; whether it is proven within the limits.
+    fn piece(&mut self, pass: &Pass, k: usize) -> bool {
         let (a, b) = (&pass.nodes[k], &pass.nodes[k + 1]);
         let own = &pass.straights[pass.straight_of[k]];
         // Where the piece starts and along what; a piece between two dwell points is cut where the
@@ -910,8 +994,10 @@ impl Motion<'_> {
             }
             _ => vec![(0.0, 1.0, straight.index)],
         };
+        let mut proven = !limited.is_too_fast([0.0; 2]);
         for (from, to, index) in parts {
             for cubic in fit.cubics(from, to) {
+                proven &= cubic.within_limits;
                 let error_mm = &mut self.report.fit_error_mm;
                 *error_mm = error_mm.max(cubic.error_mm);
                 let c = [0, 1].map(|x| {
@@ -922,6 +1008,7 @@ impl Motion<'_> {
                 self.push(cubic.duration_s, c, true, index as i64);
             }
         }
+        proven
     }
 }
 
@@ -947,6 +1034,8 @@ struct Cubic {
     /// Distance from the start of the piece.
     coefficient_mm: [f64; 4],
     error_mm: f64,
+    /// The largest velocity and acceleration of the cubic, at its own extrema.
+    within_limits: bool,
 }
 
 /// Most halvings of a piece: the error falls by 16 with each, the swing of the acceleration by 4.
@@ -964,7 +1053,8 @@ impl Fit {
     fn cubics(&self, from: f64, to: f64) -> Vec<Cubic> {
         let (mut done, mut open) = (Vec::new(), vec![(from, to, 0)]);
         while let Some((from, to, halvings)) = open.pop() {
-            let (cubic, good) = self.cubic(from, to);
+            let cubic = self.cubic(from, to);
+            let good = cubic.within_limits && cubic.error_mm <= FIT_SAFETY * self.tolerance_mm;
             if good || halvings == MAX_HALVINGS {
                 done.push(cubic);
             } else {
@@ -976,26 +1066,24 @@ impl Fit {
         done
     }
 
-    /// The Hermite cubic, and whether it is within the tolerance and the limits.
-    fn cubic(&self, from: f64, to: f64) -> (Cubic, bool) {
+    /// The Hermite cubic between the two parts of the length.
+    fn cubic(&self, from: f64, to: f64) -> Cubic {
         let piece = &self.shape;
         let [v0, v1] = [from, to].map(|x| 1.0 / piece.density_s_per_mm_at(x));
-        let start_s = piece.elapsed_s(from);
-        let h = piece.elapsed_s(to) - start_s;
+        let h = piece.elapsed_s(from, to);
         let dp = piece.length_mm * (to - from);
         let c = hermite(piece.length_mm * from, dp, v0, v1, h);
         let error_mm = (1..=FIT_POINTS)
             .map(|i| {
                 let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
-                let u = piece.elapsed_s(x) - start_s;
+                let u = piece.elapsed_s(from, x);
                 (c[0] + u * (c[1] + u * (c[2] + u * c[3])) - piece.length_mm * x).abs()
             })
             .fold(0.0, f64::max);
         let (start, end) = accelerations(dp, v0, v1, h);
-        let good = error_mm <= FIT_SAFETY * self.tolerance_mm
-            && start.abs().max(end.abs()) <= self.max_acceleration
+        let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
             && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
-        (Cubic { duration_s: h, coefficient_mm: c, error_mm }, good)
+        Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits }
     }
 }
 
@@ -1083,10 +1171,13 @@ mod tests {
                 let x = |k: f64| (f64::from(i) + k) / f64::from(n);
                 let d = |k: f64| p.density_s_per_mm_at(x(k));
                 t += 0.7 / f64::from(n) * (d(0.0) + 4.0 * d(0.5) + d(1.0)) / 6.0;
-                assert!((t - p.elapsed_s(x(1.0))).abs() < 1e-12 * p.duration_s(), "{d1} {d2} {i}");
+                assert!(
+                    (t - p.elapsed_s(0.0, x(1.0))).abs() < 1e-12 * p.duration_s(),
+                    "{d1} {d2} {i}"
+                );
                 // The residual of the equation; its inverse may be ill-conditioned.
                 let m = p.progress(x(1.0));
-                let found = p.elapsed_s(m) / p.duration_s();
+                let found = p.elapsed_s(0.0, m) / p.duration_s();
                 assert!((found - x(1.0)).abs() < 1e-15, "{d1} {d2}: {found} {}", x(1.0));
             }
         }
@@ -1105,6 +1196,70 @@ mod tests {
         let raise = p.raise(0);
         assert!(p.shape.raised([raise, 0.0]).peak_acceleration() <= 2000.0);
         assert!(p.shape.raised([raise - 1e-12, 0.0]).peak_acceleration() > 2000.0);
+    }
+
+    #[test]
+    fn short_times_and_small_densities_keep_their_digits() {
+        // Densities 1e9 apart: near the small one D = d1 + d2 sin^2(pi x/2), and over a part w of
+        // the length the time is L (d1 w + d2 pi^2 w^3/12) to w^2.
+        let (d1, d2) = (1e-3, 1e6);
+        let w = 2.0_f64.powi(-20);
+        let expected = 3.0 * (d1 * w + d2 * PI * PI * w.powi(3) / 12.0);
+        let there = piece(d1, d2, 3.0).elapsed_s(0.0, w);
+        // The next term, (pi w/2)^2/5 of the last one, is 1e-12 of the whole.
+        assert!((there / expected - 1.0).abs() < 1e-11, "{there} {expected}");
+        assert_eq!(piece(d2, d1, 3.0).elapsed_s(1.0 - w, 1.0), there);
+        // The parts of a part, from both ends of the cancellation in `angle_less_sine`.
+        for (from, to) in [(0.0, 0.25), (0.1, 0.9), (0.3, 0.31), (0.25, 1.0)] {
+            let p = piece(d1, d2, 3.0);
+            let parts = p.elapsed_s(from, 0.5 * (from + to)) + p.elapsed_s(0.5 * (from + to), to);
+            assert!((p.elapsed_s(from, to) / parts - 1.0).abs() < 1e-14, "{from} {to}");
+        }
+        // (3) for d1/d2 -> 0 at x = pi X/2 sqrt(d2/d1): D = d1 (1 + x^2), a ~ x/(1 + x^2)^3 is
+        // largest at x^2 = 1/5: a = pi sqrt(d2/d1) sqrt(1/5) (5/6)^3 / (L d1^2).
+        let a = PI * (d2 / d1).sqrt() * 0.2_f64.sqrt() * (5.0_f64 / 6.0).powi(3) / (3.0 * d1 * d1);
+        let peak = piece(d1, d2, 3.0).peak_acceleration();
+        // To the order d1/d2.
+        assert!((peak / a - 1.0).abs() < 1e-8, "{peak} {a}");
+    }
+
+    #[test]
+    fn what_cannot_be_proven_is_evened_out_and_nothing_is_lowered() {
+        let points: Vec<[f64; 2]> =
+            (0..=30).map(|i| [f64::from(i / 3), 0.5 * f64::from(i % 2)]).collect();
+        let path = ToolPath::through(points, vec![true; 30], vec![0; 30]).unwrap();
+        let t = (0..30).map(|i| [1e-3, 2.0, 0.1][i % 3]).collect();
+        let limits = machine([50.0; 2], [300.0, 200.0]);
+        let mut report = Report::default();
+        let settings = Settings::default();
+        let dwell = DwellTime::new(t).unwrap();
+        let mut passes = vec![Pass::new(&path, &dwell, &limits, &settings, 0..30, &mut report)];
+        repair(&mut passes, Repair::Local, &mut report);
+        slow_at_corners(&mut passes, &mut report);
+        let time_s = passes[0].duration_s();
+        let added_s = report.offset_added_s;
+        let unproven = [(0, 4), (0, 17), (0, 40)];
+        let ratio = |pass: &Pass, k: usize| {
+            let [a, b] = [k, k + 1].map(|k| pass.nodes[k].density);
+            (a / b).ln().abs()
+        };
+        assert!(unproven.iter().any(|(_, k)| ratio(&passes[0], *k) > 0.1));
+        for round in 0..PROOF_ROUNDS {
+            let before = passes[0].clone();
+            ease(&mut passes, &unproven, round, &mut report);
+            for (a, b) in before.nodes.iter().zip(&passes[0].nodes) {
+                assert!(b.density >= a.density && b.density >= b.least);
+            }
+            assert!(passes[0].pieces().all(|p| !p.is_too_fast([0.0; 2])), "round {round}");
+            if round >= EVENING_ROUNDS {
+                // Twice the largest, and no less for the others.
+                let n = before.nodes.len();
+                assert!((1..n).all(|k| ratio(&passes[0], k - 1) <= 0.7 * ratio(&before, k - 1)));
+            }
+        }
+        assert_eq!(report.evened_pieces, EVENING_ROUNDS * unproven.len());
+        let added_s = report.offset_added_s - added_s;
+        assert!((passes[0].duration_s() - time_s - added_s).abs() < 1e-9 * added_s);
     }
 
     fn straight(n: usize, step: f64) -> ToolPath {
