@@ -30,9 +30,8 @@ use crate::dwell_map::lattice;
 const LARGE: usize = 1_000_000;
 
 /// Squares on which the TIF rises from nothing to its peak, at its steepest slope. A Gaussian rises
-/// on 0.70 of its full width at half maximum: this is ten squares in that width. Its spectrum ends
-/// long before; near the edge of the map, where the times grow, a linear map would follow them less
-/// well with fewer (docs/dwell.md has the residuals).
+/// on 0.70 of its full width at half maximum: this is ten squares in that width. By the residuals
+/// found with others (docs/dwell.md).
 const SQUARES: f64 = 7.0;
 
 /// Largest K.
