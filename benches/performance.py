@@ -160,10 +160,10 @@ def main():
     solver = ["bounded-least-squares", "--min-dwell-s", "0.1"]
     whole.line("flat-92x16", flat, pitch, solver, runs=5)
     fine = ["--pitch-mm", "0.5", "--step-mm", "0.4"]
-    solver = ["lucy-richardson", "--unknowns", "map"]
+    solver = ["lucy-richardson", "--unknowns", "map", "--max-iterations", "20", "--min-dwell-s", "0.02"]
     disks = [
-        whole.line(f"disk-{side}", disk(side, width), fine, solver, runs=5 if side < 8192 else 3)
-        for side, width in DISKS
+        whole.line(f"disk-{side}", disk(side, width), fine, solver, runs)
+        for (side, width), runs in zip(DISKS, (5, 3, 1))
     ]
     pipeline = ["just", "run", "raster", "refine=no", f"out={out / 'raster'}"]
     samples = []
