@@ -134,6 +134,10 @@ const MARGIN: f64 = 1e-6;
 /// so 100 rounds cover 17 orders of magnitude.
 const MAX_ROUNDS: usize = 100;
 
+/// Rounds after which everything is slowed together: what a stretched segment asks of its
+/// neighbours can go round, a slower motion as a whole cannot.
+const TOGETHER: usize = 60;
+
 /// Schedules `path` with the times `dwell` within `limits`.
 pub fn schedule(
     path: &ToolPath,
@@ -196,7 +200,7 @@ pub fn schedule(
                     a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(b));
                     a
                 });
-                let excess = excess.unwrap_or_default();
+                let mut excess = excess.unwrap_or_default();
                 let (k, worst) = (excess.iter().copied().enumerate())
                     .fold((0, 0.0), |m, (k, e)| if e > m.1 { (k, e) } else { m });
                 let segment = timing.kept[k];
@@ -210,6 +214,9 @@ pub fn schedule(
                 }
                 if rounds == MAX_ROUNDS {
                     return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
+                }
+                if rounds >= TOGETHER {
+                    excess.fill(worst);
                 }
                 timing.stretch(&excess);
             }
