@@ -115,6 +115,9 @@ pub enum Solver {
     Tridiagonal,
     /// Bounds are active: interior point method.
     QuadraticProgram,
+    /// The interior point method still did not converge after many rounds: at rest in every control
+    /// point, which is within the limits and monotone, but far from the least energy.
+    Rest,
 }
 
 /// The motion and what was done to get it.
@@ -216,7 +219,10 @@ pub fn schedule(
                     return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
                 }
                 if rounds >= TOGETHER {
-                    excess.fill(worst);
+                    if !(of_x.may_rest || of_y.may_rest) {
+                        excess.fill(worst);
+                    }
+                    [of_x.may_rest, of_y.may_rest] = [of_x.unsolved, of_y.unsolved];
                 }
                 timing.stretch(&excess);
             }
@@ -443,6 +449,10 @@ struct Rounds {
     limited: Vec<usize>,
     /// The last durations had clearly no motion within the limits.
     infeasible: bool,
+    /// Neither program was solved.
+    unsolved: bool,
+    /// [`Solver::Rest`] is allowed.
+    may_rest: bool,
 }
 
 /// Node velocities (N+1) and how they were found.
@@ -456,6 +466,7 @@ impl AxisProblem {
     /// Node velocities within the limits at the durations `h`, or how much each segment exceeds
     /// them: the factor by which its time should grow.
     fn solve(&self, h: &[f64], before: &mut Rounds) -> Result<Solved, Vec<f64>> {
+        before.unsolved = false;
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
         if allowed && self.excess(&free, h).iter().all(|e| *e <= 1.0) {
@@ -482,7 +493,18 @@ impl AxisProblem {
                 }
                 excess
             }
-            None => self.excess(&free, h),
+            None => {
+                before.unsolved = true;
+                if before.may_rest {
+                    let velocity = vec![0.0; h.len() + 1];
+                    let excess = self.excess(&velocity, h);
+                    if excess.iter().all(|e| *e <= 1.0) {
+                        return Ok(Solved { velocity, solver: Solver::Rest });
+                    }
+                    return Err(excess);
+                }
+                self.excess(&free, h)
+            }
         };
         before.infeasible = excess.iter().any(|e| *e > CLEARLY);
         if excess.iter().all(|e| *e <= within) {
