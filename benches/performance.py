@@ -24,7 +24,7 @@ import peers
 
 MACHINE = "fixtures/machines/ion-beam.json"
 # Disks of one pixel spacing: (pixels per side, width, mm). The work grows with the area.
-DISKS = [(1641, 100.0), (4096, 249.6), (8192, 499.2)]
+DISKS = [(821, 50.0), (1641, 100.0), (4096, 249.6)]
 
 
 def run(command):
@@ -163,7 +163,7 @@ def main():
     solver = ["lucy-richardson", "--unknowns", "map", "--max-iterations", "20", "--min-dwell-s", "0.02"]
     disks = [
         whole.line(f"disk-{side}", disk(side, width), fine, solver, runs)
-        for (side, width), runs in zip(DISKS, (5, 3, 1))
+        for (side, width), runs in zip(DISKS, (5, 5, 3))
     ]
     pipeline = ["just", "run", "raster", "refine=no", f"out={out / 'raster'}"]
     samples = []

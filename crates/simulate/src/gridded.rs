@@ -31,7 +31,7 @@
 //!
 //! # Tiles
 //!
-//! The map is divided in tiles ([`tile`](crate::tile)), each with the field of seconds from which
+//! The map is divided in tiles (`tile`), each with the field of seconds from which
 //! the tool reaches it: what a thread works on stays in its cache, nothing as large as the map is
 //! kept but the removal, and a tile that no motion reaches costs nothing. A tile has two strips of
 //! the map side by side, which share one complex transform. The tiles depend on the TIF and the map

@@ -55,7 +55,7 @@ pub struct Piece {
     pub cell: [i64; 2],
     /// Offset in the cell [x, y] at the middle of the piece; 0 on a line.
     pub offset: [f64; 2],
-    /// M of the module, [b][a] (y, x), s.
+    /// M of the module, `[b][a]` (y, x), s.
     pub seconds: [[f64; 4]; 4],
     /// Quadrature points.
     pub points: usize,
