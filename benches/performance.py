@@ -46,8 +46,12 @@ class Whole:
         self.stages, self.out, self.rows = stages, out, []
 
     def measure(self, work, size, stage, *flags, runs=5):
-        command = [self.stages / f"planish-{stage}", *flags, "--force"]
-        samples = [run(command) for _ in range(runs)]
+        command = [self.stages / f"planish-{stage}", *flags]
+        samples = []
+        for _ in range(runs):
+            # A stage whose output is there already does nothing.
+            shutil.rmtree(flags[-1], ignore_errors=True)
+            samples.append(run(command))
         seconds = [s for s, _ in samples]
         row = {
             "work": work,
@@ -62,7 +66,7 @@ class Whole:
         return row
 
     def line(self, name, recipe, path_flags, dwell, runs):
-        """One mirror through every stage; `dwell` is the solver with its flags."""
+        """One mirror through every stage; `dwell` is the solver with its flags. `--out` is the last flag."""
         at = self.out / name
         at.mkdir(parents=True, exist_ok=True)
         (at / "recipe.json").write_text(json.dumps(recipe))
@@ -79,7 +83,7 @@ class Whole:
             moved = self.measure(f"schedule, PVT {mode}", f"{points} segments", "schedule", "pvt", "--mode", mode, *path, *planned, *out("trajectory"), runs=runs)
         motion = ["--trajectory", at / "trajectory"]
         removed = self.measure("simulate", both, "simulate", *motion, *mirror, *out("removal"), runs=runs)
-        self.measure("verify", f"{points} segments", "verify", *motion, "--machine", MACHINE, *out("verdict"), runs=runs)
+        self.measure("verify", f"{points} segments", "verify", "--machine", MACHINE, *motion, *out("verdict"), runs=runs)
         return {"pixels": nx * ny, "points": points, "dwell": solved, "schedule": moved, "simulate": removed}
 
 
@@ -144,27 +148,26 @@ def versions():
 
 def main():
     stages, out, page = map(Path, sys.argv[1:])
-    load = os.getloadavg()[0]
+
+    def put(name, content):
+        page.write_text(replace(page.read_text(), name, content))
+
+    put("machine", f"{versions()}; load when it began: {os.getloadavg()[0]:.1f}.")
     bench = subprocess.run(
         ["cargo", "bench", "--locked", "-p", "planish-testkit", "--bench", "stages"],
         check=True,
         stdout=subprocess.PIPE,
         text=True,
     ).stdout
-    kernels = divan(bench)
-    beside = peers.measure()
+    head = ["work", "runs", "least, ms", "median, ms"]
+    in_ms = lambda rows: [(n, r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in rows]
+    put("kernels", table(head, in_ms([(f"`{n}`", *rest) for n, *rest in divan(bench)])))
 
     whole = Whole(stages, out)
     flat = json.loads(Path("fixtures/flat-92x16.json").read_text())
     pitch = ["--pitch-mm", "1", "--step-mm", "1"]
     solver = ["bounded-least-squares", "--min-dwell-s", "0.1"]
     whole.line("flat-92x16", flat, pitch, solver, runs=5)
-    fine = ["--pitch-mm", "0.5", "--step-mm", "0.4"]
-    solver = ["lucy-richardson", "--unknowns", "map", "--max-iterations", "20", "--min-dwell-s", "0.02"]
-    disks = [
-        whole.line(f"disk-{side}", disk(side, width), fine, solver, runs)
-        for (side, width), runs in zip(DISKS, (5, 5, 3))
-    ]
     pipeline = ["just", "run", "raster", "refine=no", f"out={out / 'raster'}"]
     samples = []
     for _ in range(5):
@@ -178,18 +181,13 @@ def main():
         "least_s": min(samples),
         "memory_mib": None,
     })
-
-    text = page.read_text()
-    text = replace(text, "machine", f"{versions()}; load when it began: {load:.1f}.")
-    text = replace(text, "kernels", table(
-        ["work", "runs", "least, ms", "median, ms"],
-        [(f"`{n}`", r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in kernels],
-    ))
-    text = replace(text, "peers", table(
-        ["work", "runs", "least, ms", "median, ms"],
-        [(n, r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in beside],
-    ))
-    text = replace(text, "whole", table(
+    fine = ["--pitch-mm", "0.5", "--step-mm", "0.4"]
+    solver = ["lucy-richardson", "--unknowns", "map", "--max-iterations", "20", "--min-dwell-s", "0.02"]
+    disks = [
+        whole.line(f"disk-{side}", disk(side, width), fine, solver, runs)
+        for (side, width), runs in zip(DISKS, (5, 5, 2))
+    ]
+    put("whole", table(
         ["work", "size", "runs", "least, s", "median, s", "memory, MiB"],
         [
             (r["work"], r["size"], r["runs"], figures(r["least_s"]), figures(r["median_s"]),
@@ -197,8 +195,8 @@ def main():
             for r in whole.rows
         ],
     ))
-    text = replace(text, "growth", growth(disks))
-    page.write_text(text)
+    put("growth", growth(disks))
+    put("peers", table(head, in_ms(peers.measure())))
 
 
 def growth(disks):
