@@ -11,7 +11,7 @@
 //! edge of a margin) alias into the shape of the part. What a path cannot follow between its lines is
 //! lost: the pitch must be fine against the TIF.
 
-use ndarray::{Array2, ArrayView2, Zip};
+use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
 use planish_numerics::fft::{Complex64, Convolution};
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
@@ -71,13 +71,16 @@ pub(crate) fn lattice(tif: &Tif, grid: &Grid) -> Result<(Array2<f64>, Grid), Inv
 
 /// Which dwell point a node belongs to.
 pub(crate) struct Cells {
-    /// Nearest dwell point.
+    grid: Grid,
+    points: Buckets,
+    /// Nearest dwell point that is near enough.
     nearest: Array2<u32>,
-    /// Whether it is near enough.
-    owned: Array2<bool>,
 }
 
 const NOBODY: u32 = u32::MAX;
+
+/// Rows of nodes that one thread takes at a time.
+const BAND: usize = 64;
 
 impl Cells {
     /// Nodes belong to the nearest dwell point with the tool on, unless it is further away than twice
@@ -88,47 +91,80 @@ impl Cells {
             .filter(|j| path.tool_on()[*j])
             .map(|j| (j as u32, path.dwell_point_mm()[j]))
             .collect();
-        let buckets = Buckets::new(&points);
-        let mut nearest = Array2::from_elem(grid.shape(), (NOBODY, f64::INFINITY));
-        nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
-            let mut guess = 0;
-            for (c, n) in row.iter_mut().enumerate() {
-                (guess, *n) = buckets.nearest([grid.x.at(c), grid.y.at(r)], guess);
-            }
-        });
-        let mut inside: Vec<f64> = nearest
-            .outer_iter()
+        let points = Buckets::new(&points);
+        // In a lattice of square cells every node has its point within 0.71 sides.
+        let reach = points.side;
+        let mut nearest = points.within(reach, grid);
+        let distance = |j: u32, p: [f64; 2]| {
+            let q = path.dwell_point_mm()[j as usize];
+            (q[0] - p[0]).hypot(q[1] - p[1])
+        };
+        let mut inside: Vec<f32> = nearest
+            .outer_iter_mut()
             .into_par_iter()
             .enumerate()
-            .flat_map_iter(|(r, row)| {
-                let distances = row.to_vec().into_iter().map(|n| n.1).enumerate();
-                let aperture = &aperture;
+            .flat_map_iter(|(r, mut row)| {
+                let (mut guess, mut distances) = (0, Vec::new());
+                for (c, n) in row.iter_mut().enumerate() {
+                    let p = [grid.x.at(c), grid.y.at(r)];
+                    if !aperture(p) {
+                        continue;
+                    }
+                    if *n == NOBODY {
+                        (guess, (*n, _)) = points.nearest(p, guess, f64::INFINITY);
+                    }
+                    if *n != NOBODY {
+                        distances.push(distance(*n, p) as f32);
+                    }
+                }
                 distances
-                    .filter(move |(c, _)| aperture([grid.x.at(*c), grid.y.at(r)]))
-                    .map(|(_, d)| d)
             })
             .collect();
         let middle = inside.len() / 2;
         let far = if inside.is_empty() {
             0.0
         } else {
-            2.0 * *inside.select_nth_unstable_by(middle, f64::total_cmp).1
+            2.0 * f64::from(*inside.select_nth_unstable_by(middle, f32::total_cmp).1)
         };
-        let owned = nearest.mapv(|(j, d)| j != NOBODY && d <= far);
-        Self { nearest: nearest.mapv(|n| n.0), owned }
+        nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
+            let mut guess = 0;
+            for (c, n) in row.iter_mut().enumerate() {
+                let p = [grid.x.at(c), grid.y.at(r)];
+                if *n == NOBODY && far > reach {
+                    (guess, (*n, _)) = points.nearest(p, guess, far);
+                }
+                if *n != NOBODY && distance(*n, p) > far {
+                    *n = NOBODY;
+                }
+            }
+        });
+        Self { grid: *grid, points, nearest }
     }
 
     /// Whether somebody is near enough.
-    pub fn owned(&self) -> &Array2<bool> {
-        &self.owned
+    pub fn owned(&self) -> Array2<bool> {
+        self.nearest.mapv(|j| j != NOBODY)
     }
 
     /// (2) for `n` dwell points, s. Time on a node that nobody is near enough to goes to the nearest
     /// dwell point too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
         let mut t = vec![0.0; n];
-        Zip::from(&self.nearest).and(seconds).for_each(|j, tau| {
-            if let Some(t) = t.get_mut(*j as usize) {
+        let (mut row, mut guess) = (0, 0);
+        Zip::indexed(&self.nearest).and(seconds).for_each(|(r, c), j, tau| {
+            if *tau == 0.0 {
+                return;
+            }
+            let mut j = *j;
+            if j == NOBODY {
+                // The same guesses whatever came before in other rows.
+                if row != r {
+                    (row, guess) = (r, 0);
+                }
+                let p = [self.grid.x.at(c), self.grid.y.at(r)];
+                (guess, (j, _)) = self.points.nearest(p, guess, f64::INFINITY);
+            }
+            if let Some(t) = t.get_mut(j as usize) {
                 *t += tau;
             }
         });
@@ -173,9 +209,49 @@ impl Buckets {
         Self { start, side, shape, first, points }
     }
 
+    /// The nearest point of every node that has one within `reach`, the lowest number of equals.
+    fn within(&self, reach: f64, grid: &Grid) -> Array2<u32> {
+        let mut nearest = Array2::from_elem(grid.shape(), NOBODY);
+        let (x, y) = (&grid.x, &grid.y);
+        // Nodes of an axis within a distance of p.
+        let near = |axis: &Axis, p: f64, distance: f64| {
+            let node = |p: f64| (p - axis.start_mm()) / axis.step_mm();
+            let from = node(p - distance).ceil().max(0.0) as usize;
+            from..((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len())
+        };
+        let bands = nearest.axis_chunks_iter_mut(NdAxis(0), BAND).into_par_iter().enumerate();
+        bands.for_each(|(band, mut nearest)| {
+            let rows = band * BAND..band * BAND + nearest.nrows();
+            let mut squares = Array2::from_elem(nearest.dim(), f64::INFINITY);
+            let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
+                let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
+                (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
+            });
+            let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
+            let line = |by: usize| self.first[by * self.shape[0]];
+            for (j, p) in &self.points[line(lines.start)..line(lines.end.max(lines.start))] {
+                let of = near(y, p[1], reach);
+                for r in of.start.max(rows.start)..of.end.min(rows.end) {
+                    let dy = y.at(r) - p[1];
+                    let columns = near(x, p[0], (reach * reach - dy * dy).max(0.0).sqrt());
+                    let line = s![r - rows.start, columns.clone()];
+                    let (mut n, mut d) = (nearest.slice_mut(line), squares.slice_mut(line));
+                    for ((n, d), c) in n.iter_mut().zip(&mut d).zip(columns) {
+                        let dx = x.at(c) - p[0];
+                        let square = dx * dx + dy * dy;
+                        if square < *d || square == *d && *j < *n {
+                            (*n, *d) = (*j, square);
+                        }
+                    }
+                }
+            }
+        });
+        nearest
+    }
+
     /// Place (for the next guess), and number of and distance to the nearest point; the lowest number
-    /// of equals. The nearer the guess, the quicker.
-    fn nearest(&self, p: [f64; 2], guess: usize) -> (usize, (u32, f64)) {
+    /// of equals. The nearer the guess, the quicker. Beyond `reach` it may be another one than the nearest.
+    fn nearest(&self, p: [f64; 2], guess: usize, reach: f64) -> (usize, (u32, f64)) {
         let at = [0, 1].map(|a| {
             let b = ((p[a] - self.start[a]) / self.side).floor();
             b.clamp(-1e9, 1e9) as isize
@@ -191,7 +267,7 @@ impl Buckets {
         let span = |a: usize| at[a].abs().max((self.shape[a] as isize - 1 - at[a]).abs());
         for ring in gap(0).max(gap(1))..=span(0).max(span(1)) {
             // All points of this ring are at least ring - 1 sides away.
-            if best.1 <= (ring - 1) as f64 * self.side {
+            if best.1.min(reach) <= (ring - 1) as f64 * self.side {
                 break;
             }
             let mut look = |bx: isize, by: isize| {
@@ -283,10 +359,53 @@ mod tests {
                 let p = [rng.random_range(-9.0..18.0), rng.random_range(-9.0..9.0)];
                 let d = |q: &[f64; 2]| (q[0] - p[0]).hypot(q[1] - p[1]);
                 let best = points.iter().map(|(_, q)| d(q)).fold(f64::INFINITY, f64::min);
-                let (place, (j, d)) = buckets.nearest(p, k % points.len());
+                let (place, (j, d)) = buckets.nearest(p, k % points.len(), f64::INFINITY);
                 assert_eq!(d, best);
                 assert_eq!(points[j as usize], buckets.points[place]);
             }
+        }
+    }
+
+    #[test]
+    fn a_node_belongs_to_the_nearest_point_that_is_near_enough() {
+        let grid = Grid { x: axis(-3.0, 0.2, 81), y: axis(-1.0, 0.13, 61) };
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        // All over the map; in one corner of it, with all nodes far away; a single one.
+        for (n, width) in [(90, 12.0), (60, 0.5), (1, 12.0)] {
+            let points: Vec<[f64; 2]> = (0..=n)
+                .map(|_| [rng.random_range(0.0..width), rng.random_range(0.0..0.5 * width)])
+                .collect();
+            let on: Vec<bool> = (0..n).map(|j| j % 7 != 1).collect();
+            let path = ToolPath::new(points.clone(), points[..n].to_vec(), on.clone(), vec![0; n])
+                .unwrap();
+            let inside = |p: [f64; 2]| (p[0] - 5.0).hypot(p[1] - 3.0) < 3.5;
+            let cells = Cells::new(&path, &grid, inside);
+            let at = |(r, c): (usize, usize)| [grid.x.at(c), grid.y.at(r)];
+            let nearest = |p: [f64; 2]| {
+                let with = (0..n).filter(|j| on[*j]);
+                with.map(|j| ((points[j][0] - p[0]).hypot(points[j][1] - p[1]), j))
+                    .min_by(|a, b| a.0.total_cmp(&b.0))
+                    .unwrap()
+            };
+            let nodes = || ndarray::indices(grid.shape()).into_iter();
+            let mut medians: Vec<f64> =
+                nodes().map(at).filter(|p| inside(*p)).map(|p| nearest(p).0).collect();
+            medians.sort_by(f64::total_cmp);
+            let far = 2.0 * medians[medians.len() / 2];
+            let mut owned = 0;
+            for node in nodes() {
+                let (distance, j) = nearest(at(node));
+                owned += usize::from(distance <= far);
+                // The median is that of single precision.
+                if (distance / far - 1.0).abs() > 1e-6 {
+                    assert_eq!(cells.owned()[node], distance <= far, "{node:?}");
+                }
+                let mut seconds = Array2::zeros(grid.shape());
+                seconds[node] = 1.0;
+                // Wherever it is: the time is not lost.
+                assert_eq!(cells.to_path(&seconds, n)[j], 1.0, "{node:?}");
+            }
+            assert!(owned > 0 && (n == 1 || owned < grid.shape().0 * grid.shape().1), "{owned}");
         }
     }
 

@@ -241,7 +241,7 @@ fn on_map(
     let shape = map.shape();
     let sensitivity = map.adjoint(&weight);
     let largest = sensitivity.iter().copied().fold(0.0, f64::max);
-    let active: Vec<bool> = (sensitivity.iter().zip(&map.at_nodes(cells.owned())))
+    let active: Vec<bool> = (sensitivity.iter().zip(&map.at_nodes(&cells.owned())))
         .map(|(s, owned)| *owned && *s > ACTIVE * largest)
         .collect();
     if !active.iter().any(|a| *a) {
