@@ -217,7 +217,8 @@ impl Buckets {
         let near = |axis: &Axis, p: f64, distance: f64| {
             let node = |p: f64| (p - axis.start_mm()) / axis.step_mm();
             let from = node(p - distance).ceil().max(0.0) as usize;
-            from..((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len())
+            let to = ((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len());
+            from.min(to)..to
         };
         let bands = nearest.axis_chunks_iter_mut(NdAxis(0), BAND).into_par_iter().enumerate();
         bands.for_each(|(band, mut nearest)| {
@@ -370,10 +371,10 @@ mod tests {
     fn a_node_belongs_to_the_nearest_point_that_is_near_enough() {
         let grid = Grid { x: axis(-3.0, 0.2, 81), y: axis(-1.0, 0.13, 61) };
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        // All over the map; in one corner of it, with all nodes far away; a single one.
-        for (n, width) in [(90, 12.0), (60, 0.5), (1, 12.0)] {
+        // All over the map and beyond; in one corner of it, with all nodes far away; a single one.
+        for (n, from, to) in [(300, -8.0, 20.0), (60, 0.0, 0.5), (1, 0.0, 12.0)] {
             let points: Vec<[f64; 2]> = (0..=n)
-                .map(|_| [rng.random_range(0.0..width), rng.random_range(0.0..0.5 * width)])
+                .map(|_| [rng.random_range(from..to), 0.5 * rng.random_range(from..to)])
                 .collect();
             let on: Vec<bool> = (0..n).map(|j| j % 7 != 1).collect();
             let path = ToolPath::new(points.clone(), points[..n].to_vec(), on.clone(), vec![0; n])

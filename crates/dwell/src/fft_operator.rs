@@ -149,13 +149,18 @@ impl FftOperator {
 
     /// `B' m` for a map (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
-        let mut sums = self.rows.gather(&self.convolution.adjoint(map.view()), self.columns);
+        let mut sums = self.adjoint_with_leak(map);
         if self.leaks {
             self.rows.subtract_leak(map.view(), Some(&self.samples), &mut sums);
             let transposed = map.t().as_standard_layout().into_owned();
             self.columns_across.subtract_leak(transposed.view(), None, &mut sums);
         }
         sums
+    }
+
+    /// `E' m`.
+    pub fn adjoint_with_leak(&self, map: &Array2<f64>) -> Vec<f64> {
+        self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
     }
 
     /// `B' m` with R^2 in place of R, but for what leaks.

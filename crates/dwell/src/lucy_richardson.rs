@@ -139,7 +139,10 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
     let problem = &Problem { tif: &tif, ..*problem };
-    let model = Model::new(problem)?;
+    let model = match settings.unknowns {
+        Unknowns::Path => Model::new(problem)?,
+        Unknowns::Map => Model::for_map(problem)?,
+    };
     let e = positive_target(&model, settings);
     let (t, mut report) = match settings.unknowns {
         Unknowns::Path => on_path(&model, &e, settings),
@@ -172,14 +175,12 @@ fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
 fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
     let target = model.target();
     let low = model.lowest(&target, settings.pits);
-    let high = Zip::from(&target)
-        .and(&model.weight)
-        .fold(low, |high, z, w| if *w > 0.0 { high.max(*z) } else { high });
+    let high = model.range(&target).1;
     // A flat map asks for the same everywhere: any positive number.
     let c = if high > low { settings.margin * (high - low) } else { 1.0 };
     Zip::from(&target)
         .and(&model.weight)
-        .map_collect(|z, w| if *w > 0.0 { (z - low).max(0.0) + c } else { 0.0 })
+        .par_map_collect(|z, w| if *w > 0.0 { (z - low).max(0.0) + c } else { 0.0 })
 }
 
 /// What (2) needs.

@@ -85,6 +85,14 @@ impl Operator {
         map
     }
 
+    /// [`Self::adjoint`]; where that is by FFT, the TIF ends up to two pixels beyond its last samples.
+    pub fn adjoint_with_leak(&self, map: &Array2<f64>) -> Vec<f64> {
+        match self {
+            Self::Stored { .. } => self.adjoint(map),
+            Self::Fft(operator) => operator.adjoint_with_leak(map),
+        }
+    }
+
     /// `B' m` for a map (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let patches = match self {

@@ -22,9 +22,10 @@
 //! | B | `operator` | (pixels, n) | nm/s |
 //! | lo | `lo` | (n) | s |
 
-use ndarray::{Array2, Zip};
+use ndarray::{Array2, ArrayView2, Axis, Zip};
 use planish_numerics::statistics;
 use planish_types::{DwellTime, Invalid, Surface, Tif, ToolPath};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
@@ -100,11 +101,27 @@ pub(crate) struct Model<'a> {
     pub shape: Vec<f64>,
 }
 
+/// Rows of the map that one thread takes at a time.
+const BAND: usize = 16;
+
 /// A dwell point below this part of the largest sensitivity does not reach the map.
 const DEAD: f64 = 1e-9;
 
 impl<'a> Model<'a> {
     pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
+        Self::with_sensitivity(problem, Operator::adjoint)
+    }
+
+    /// For solvers on a map of dwell times, which ask the sensitivity of a dwell point only whether it
+    /// reaches the map: within two pixels of its reach a point counts as one that does.
+    pub fn for_map(problem: &Problem<'a>) -> Result<Self, DwellError> {
+        Self::with_sensitivity(problem, Operator::adjoint_with_leak)
+    }
+
+    fn with_sensitivity(
+        problem: &Problem<'a>,
+        adjoint: impl Fn(&Operator, &Array2<f64>) -> Vec<f64>,
+    ) -> Result<Self, DwellError> {
         let Problem { desired, tif, path, weight, columns, min_dwell } = *problem;
         let weight = pixel_weights(desired, weight)?;
         let defaults = bounded_least_squares::Settings::default();
@@ -112,7 +129,7 @@ impl<'a> Model<'a> {
         let (lo, _) = bounded_least_squares::bounds(path, &bounds)?;
         let places = columns.places(path);
         let operator = Operator::new(&places, tif, desired.grid())?;
-        let sensitivity = operator.adjoint(&weight);
+        let sensitivity = adjoint(&operator, &weight);
         // An FFT leaves rounding where nothing is reached.
         let largest = sensitivity.iter().copied().fold(0.0, f64::max);
         if largest <= 1e-12 * tif.peak_nm_per_s() {
@@ -140,8 +157,8 @@ impl<'a> Model<'a> {
 
     /// A floor that removes more on average than the map has from its lowest to its highest point.
     fn refuse_a_floor_above_the_map(&self) -> Result<(), Invalid> {
-        let (floor, pv) =
-            (self.mean(&self.floor_removal), self.pv(self.problem.desired.height_nm()));
+        let (low, high) = self.range(self.problem.desired.height_nm());
+        let (floor, pv) = (self.mean(&self.floor_removal), high - low);
         if floor <= pv {
             return Ok(());
         }
@@ -156,37 +173,62 @@ impl<'a> Model<'a> {
         Err(Invalid::at("min_dwell", j, problem, remedy))
     }
 
-    /// Largest minus smallest of `map` where the weight is not zero.
-    fn pv(&self, map: &Array2<f64>) -> f64 {
-        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        Zip::from(map).and(&self.weight).for_each(|z, w| {
-            if *w > 0.0 {
-                (low, high) = (low.min(*z), high.max(*z));
-            }
+    /// What `of` makes of parts of `map` and their weights, in order.
+    fn parts<T: Send>(
+        &self,
+        map: &Array2<f64>,
+        of: impl Fn(ArrayView2<f64>, ArrayView2<f64>) -> T + Sync,
+    ) -> Vec<T> {
+        let parts = map.axis_chunks_iter(Axis(0), BAND).into_par_iter();
+        parts.zip(self.weight.axis_chunks_iter(Axis(0), BAND)).map(|(z, w)| of(z, w)).collect()
+    }
+
+    /// Smallest and largest of `map` where the weight is not zero.
+    pub fn range(&self, map: &Array2<f64>) -> (f64, f64) {
+        let none = (f64::INFINITY, f64::NEG_INFINITY);
+        let parts = self.parts(map, |z, w| {
+            Zip::from(z).and(w).fold(none, |(low, high), z, w| {
+                if *w > 0.0 { (low.min(*z), high.max(*z)) } else { (low, high) }
+            })
         });
-        high - low
+        parts.into_iter().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
     /// Weighted mean.
     pub fn mean(&self, map: &Array2<f64>) -> f64 {
-        let sum = Zip::from(map)
-            .and(&self.weight)
-            .fold(0.0, |sum, z, w| if *w > 0.0 { sum + w * z } else { sum });
-        sum / self.weight.sum()
+        let parts = self.parts(map, |z, w| {
+            Zip::from(z).and(w).fold((0.0, 0.0), |(sum, weight), z, w| {
+                if *w > 0.0 { (sum + w * z, weight + w) } else { (sum, weight) }
+            })
+        });
+        let (sum, weight) = parts.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        sum / weight
     }
 
     /// Lowest value where the weight is not zero, but for this part of the pixels.
     pub fn lowest(&self, map: &Array2<f64>, part: f64) -> f64 {
-        let counted = map.iter().zip(&self.weight).filter(|(_, w)| **w > 0.0);
-        let mut values: Vec<f64> = counted.map(|(z, _)| *z).collect();
-        let rank = ((part * values.len() as f64) as usize).min(values.len() - 1);
-        *values.select_nth_unstable_by(rank, f64::total_cmp).1
+        let counted: usize =
+            self.parts(map, |_, w| w.iter().filter(|w| **w > 0.0).count()).iter().sum();
+        let rank = ((part * counted as f64) as usize).min(counted - 1);
+        // The lowest of all are among the lowest of every part.
+        let lowest = self.parts(map, |z, w| {
+            let counted = z.iter().zip(w).filter(|(_, w)| **w > 0.0);
+            let mut values: Vec<f64> = counted.map(|(z, _)| *z).collect();
+            if rank + 1 < values.len() {
+                values.select_nth_unstable_by(rank, f64::total_cmp);
+                values.truncate(rank + 1);
+            }
+            values
+        });
+        *lowest.concat().select_nth_unstable_by(rank, f64::total_cmp).1
     }
 
     /// `z - mean z`, 0 where the weight is 0.
     pub fn centred(&self, map: &Array2<f64>) -> Array2<f64> {
         let mean = self.mean(map);
-        Zip::from(map).and(&self.weight).map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
+        Zip::from(map)
+            .and(&self.weight)
+            .par_map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
     }
 
     /// Weighted RMS without the mean.
@@ -198,7 +240,7 @@ impl<'a> Model<'a> {
     /// (1): `z - B lo`, 0 where the weight is 0.
     pub fn target(&self) -> Array2<f64> {
         let z = self.problem.desired.height_nm() - &self.floor_removal;
-        Zip::from(&z).and(&self.weight).map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 })
+        Zip::from(&z).and(&self.weight).par_map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 })
     }
 
     /// Whether dwell point j reaches the map.
@@ -220,7 +262,7 @@ impl<'a> Model<'a> {
 
     /// (2), adjoint: `B' W^1/2 M y`.
     pub fn weighted_adjoint(&self, y: &[f64]) -> Vec<f64> {
-        let y = ndarray::ArrayView2::from_shape(self.weight.dim(), y).expect("one per pixel");
+        let y = ArrayView2::from_shape(self.weight.dim(), y).expect("one per pixel");
         // W^1/2 M y = W^1/2 (y - W^1/2 sum(W^1/2 y) / sum(w))
         let root = self.weight.mapv(f64::sqrt);
         let mean = (&root * &y).sum() / self.weight.sum();
@@ -264,11 +306,14 @@ impl<'a> Model<'a> {
         // 2 n peak (Keys' interpolation stays below 1.3 peak): most maps need no second removal.
         let rate = self.problem.tif.rate_nm_per_s();
         let longest = dwell_s.iter().copied().fold(0.0, f64::max);
-        let most = removal.iter().copied().fold(0.0, f64::max);
+        let most = self.range(removal).1.max(0.0);
         let enough = (2e-12 * dwell_s.len() as f64 * self.problem.tif.peak_nm_per_s() * longest)
             .max(1e-9 * most);
-        let counted = |map: &Array2<f64>, floor: f64| {
-            map.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+        let counted = |map: &Array2<f64>, floor: f64| -> usize {
+            let of = |r: ArrayView2<f64>, w: ArrayView2<f64>| {
+                r.iter().zip(w).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+            };
+            self.parts(map, of).iter().sum()
         };
         if rate.iter().all(|r| *r >= 0.0) && counted(removal, enough) == 0 {
             return 0;
@@ -281,12 +326,10 @@ impl<'a> Model<'a> {
     /// What the dwell times do.
     pub fn finish<R>(&self, dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
         let removal = self.operator.apply(&dwell_s);
-        let mut residual = self.problem.desired.height_nm() - &removal;
-        Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
-            if *w == 0.0 {
-                *r = f64::NAN;
-            }
-        });
+        let residual = Zip::from(self.problem.desired.height_nm())
+            .and(&removal)
+            .and(&self.weight)
+            .par_map_collect(|z, r, w| if *w > 0.0 { z - r } else { f64::NAN });
         let grid = self.problem.desired.grid();
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);

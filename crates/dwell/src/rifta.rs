@@ -86,7 +86,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("piston_tolerance", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
     refuse_a_tif_larger_than_the_map(problem)?;
-    let model = Model::new(problem)?;
+    let model = Model::for_map(problem)?;
     let fourier = Fourier::new(&model, settings.pits)?;
     // Reference: the margin of the TIF; then smaller ones, from a third of it.
     let reference = fourier.solve(fourier.radius_mm, settings);

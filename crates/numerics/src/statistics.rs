@@ -1,6 +1,7 @@
 //! Statistics of a height map; NaN marks an invalid pixel and is skipped.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, Axis};
+use rayon::prelude::*;
 
 /// RMS, PV and friends of the valid pixels of a map. Units are those of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,20 +20,68 @@ pub struct Statistics {
     pub max: f64,
 }
 
+/// Elements whose sums are made on one thread.
+const PART: usize = 1 << 14;
+
+/// Sums of what `of` makes of (row, column, value) of every valid pixel: parts of rows, then their sums in
+/// order, the same on any number of threads.
+fn sums<const N: usize>(
+    map: ArrayView2<f64>,
+    of: impl Fn(usize, usize, f64) -> [f64; N] + Sync,
+) -> [f64; N] {
+    let rows = (PART / map.ncols().max(1)).max(1);
+    let parts: Vec<[f64; N]> = map
+        .axis_chunks_iter(Axis(0), rows)
+        .into_par_iter()
+        .enumerate()
+        .map(|(part, map)| {
+            let mut total = [0.0; N];
+            for (r, line) in map.outer_iter().enumerate() {
+                let mut sums = [0.0; N];
+                for (c, v) in line.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
+                    add(&mut sums, of(part * rows + r, c, *v));
+                }
+                add(&mut total, sums);
+            }
+            total
+        })
+        .collect();
+    parts.into_iter().fold([0.0; N], |mut total, part| {
+        add(&mut total, part);
+        total
+    })
+}
+
+fn add<const N: usize>(total: &mut [f64; N], part: [f64; N]) {
+    total.iter_mut().zip(part).for_each(|(t, p)| *t += p);
+}
+
+/// Smallest and largest of the valid pixels.
+fn range(map: ArrayView2<f64>) -> (f64, f64) {
+    // min and max pass over NaN
+    let of = |map: ArrayView2<f64>| {
+        let least = map.iter().copied().fold(f64::INFINITY, f64::min);
+        (least, map.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+    };
+    let rows = (PART / map.ncols().max(1)).max(1);
+    map.axis_chunks_iter(Axis(0), rows)
+        .into_par_iter()
+        .map(of)
+        .reduce(|| (f64::INFINITY, f64::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
 /// Statistics of the valid pixels; `None` when there are none.
 pub fn statistics(map: ArrayView2<f64>) -> Option<Statistics> {
-    let valid = || map.iter().copied().filter(|v| !v.is_nan());
-    let valid_count = valid().count();
-    if valid_count == 0 {
+    let [n, sum] = sums(map, |_, _, v| [1.0, v]);
+    if n == 0.0 {
         return None;
     }
-    let n = valid_count as f64;
-    let mean = valid().sum::<f64>() / n;
+    let mean = sum / n;
     // Two passes: sum (z - mean)^2 keeps its digits when the mean is large.
-    let rms = (valid().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
-    let min = valid().fold(f64::INFINITY, f64::min);
-    let max = valid().fold(f64::NEG_INFINITY, f64::max);
-    Some(Statistics { valid_count, mean, rms, pv: max - min, min, max })
+    let [squares] = sums(map, |_, _, v| [(v - mean).powi(2)]);
+    let (min, max) = range(map);
+    let rms = (squares / n).sqrt();
+    Some(Statistics { valid_count: n as usize, mean, rms, pv: max - min, min, max })
 }
 
 /// Least-squares plane `z = a + b x + c y` through the valid pixels.
@@ -53,29 +102,17 @@ pub struct Plane {
 /// The coordinates are centred on the valid pixels and scaled to [-1, 1] before the 2 x 2
 /// normal equations are solved, so the condition number is that of the mask, not of the units.
 pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
-    let stats = statistics(map)?;
-    let n = stats.valid_count as f64;
-    let (mut x_sum, mut y_sum) = (0.0, 0.0);
-    for ((r, c), v) in map.indexed_iter() {
-        if !v.is_nan() {
-            x_sum += x[c];
-            y_sum += y[r];
-        }
+    let [n, x_sum, y_sum, z_sum] = sums(map, |r, c, v| [1.0, x[c], y[r], v]);
+    if n == 0.0 {
+        return None;
     }
-    let (x_mean, y_mean) = (x_sum / n, y_sum / n);
+    let [x_mean, y_mean, z_mean] = [x_sum, y_sum, z_sum].map(|sum| sum / n);
     let x_scale = x.iter().fold(0.0_f64, |m, v| m.max((v - x_mean).abs())).max(f64::MIN_POSITIVE);
     let y_scale = y.iter().fold(0.0_f64, |m, v| m.max((v - y_mean).abs())).max(f64::MIN_POSITIVE);
-    let (mut xx, mut xy, mut yy, mut xz, mut yz) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for ((r, c), v) in map.indexed_iter() {
-        if !v.is_nan() {
-            let (u, w, z) = ((x[c] - x_mean) / x_scale, (y[r] - y_mean) / y_scale, v - stats.mean);
-            xx += u * u;
-            xy += u * w;
-            yy += w * w;
-            xz += u * z;
-            yz += w * z;
-        }
-    }
+    let [xx, xy, yy, xz, yz] = sums(map, |r, c, v| {
+        let (u, w, z) = ((x[c] - x_mean) / x_scale, (y[r] - y_mean) / y_scale, v - z_mean);
+        [u * u, u * w, w * w, u * z, w * z]
+    });
     // [xx xy; xy yy] [b; c] = [xz; yz]
     let determinant = xx * yy - xy * xy;
     // Collinear pixels: the determinant vanishes against the product of the diagonal.
@@ -84,7 +121,7 @@ pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
     }
     let b = (xz * yy - yz * xy) / determinant / x_scale;
     let c = (yz * xx - xz * xy) / determinant / y_scale;
-    Some(Plane { a: stats.mean - b * x_mean - c * y_mean, b, c })
+    Some(Plane { a: z_mean - b * x_mean - c * y_mean, b, c })
 }
 
 /// `map` minus `plane`; NaN stays NaN.
@@ -99,10 +136,13 @@ pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) 
 /// Population RMS after removing the least-squares plane; falls back to the mean-removed RMS
 /// where the valid pixels do not define a plane. `None` without valid pixels.
 pub fn detilted_rms(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<f64> {
-    match fit_plane(map, x, y) {
-        Some(plane) => statistics(subtract_plane(map, x, y, plane).view()).map(|s| s.rms),
-        None => statistics(map).map(|s| s.rms),
-    }
+    let Some(plane) = fit_plane(map, x, y) else { return statistics(map).map(|s| s.rms) };
+    // The mean of what is left is zero but for rounding.
+    let [n, squares] = sums(map, |r, c, v| {
+        let left = v - (plane.a + plane.b * x[c] + plane.c * y[r]);
+        [1.0, left * left]
+    });
+    Some((squares / n).sqrt())
 }
 
 #[cfg(test)]
