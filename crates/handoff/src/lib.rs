@@ -20,6 +20,12 @@ pub use artifact::{Arrays, Artifact, Manifest};
 pub use command_line::{pair, parse};
 pub use stage::{Begin, Failure, OutputArgs, Stage, Status, run};
 
+/// Of every binary: large arrays come on huge pages where the system grants them, and stay with the
+/// process for the next array. With the allocator of the C library the first touch of 4 KiB pages
+/// takes a third of the time of the large cases of docs/performance.md.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// A file or directory that cannot be used. The message names the file, the place, the value and
 /// what to do about it.
 #[derive(Debug, thiserror::Error)]
