@@ -276,7 +276,8 @@ fn read_array(path: &Path, def: &ArrayDef) -> Result<(ArrayData, String), Handof
     let (array, hash) = npy::read(path, def.dtype)?;
     if let ArrayData::F64(a) = &array {
         let bad = |v: f64| v.is_infinite() || (v.is_nan() && !def.nan_allowed);
-        if let Some((index, v)) = a.indexed_iter().find(|(_, v)| bad(**v)) {
+        if let Some(at) = a.iter().position(|v| bad(*v)) {
+            let (index, v) = a.indexed_iter().nth(at).expect("it is one of them");
             let remedy =
                 if def.nan_allowed { "mark an invalid pixel by NaN" } else { "give finite values" };
             let index = index.slice().to_vec();
@@ -393,32 +394,33 @@ fn default_array(
     }
 }
 
-/// File names with their bytes.
-pub(crate) type Files = Vec<(String, Vec<u8>)>;
-
-/// Files of an artifact with their bytes, and the records for the manifest.
-pub(crate) fn encode(kind: &Kind, arrays: &[ArrayData]) -> (Files, BTreeMap<String, ArrayRecord>) {
+/// Writes the arrays of an artifact into the directory `dir`; their records for the manifest.
+pub(crate) fn write_arrays(
+    dir: &Path,
+    kind: &Kind,
+    arrays: &[ArrayData],
+) -> Result<BTreeMap<String, ArrayRecord>, HandoffError> {
     assert_eq!(arrays.len(), kind.arrays.len(), "{}: arrays of the kind", kind.name);
-    let mut files = Files::new();
     let mut records = BTreeMap::new();
     for (def, array) in kind.arrays.iter().zip(arrays) {
         assert_eq!(array.dtype(), def.dtype, "{}/{}", kind.name, def.name);
-        let bytes = array.to_npy();
         let file = format!("{}.npy", def.name);
-        records.insert(
-            def.name.to_string(),
-            ArrayRecord {
-                file: file.clone(),
-                dtype: def.dtype.numpy().into(),
-                shape: array.shape().to_vec(),
-                axes: def.axes.iter().map(|a| a.to_string()).collect(),
-                unit: def.unit.into(),
-                blake3: blake3::hash(&bytes).to_string(),
-            },
-        );
-        files.push((file, bytes));
+        let record = ArrayRecord {
+            dtype: def.dtype.numpy().into(),
+            shape: array.shape().to_vec(),
+            axes: def.axes.iter().map(|a| a.to_string()).collect(),
+            unit: def.unit.into(),
+            blake3: npy::write(&dir.join(&file), array)?,
+            file,
+        };
+        records.insert(def.name.to_string(), record);
     }
-    (files, records)
+    Ok(records)
+}
+
+/// Writes `bytes` as the file `path`.
+pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
+    fs::write(path, bytes).map_err(|e| HandoffError::io(path, "write", &e))
 }
 
 /// Whether the directory holds every array of `kind` and what its manifest says, byte for byte.
@@ -426,9 +428,9 @@ pub(crate) fn is_intact(dir: &Path, kind: &Kind, manifest: &Manifest) -> bool {
     let complete = kind.arrays.iter().all(|a| manifest.arrays.contains_key(a.name));
     let arrays = manifest.arrays.values().map(|r| (&r.file, &r.blake3));
     complete
-        && arrays.chain(&manifest.files).all(|(file, hash)| {
-            fs::read(dir.join(file)).is_ok_and(|b| blake3::hash(&b).to_string() == *hash)
-        })
+        && arrays
+            .chain(&manifest.files)
+            .all(|(file, hash)| npy::hash(&dir.join(file)).is_ok_and(|found| found == *hash))
 }
 
 /// Refuses a directory with anything in it that no artifact of `kind` has: it would be lost.
@@ -452,12 +454,12 @@ pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), Handof
     Ok(())
 }
 
-/// Writes `files` as the directory `dir`: first into a sibling, which then takes its place, so
-/// that a killed run leaves either the old directory or the new one.
+/// Makes the directory `dir` of what `fill` writes: first into a sibling, which then takes its place,
+/// so that a killed run leaves either the old directory or the new one.
 pub(crate) fn replace_directory(
     dir: &Path,
     kind: &Kind,
-    files: &[(String, Vec<u8>)],
+    fill: impl FnOnce(&Path) -> Result<(), HandoffError>,
 ) -> Result<(), HandoffError> {
     let dir = if dir.exists() {
         dir.canonicalize().map_err(|e| HandoffError::io(dir, "resolve", &e))?
@@ -471,10 +473,7 @@ pub(crate) fn replace_directory(
     fs::create_dir_all(&parent).map_err(|e| HandoffError::io(&parent, "create", &e))?;
     let sibling = create_sibling(&parent)?;
     let write = || {
-        for (file, bytes) in files {
-            let path = sibling.join(file);
-            fs::write(&path, bytes).map_err(|e| HandoffError::io(&path, "write", &e))?;
-        }
+        fill(&sibling)?;
         if dir.exists() {
             refuse_foreign_files(&dir, kind)?;
         }

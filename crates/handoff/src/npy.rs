@@ -2,12 +2,12 @@
 
 use std::{
     fs::File,
-    io::{self, Read},
+    io::{self, Read, Write},
     path::Path,
 };
 
 use ndarray::ArrayD;
-use ndarray_npy::{ReadNpyExt, WriteNpyExt, npy::header::Header};
+use ndarray_npy::{ReadNpyExt, WriteNpyError, WriteNpyExt, npy::header::Header};
 
 use crate::{HandoffError, kind::Dtype};
 
@@ -51,14 +51,78 @@ impl ArrayData {
     /// The bytes of a `.npy` file.
     pub fn to_npy(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
-        match self {
-            Self::F64(a) => a.write_npy(&mut bytes),
-            Self::I64(a) => a.write_npy(&mut bytes),
-            Self::U8(a) => a.write_npy(&mut bytes),
-        }
-        .expect("writing to memory cannot fail");
+        self.write_npy(&mut bytes).expect("writing to memory cannot fail");
         bytes
     }
+
+    fn write_npy(&self, writer: impl Write) -> io::Result<()> {
+        match self {
+            Self::F64(a) => a.write_npy(writer),
+            Self::I64(a) => a.write_npy(writer),
+            Self::U8(a) => a.write_npy(writer),
+        }
+        .map_err(|e| match e {
+            WriteNpyError::Io(e) => e,
+            other => io::Error::other(other),
+        })
+    }
+}
+
+/// A file and the BLAKE3 of what has been read from it or written to it: a large array is in memory
+/// once.
+struct Hashed<F> {
+    file: F,
+    hasher: blake3::Hasher,
+}
+
+/// Bytes that are hashed while they are in the cache.
+const CHUNK_BYTES: usize = 1 << 18;
+
+impl<F> Hashed<F> {
+    fn new(file: F) -> Self {
+        Self { file, hasher: blake3::Hasher::new() }
+    }
+
+    fn finish(self) -> String {
+        self.hasher.finalize().to_string()
+    }
+}
+
+impl<F: Read> Read for Hashed<F> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let end = buffer.len().min(CHUNK_BYTES);
+        let count = self.file.read(&mut buffer[..end])?;
+        self.hasher.update(&buffer[..count]);
+        Ok(count)
+    }
+}
+
+impl<F: Write> Write for Hashed<F> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = self.file.write(&bytes[..bytes.len().min(CHUNK_BYTES)])?;
+        self.hasher.update(&bytes[..count]);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Writes `array` as the new file `path`; returns its BLAKE3.
+pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffError> {
+    let mut file = None;
+    File::create_new(path)
+        .and_then(|new| array.write_npy(file.insert(Hashed::new(new))))
+        .map_err(|e| HandoffError::io(path, "write", &e))?;
+    Ok(file.expect("it was written").finish())
+}
+
+/// The BLAKE3 of the file `path`.
+pub(crate) fn hash(path: &Path) -> io::Result<String> {
+    let mut file = Hashed::new(File::open(path)?);
+    io::copy(&mut file, &mut io::sink())?;
+    Ok(file.finish())
 }
 
 /// Reads `path` as an array of `dtype`; returns it with the BLAKE3 of the file.
@@ -73,26 +137,32 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<(ArrayData, String), HandoffErr
     let file = File::open(path).map_err(io)?;
     let file_bytes = file.metadata().map_err(io)?.len();
     // The header decides before the rest is read: a file may claim any size.
-    let mut bytes = Vec::new();
-    (&file).take(MAX_PREFIX_BYTES).read_to_end(&mut bytes).map_err(io)?;
-    check(&bytes, file_bytes, dtype).map_err(invalid)?;
-    (&file).read_to_end(&mut bytes).map_err(io)?;
-    let array = parse(&bytes, dtype).map_err(invalid)?;
-    Ok((array, blake3::hash(&bytes).to_string()))
+    let mut prefix = Vec::new();
+    (&file).take(MAX_PREFIX_BYTES).read_to_end(&mut prefix).map_err(io)?;
+    let elements = check(&prefix, file_bytes, dtype).map_err(invalid)?;
+    let mut whole = Hashed::new(prefix.chain(file));
+    let array = array(&mut whole, dtype, elements).map_err(invalid)?;
+    Ok((array, whole.finish()))
 }
 
 /// The array in the bytes of a `.npy` file, or what is wrong with them.
 pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData, String> {
     let elements = check(bytes, bytes.len() as u64, dtype)?;
+    array(bytes, dtype, elements)
+}
+
+/// The array in a file that has been checked.
+fn array(reader: impl Read, dtype: Dtype, elements: Elements) -> Result<ArrayData, String> {
     let broken = |e: ndarray_npy::ReadNpyError| format!("cannot be read ({e}); write it again");
     match dtype {
-        Dtype::F64 => ArrayD::read_npy(bytes).map_err(broken).map(standard).map(ArrayData::F64),
-        Dtype::I64 => ArrayD::read_npy(bytes).map_err(broken).map(standard).map(ArrayData::I64),
-        Dtype::U8 if elements == Elements::Bool => ArrayD::<bool>::read_npy(bytes)
-            .map_err(broken)
-            .map(|a| ArrayData::U8(standard(a.mapv(u8::from)))),
-        Dtype::U8 => ArrayD::read_npy(bytes).map_err(broken).map(standard).map(ArrayData::U8),
+        Dtype::F64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::F64),
+        Dtype::I64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::I64),
+        Dtype::U8 if elements == Elements::Bool => {
+            ArrayD::<bool>::read_npy(reader).map(|a| ArrayData::U8(standard(a.mapv(u8::from))))
+        }
+        Dtype::U8 => ArrayD::read_npy(reader).map(standard).map(ArrayData::U8),
     }
+    .map_err(broken)
 }
 
 /// Elements in the file.
@@ -151,7 +221,7 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Elements, String
 
 /// C order in memory; differs from the file's only where at most one axis is longer than 1.
 fn standard<T: Clone>(array: ArrayD<T>) -> ArrayD<T> {
-    array.as_standard_layout().into_owned()
+    if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
 /// Where the header ends, checked before anything is parsed: the parser's time grows

@@ -398,30 +398,33 @@ impl Stage {
         outcome: Value,
         status: &Status,
     ) -> Result<(), HandoffError> {
-        let (mut files, records) = artifact::encode(kind, arrays);
-        files.extend(beside.iter().map(|(name, bytes)| (name.to_string(), bytes.clone())));
-        let manifest = Manifest {
-            kind: kind.name.into(),
-            version: kind.version,
-            tool: self.tool.into(),
-            tool_version: self.tool_version.into(),
-            method: self.method.clone(),
-            command: command_line(self.tool),
-            key: self.key(),
-            frame: kind.frame.into(),
-            settings: self.settings.clone(),
-            inputs: self.inputs.clone(),
-            outcome: with_status(outcome, status),
-            arrays: records,
-            files: beside
-                .iter()
-                .map(|(name, bytes)| (name.to_string(), blake3::hash(bytes).to_string()))
-                .collect(),
-        };
-        let mut text = serde_json::to_string_pretty(&manifest).expect("a manifest serialises");
-        text.push('\n');
-        files.push((MANIFEST.into(), text.into_bytes()));
-        artifact::replace_directory(&self.directory(part), kind, &files)?;
+        artifact::replace_directory(&self.directory(part), kind, |dir| {
+            let records = artifact::write_arrays(dir, kind, arrays)?;
+            for (name, bytes) in beside {
+                artifact::write_file(&dir.join(name), bytes)?;
+            }
+            let hashed = |(name, bytes): &(&str, Vec<u8>)| {
+                (name.to_string(), blake3::hash(bytes).to_string())
+            };
+            let manifest = Manifest {
+                kind: kind.name.into(),
+                version: kind.version,
+                tool: self.tool.into(),
+                tool_version: self.tool_version.into(),
+                method: self.method.clone(),
+                command: command_line(self.tool),
+                key: self.key(),
+                frame: kind.frame.into(),
+                settings: self.settings.clone(),
+                inputs: self.inputs.clone(),
+                outcome: with_status(outcome, status),
+                arrays: records,
+                files: beside.iter().map(hashed).collect(),
+            };
+            let mut text = serde_json::to_string_pretty(&manifest).expect("a manifest serialises");
+            text.push('\n');
+            artifact::write_file(&dir.join(MANIFEST), text.as_bytes())
+        })?;
         // What is said from now on is not mixed with it.
         self.progress.finish_and_clear();
         self.write_wall_time()
