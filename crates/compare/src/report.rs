@@ -15,6 +15,7 @@ pub mod spectrum;
 
 use ndarray::Array3;
 use planish_types::{DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use self::{
@@ -176,7 +177,7 @@ fn view(run: Run, share: &Share) -> View {
     let rank = |name: &str| run.summary.methods.iter().position(|(n, _)| n == name);
     let mut methods = run.methods;
     methods.sort_by_key(|m| rank(&m.name));
-    let methods = methods.into_iter().map(|m| MethodView {
+    let methods = methods.into_par_iter().map(|m| MethodView {
         removal: screen_map(m.removal.removal_nm().view(), &grid, every),
         residual: on_screen(m.removal.residual(), every),
         after: analysed(m.removal.residual()),

@@ -4,6 +4,7 @@
 use std::fmt::Write;
 
 use planish_numerics::ticks::round_numbers;
+use rayon::prelude::*;
 
 use super::{MethodView, View, map::ScreenMap};
 
@@ -31,16 +32,17 @@ const LINE_COLOURS: [&str; 7] =
 
 /// The figures of a report: file name and SVG; only those that have something to show.
 pub fn figures(views: &[View]) -> Vec<(&'static str, String)> {
-    let figures = [
-        ("maps.svg", maps(views)),
-        ("path.svg", path(views)),
-        ("motion.svg", motion(views)),
-        ("dwell.svg", dwell(views)),
-        ("histogram.svg", Some(histograms(views))),
-        ("spectrum.svg", Some(spectra(views))),
-        ("refinement.svg", refinement(views)),
+    type Figure = fn(&[View]) -> Option<String>;
+    let figures: [(&str, Figure); 7] = [
+        ("maps.svg", maps),
+        ("path.svg", path),
+        ("motion.svg", motion),
+        ("dwell.svg", dwell),
+        ("histogram.svg", |views| Some(histograms(views))),
+        ("spectrum.svg", |views| Some(spectra(views))),
+        ("refinement.svg", refinement),
     ];
-    figures.into_iter().filter_map(|(name, svg)| Some((name, svg?))).collect()
+    figures.into_par_iter().filter_map(|(name, figure)| Some((name, figure(views)?))).collect()
 }
 
 /// Text inside an element or an attribute.
@@ -55,25 +57,28 @@ pub fn escaped(text: &str) -> String {
 /// residual on its own.
 fn maps(views: &[View]) -> Option<String> {
     let mut sheet = Sheet::new(4, 300.0, aspect(&views.first()?.desired).clamp(0.15, 2.0) * 300.0);
+    let mut panels = Vec::new();
     for view in views {
         let common = scale_of(&view.desired).max(1e-12);
         for m in &view.methods {
             let own = scale_of(&m.residual).max(1e-12);
             let of = label(views, view, m);
-            for (map, scale, title) in [
+            panels.extend([
                 (&view.desired, common, "desired removal".to_string()),
                 (&m.removal, common, format!("predicted removal, {of}")),
                 (&m.residual, common, format!("residual, {of}")),
                 (&m.residual, own, format!("residual, {of}, own scale")),
-            ] {
-                let (x, y) = extent(map);
-                let mut panel = sheet.panel(x, y, ["x (mm)", "y (mm)"], &title);
-                panel.image(&png_of(map, scale), x, y);
-                panel.axes();
-                panel.colour_bar(&HEIGHT_COLOURS, [-scale, scale], "nm from the mean");
-                sheet.add(panel);
-            }
+            ]);
         }
+    }
+    let images: Vec<_> = panels.par_iter().map(|(map, scale, _)| png_of(map, *scale)).collect();
+    for ((map, scale, title), image) in panels.iter().zip(images) {
+        let (x, y) = extent(map);
+        let mut panel = sheet.panel(x, y, ["x (mm)", "y (mm)"], title);
+        panel.image(&image, x, y);
+        panel.axes();
+        panel.colour_bar(&HEIGHT_COLOURS, [-scale, *scale], "nm from the mean");
+        sheet.add(panel);
     }
     Some(sheet.finish())
 }
