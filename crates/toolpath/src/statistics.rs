@@ -33,6 +33,7 @@
 
 use std::f64::consts::PI;
 
+use ndarray::{ArrayView2, Axis};
 use planish_types::{Limits, Surface, Tif, ToolPath};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -202,13 +203,28 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let segments: Vec<_> = on.map(|i| [point[i], point[i + 1]]).collect();
     let cells = Cells::new(&segments)?;
     let (x, y) = (surface.grid().x, surface.grid().y);
-    let rows: Vec<_> = surface.height_nm().outer_iter().collect();
-    let worst = rows.par_iter().enumerate().map(|(r, row)| {
-        let valid = row.iter().enumerate().filter(|(_, v)| !v.is_nan());
-        valid.map(|(c, _)| cells.distance_mm([x.at(c), y.at(r)])).fold(0.0, f64::max)
-    });
-    Some(worst.reduce(|| 0.0, f64::max))
+    let farthest = |(band, rows): (usize, ArrayView2<f64>)| {
+        let mut worst = 0.0_f64;
+        for (r, row) in rows.outer_iter().enumerate() {
+            let mut near = 0;
+            for (c, _) in row.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
+                if c < near {
+                    continue;
+                }
+                let distance = cells.distance_mm([x.at(c), y.at(band * BAND + r)]);
+                worst = worst.max(distance);
+                // k pixels further on it is k steps larger at most; the last one is for rounding.
+                near = c + ((worst - distance) / x.step_mm()) as usize;
+            }
+        }
+        worst
+    };
+    let bands = surface.height_nm().axis_chunks_iter(Axis(0), BAND).into_par_iter().enumerate();
+    Some(bands.map(farthest).reduce(|| 0.0, f64::max))
 }
+
+/// Rows of the map that one thread takes at a time.
+const BAND: usize = 64;
 
 fn crossings(path: &ToolPath) -> usize {
     let point = path.point_mm();
@@ -376,7 +392,7 @@ impl<'a> Cells<'a> {
         let mut best = f64::INFINITY;
         for ring in first..=last {
             // What lies in this ring is at least (ring - 1) cells away.
-            if (ring - 1) as f64 * self.side_mm > best {
+            if ring > 1 && ((ring - 1) as f64 * self.side_mm).powi(2) > best {
                 break;
             }
             for j in (centre[1] - ring).max(0)..=(centre[1] + ring).min(count[1] - 1) {
@@ -391,7 +407,7 @@ impl<'a> Cells<'a> {
                 }
             }
         }
-        best
+        best.sqrt()
     }
 
     /// Segments that touch a cell, ascending.
@@ -399,21 +415,22 @@ impl<'a> Cells<'a> {
         &self.member[self.start[k] as usize..self.start[k + 1] as usize]
     }
 
+    /// Square of the distance from the nearest segment of a cell.
     fn nearest_in(&self, k: usize, p: [f64; 2]) -> f64 {
         self.members(k)
             .iter()
-            .map(|i| distance(p, &self.segments[*i as usize]))
+            .map(|i| square_of_distance(p, &self.segments[*i as usize]))
             .fold(f64::INFINITY, f64::min)
     }
 }
 
-/// Distance of `p` from the segment `a b`.
-fn distance(p: [f64; 2], [a, b]: &[[f64; 2]; 2]) -> f64 {
+/// Square of the distance of `p` from the segment `a b`.
+fn square_of_distance(p: [f64; 2], [a, b]: &[[f64; 2]; 2]) -> f64 {
     let (d, q) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
     let square = d[0] * d[0] + d[1] * d[1];
     // f = clamp(<q, d> / <d, d>): the foot of the perpendicular, or the nearer end.
     let f = if square > 0.0 { ((q[0] * d[0] + q[1] * d[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
-    (q[0] - f * d[0]).hypot(q[1] - f * d[1])
+    (q[0] - f * d[0]).powi(2) + (q[1] - f * d[1]).powi(2)
 }
 
 #[cfg(test)]
@@ -572,7 +589,7 @@ mod tests {
             for (r, c) in (0..9).flat_map(|r| (0..14).map(move |c| (r, c))) {
                 let p = [map.grid().x.at(c), map.grid().y.at(r)];
                 let each = (0..n).filter(|i| on[*i]);
-                let near = each.map(|i| distance(p, &[points[i], points[i + 1]]));
+                let near = each.map(|i| square_of_distance(p, &[points[i], points[i + 1]]).sqrt());
                 worst = worst.max(near.fold(f64::INFINITY, f64::min));
             }
             prop_assert_eq!(coverage_mm(&path, &map), Some(worst));
