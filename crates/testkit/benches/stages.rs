@@ -13,7 +13,7 @@ use planish_dwell::{
     problem::Problem,
 };
 use planish_fixture::{Recipe, make};
-use planish_numerics::envelope::Envelope;
+use planish_numerics::{envelope::Envelope, fft::Convolution};
 use planish_schedule::{
     pvt::{self, Mode},
     trig_spline,
@@ -168,6 +168,16 @@ fn simulate_resting(bencher: Bencher) {
         Trajectory::new(breaks, (0..n).map(rest).collect(), vec![true; n], vec![0; n]).unwrap();
     let plan = Plan::new(&c.tif, c.surface.grid(), Settings::Gridded).unwrap();
     bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));
+}
+
+/// A map of dwell times on `side` x `side` pixels, and the TIF of 107 x 107 px: one transform there and
+/// one back, which a removal without approximation takes at least.
+#[divan::bench(args = [1641, 4096, 8192], sample_count = 3)]
+fn convolution(bencher: Bencher, side: usize) {
+    let rate = CASE.tif.rate_nm_per_s();
+    let seconds = Array2::<f64>::ones((side + rate.nrows() - 1, side + rate.ncols() - 1));
+    let plan = Convolution::new(rate.view(), seconds.dim());
+    bencher.bench_local(|| black_box(plan.valid(seconds.view())));
 }
 
 /// A square map of `pixels` by `pixels`, and straight lines of `points` segments over it, with the
