@@ -198,7 +198,37 @@ def main():
         ],
     ))
     put("growth", growth(disks))
+    put("residual", residuals(whole, stages))
     put("peers", table(head, in_ms(peers.measure())))
+
+
+def residuals(whole, stages):
+    """Lucy-Richardson on the disk of 1641 x 1641 pixels: seconds, and what is left."""
+    at = whole.out / "disk-1641"
+    height, rate = np.load(at / "fixture/surface/height_nm.npy"), np.load(at / "fixture/tif/rate_nm_per_s.npy")
+    rows = []
+    for dtype in (np.float32, np.float64):
+        samples = [peers.lucy_richardson_of(height, rate, 20, dtype) for _ in range(3)]
+        seconds = statistics.median(s for s, _ in samples)
+        rows.append((f"SciPy, {np.dtype(dtype).name}, dwell times on the pixels", 20, figures(seconds), f"{samples[0][1]:.4f}"))
+    told = whole.out / "wall.json"
+    for name, steps, flags in (
+        ("Planish, squares of pixels, then to the path", 20, []),
+        ("Planish, the same, accelerated", 12, ["--accelerated"]),
+        ("Planish, every pixel, then to the path", 20, ["--pixels-per-cell", "1"]),
+    ):
+        command = [
+            stages / "planish-dwell", "lucy-richardson", "--unknowns", "map", "--max-iterations", steps, "--tolerance", "0",
+            "--total-variation", "0", *flags, "--surface", at / "fixture/surface", "--tif", at / "fixture/tif",
+            "--tool-path", at / "path", "--wall-time", told, "--out", at / "residual",
+        ]
+        seconds = []
+        for _ in range(5):
+            shutil.rmtree(at / "residual", ignore_errors=True)
+            seconds.append(run(command))
+        report = json.loads((at / "residual/manifest.json").read_text())["outcome"]["report"]
+        rows.append((name, steps, figures(statistics.median(seconds)), f"{report['model_rms_nm']:.4f}"))
+    return table(["solver", "steps", "median, s", "RMS of what is left, nm"], rows)
 
 
 def growth(disks):

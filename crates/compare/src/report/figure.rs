@@ -200,7 +200,14 @@ fn dwell(views: &[View]) -> Option<String> {
             (&error, [-reach, reach], &HEIGHT_COLOURS[..], format!("executed - planned, {of}")),
         ] {
             let mut panel = sheet.panel(x, y, ["x (mm)", "y (mm)"], &title);
-            let side = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
+            // A square as large as its share of the picture, and no gap to the next one on the path.
+            let gap = |pair: &[[f64; 2]]| {
+                let [a, b] = [pair[0], pair[1]].map(|p| panel.at(p));
+                (b[0] - a[0]).hypot(b[1] - a[1])
+            };
+            let gaps: Vec<f64> = d.point_mm.windows(2).map(gap).collect();
+            let share = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
+            let side = share.max(1.1 * quantile(&gaps, 0.5).min(10.0));
             let mut bins = vec![String::new(); BINS];
             for (p, v) in d.point_mm.iter().zip(values) {
                 let share = (v - range[0]) / (range[1] - range[0]) * BINS as f64;

@@ -65,7 +65,9 @@ function entryOf(run, method) {
       const d = method.dwell;
       if (!d) return null;
       const planned = floats(d.planned_s), executed = floats(d.executed_s);
-      return { x: unpack(d.x_mm), y: unpack(d.y_mm), planned, executed, error: executed.map((v, i) => v - planned[i]) };
+      const x = unpack(d.x_mm), y = unpack(d.y_mm);
+      const gap = quantile(x.slice(1).map((v, i) => Math.hypot(v - x[i], y[i + 1] - y[i])), 0.5);
+      return { x, y, gap, planned, executed, error: executed.map((v, i) => v - planned[i]) };
     }),
     frames: frames && { time: frames.time_s, values: once(() => unpack(frames.residual_nm)), frame: frames },
     total: floats(method.ranges.end_s).at(-1),
@@ -683,7 +685,9 @@ function dwellContent(entry, kind) {
     paint(ctx, box) {
       const every = state.moving ? Math.ceil(values.length / MOVING_POINTS) : 1;
       const area = (WHOLE[1] - WHOLE[0]) * (WHOLE[3] - WHOLE[2]);
-      const side = Math.max(1.5, Math.min(24, box.k * Math.sqrt((0.7 * area) / values.length)));
+      // As large as its share of the picture, and no gap to the next one on the path.
+      const share = Math.max(Math.sqrt((0.7 * area) / values.length), 1.1 * d.gap);
+      const side = Math.max(1.5, Math.min(24, box.k * share));
       const bins = Array.from({ length: n }, () => []);
       for (let i = 0; i < values.length; i += every) {
         const px = box.x.at(d.x[i]), py = box.y.at(d.y[i]);
