@@ -163,7 +163,9 @@ def main():
     ).stdout
     head = ["work", "runs", "least, ms", "median, ms"]
     in_ms = lambda rows: [(n, r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in rows]
-    put("kernels", table(head, in_ms([(f"`{n}`", *rest) for n, *rest in divan(bench)])))
+    kernels = divan(bench)
+    put("kernels", table(head, in_ms([(f"`{n}`", *rest) for n, *rest in kernels])))
+    put("limits", limits({name: median for name, _, _, median in kernels}))
 
     whole = Whole(stages, out)
     flat = json.loads(Path("fixtures/flat-92x16.json").read_text())
@@ -200,6 +202,25 @@ def main():
     put("growth", growth(disks))
     put("residual", residuals(whole, stages))
     put("peers", table(head, in_ms(peers.measure())))
+
+
+def limits(seconds):
+    """What cannot be done faster, and how far from it the work is; `seconds` by name of the kernel."""
+    # memory_triad reads two arrays of 256 MiB and writes one.
+    bytes_per_s = 3 * 2**28 / seconds["memory_triad 2"]
+    # Along the rows and the columns, there and back: each time the nodes are read and written.
+    transforms = 4 * 2 * 8 * (8192 + 106) ** 2 / bytes_per_s
+    rows = [
+        ("convolution 8192", f"memory, {bytes_per_s / 1e9:.0f} GB/s: four times over the nodes", transforms),
+        ("simulate_large (8192, 10000)", "one `convolution 8192`", seconds["convolution 8192"]),
+        ("simulate_large (8192, 1000000)", "one `convolution 8192`", seconds["convolution 8192"]),
+        ("simulate_large (1641, 10000)", "one `convolution 1641`", seconds["convolution 1641"]),
+        ("dwell_lucy_richardson_large true", "two `convolution 1641`: what the points reach, and what is left", 2 * seconds["convolution 1641"]),
+    ]
+    return table(
+        ["work", "limit", "limit, ms", "median, ms", "ratio"],
+        [(f"`{n}`", what, figures(1e3 * least), figures(1e3 * seconds[n]), figures(seconds[n] / least)) for n, what, least in rows],
+    )
 
 
 def residuals(whole, stages):
