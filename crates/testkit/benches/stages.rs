@@ -304,3 +304,23 @@ fn maze_of_a_large_part(tree: &str) {
     };
     black_box(maze(&part, &settings).unwrap());
 }
+
+/// What the memory of the machine gives: `a[i] = b[i] + 3 c[i]` over three arrays of 256 MiB, larger
+/// than any cache. 768 MiB are moved, 1024 MiB where a write first reads its line.
+#[divan::bench(args = [1, 2], sample_count = 7, sample_size = 1)]
+fn memory_triad(bencher: Bencher, threads: usize) {
+    const LENGTH: usize = 1 << 25;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let (mut a, b, c) = (vec![1.0_f64; LENGTH], vec![2.0_f64; LENGTH], vec![0.5_f64; LENGTH]);
+    let part = LENGTH / threads;
+    bencher.bench_local(|| {
+        pool.scope(|s| {
+            for ((a, b), c) in a.chunks_mut(part).zip(b.chunks(part)).zip(c.chunks(part)) {
+                s.spawn(move |_| {
+                    a.iter_mut().zip(b).zip(c).for_each(|((a, b), c)| *a = b + 3.0 * c);
+                });
+            }
+        });
+        black_box(&mut a);
+    });
+}
