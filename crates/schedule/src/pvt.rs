@@ -52,8 +52,11 @@
 //! | dp | `displacement_mm` | (N) | mm |
 //! | v | `velocity_mm_per_s` | (N+1) | mm/s |
 
+use std::collections::BTreeMap;
+
 use planish_numerics::chain;
 use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{ScheduleError, break_times, check_lengths};
@@ -154,7 +157,9 @@ pub fn schedule(
         let problem = "is zero everywhere on a path at rest";
         return Err(Invalid::whole("dwell_s", problem, "give a dwell time").into());
     }
-    if let Some(error) = timing.refusal(path, dwell, limits).filter(|_| !settings.stretch) {
+    if !settings.stretch
+        && let Some(error) = timing.refusal(path, dwell, limits)
+    {
         return Err(error);
     }
     let axes = [0, 1].map(|axis| AxisProblem {
@@ -180,7 +185,8 @@ pub fn schedule(
         match (x, y) {
             (Ok(x), Ok(y)) => {
                 let solver = [x.solver, y.solver];
-                let segments = (0..h.len()).map(|k| {
+                // By all threads: most of the time is the memory's, touched for the first time.
+                let segments = (0..h.len()).into_par_iter().map(|k| {
                     let start = path.point_mm()[timing.kept[k]];
                     let hermite = |axis: usize, v: &[f64]| {
                         hermite(start[axis], axes[axis].displacement_mm[k], v[k], v[k + 1], h[k])
@@ -455,6 +461,22 @@ struct Rounds {
     may_rest: bool,
 }
 
+/// Where the limits of the machine are in a program.
+#[derive(Debug)]
+struct Limited {
+    /// Whether a segment (N) has them.
+    segment: Vec<bool>,
+    /// Times, in units of the duration, at which its velocity is bounded besides the middle.
+    velocity_at: BTreeMap<usize, Vec<f64>>,
+}
+
+impl Limited {
+    /// Times at which the velocity of segment `i`, which has limits, is bounded.
+    fn times(&self, i: usize) -> impl Iterator<Item = f64> {
+        std::iter::once(0.5).chain(self.velocity_at.get(&i).into_iter().flatten().copied())
+    }
+}
+
 /// Node velocities (N+1) and how they were found.
 #[derive(Debug)]
 struct Solved {
@@ -469,7 +491,7 @@ impl AxisProblem {
         before.unsolved = false;
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
-        if allowed && self.excess(&free, h).iter().all(|e| *e <= 1.0) {
+        if allowed && (0..h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
         let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
@@ -521,14 +543,15 @@ impl AxisProblem {
         let dp = &self.displacement_mm;
         let mut v = vec![0.0; n + 1];
         // Forward elimination of nodes 1 .. n-1; v_0 = v_n = 0.
-        let mut upper = vec![0.0; n + 1];
+        let mut upper = vec![0.0; n];
+        let mut a = 1.0 / h[0];
         for i in 1..n {
-            let (a, b) = (h[i - 1], h[i]);
-            let below = 2.0 / a;
-            let pivot = 4.0 / a + 4.0 / b - below * upper[i - 1];
-            let g = 6.0 * dp[i - 1] / (a * a) + 6.0 * dp[i] / (b * b);
-            upper[i] = 2.0 / b / pivot;
-            v[i] = (g - below * v[i - 1]) / pivot;
+            let b = 1.0 / h[i];
+            let pivot = 1.0 / (4.0 * (a + b) - 2.0 * a * upper[i - 1]);
+            let g = 6.0 * (dp[i - 1] * a * a + dp[i] * b * b);
+            upper[i] = 2.0 * b * pivot;
+            v[i] = (g - 2.0 * a * v[i - 1]) * pivot;
+            a = b;
         }
         for i in (1..n).rev() {
             v[i] -= upper[i] * v[i + 1];
@@ -583,15 +606,18 @@ impl AxisProblem {
     /// Factor by which the time of each segment should grow: the velocity is inversely
     /// proportional to it, the acceleration to its square, the jerk to its cube.
     fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
-        (0..h.len())
-            .map(|i| {
-                let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
-                let (start, end) = accelerations(dp, v0, v1, h);
-                let a = start.abs().max(end.abs()) / self.max_acceleration;
-                let j = (end - start).abs() / (h * self.max_jerk);
-                a.sqrt().max(j.cbrt()).max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity)
-            })
-            .collect()
+        (0..h.len()).map(|i| self.excess_of(i, v, h)).collect()
+    }
+
+    fn excess_of(&self, i: usize, v: &[f64], h: &[f64]) -> f64 {
+        let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
+        let (start, end) = accelerations(dp, v0, v1, h);
+        let a = (start.abs().max(end.abs()) / self.max_acceleration).sqrt();
+        let excess = a.max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity);
+        if self.max_jerk.is_infinite() {
+            return excess;
+        }
+        excess.max(((end - start).abs() / (h * self.max_jerk)).cbrt())
     }
 
     /// Signs that the velocity of each node may have: [negative, positive].
@@ -635,32 +661,31 @@ impl AxisProblem {
         if self.displacement_mm.iter().all(|dp| *dp == 0.0) {
             return Some(vec![0.0; n + 1]); // an axis at rest
         }
-        let mut limited: Vec<Vec<f64>> = vec![Vec::new(); n];
-        before.limited.iter().for_each(|i| limited[*i].push(0.5));
+        let mut limited = Limited { segment: vec![false; n], velocity_at: BTreeMap::new() };
+        before.limited.iter().for_each(|i| limited.segment[*i] = true);
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
-            let v = chain::solve(&self.program(h, bounds, &limited)).ok()?;
+            let v = chain::solve(self.program(h, bounds, &limited)).ok()?;
             let v = self.exact_at_fixed_nodes(v);
-            let excess = self.excess(&v, h);
             let mut complete = true;
             let mut with_rows: Vec<usize> = Vec::new();
-            for i in (0..n).filter(|i| excess[*i] > 1.0 + 0.5 * MARGIN) {
-                if limited[i].is_empty() {
+            for i in (0..n).filter(|i| self.excess_of(*i, &v, h) > 1.0 + 0.5 * MARGIN) {
+                if !limited.segment[i] {
                     with_rows.push(i);
                 } else if bounds == Bounds::Hard {
                     let (peak, u) = peak_velocity(self.displacement_mm[i], v[i], v[i + 1], h[i]);
-                    let known = limited[i].iter().any(|k| (k - u).abs() < 1e-9);
+                    let known = limited.times(i).any(|k| (k - u).abs() < 1e-9);
                     if peak <= self.max_velocity || known {
                         return None;
                     }
-                    limited[i].push(u);
+                    limited.velocity_at.entry(i).or_default().push(u);
                     complete = false;
                 }
             }
             for i in with_rows {
                 for near in i.saturating_sub(reach)..(i + reach + 1).min(n) {
-                    if limited[near].is_empty() {
-                        limited[near].push(0.5);
+                    if !limited.segment[near] {
+                        limited.segment[near] = true;
                         before.limited.push(near);
                     }
                 }
@@ -674,60 +699,62 @@ impl AxisProblem {
         None
     }
 
-    /// The program with the limits of the machine in the segments that have times in `limited`:
-    /// those (in units of the duration) at which the velocity is bounded.
+    /// The program with the limits of the machine in the segments that are `limited`.
     ///
     /// Elastic bounds: the limits of segment i may be exceeded by the fraction e_i >= 0, a
     /// variable of its own, at the price of h_i e_i, about twice the time that it costs to mend;
     /// the energy hardly counts against it. The excesses are then few and cheap.
-    fn program(&self, h: &[f64], bounds: Bounds, limited: &[Vec<f64>]) -> chain::Program {
+    fn program(&self, h: &[f64], bounds: Bounds, limited: &Limited) -> chain::Program {
         let (n, dp) = (h.len(), &self.displacement_mm);
-        let signs: Vec<[bool; 2]> = (0..=n).map(|i| self.allowed_signs(i)).collect();
-        let mut program = chain::Program {
-            diagonal: vec![0.0; n + 1],
-            beside: h.iter().map(|h| 2.0 / h).collect(),
-            linear: vec![0.0; n + 1],
-            free: signs.iter().map(|s| *s != [false, false]).collect(),
-            ..chain::Program::default()
-        };
+        let signs = |i: usize| self.allowed_signs(i);
+        let mut beside = Vec::with_capacity(n);
+        let (mut diagonal, mut linear) = (Vec::with_capacity(n + 1), Vec::with_capacity(n + 1));
+        let mut before = [0.0; 2];
         for i in 0..n {
-            for node in [i, i + 1] {
-                program.diagonal[node] += 4.0 / h[i];
-                program.linear[node] += 6.0 * dp[i] / (h[i] * h[i]);
+            let r = 1.0 / h[i];
+            let own = [4.0 * r, 6.0 * dp[i] * r * r];
+            beside.push(2.0 * r);
+            diagonal.push(before[0] + own[0]);
+            linear.push(before[1] + own[1]);
+            before = own;
+        }
+        diagonal.push(before[0]);
+        linear.push(before[1]);
+        let price = match bounds {
+            Bounds::Hard => Vec::new(),
+            Bounds::Elastic => {
+                let energy = diagonal.iter().copied().fold(0.0, f64::max);
+                let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
+                let mean_s = h.iter().sum::<f64>() / n as f64;
+                let price = energy * mean * mean / (ELASTIC_ENERGY * mean_s);
+                h.iter().map(|h| price * h).collect()
             }
-        }
-        if bounds == Bounds::Elastic {
-            let energy = program.diagonal.iter().copied().fold(0.0, f64::max);
-            let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
-            let mean_s = h.iter().sum::<f64>() / n as f64;
-            let price = energy * mean * mean / (ELASTIC_ENERGY * mean_s);
-            program.price = h.iter().map(|h| price * h).collect();
-        }
+        };
+        let free = (0..=n).map(|i| signs(i) != [false, false]).collect();
+        let mut program = chain::Program::new(diagonal, beside, linear, free, price);
         let v_max = self.max_velocity;
         for i in 0..n {
-            let mut add = |a: [f64; 2], slack: f64, bound: f64| {
-                program.rows.push(chain::Row { link: i, a, slack, bound });
-            };
             if self.mode == Mode::Monotone {
                 // v_i >= 0 or v_i <= 0;  sign(dp) (v0 + v1) <= 3 |dp| / h
-                match signs[i] {
-                    [false, true] => add([-1.0, 0.0], 0.0, 0.0),
-                    [true, false] => add([1.0, 0.0], 0.0, 0.0),
+                match signs(i) {
+                    [false, true] => program.add([-1.0, 0.0], 0.0, 0.0),
+                    [true, false] => program.add([1.0, 0.0], 0.0, 0.0),
                     _ => {}
                 }
                 let sign = dp[i].signum();
                 if dp[i] != 0.0 {
-                    add([sign, sign], 0.0, 3.0 * dp[i].abs() / h[i]);
+                    program.add([sign, sign], 0.0, 3.0 * dp[i].abs() / h[i]);
                 }
             }
-            if limited[i].is_empty() {
+            if !limited.segment[i] {
+                program.end_link();
                 continue;
             }
             // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
             let (d, a) = (dp[i] / h[i], self.max_acceleration * h[i]);
             let mut both = |row: [f64; 2], constant: f64, bound: f64| {
-                add(row, bound, bound - constant);
-                add(row.map(|v| -v), bound, bound + constant);
+                program.add(row, bound, bound - constant);
+                program.add(row.map(|v| -v), bound, bound + constant);
             };
             both([-4.0, -2.0], 6.0 * d, a);
             both([2.0, 4.0], -6.0 * d, a);
@@ -737,11 +764,12 @@ impl AxisProblem {
                 // |6 (v0 + v1) - 12 dp/h| <= j h^2
                 both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
             }
-            for u in &limited[i] {
+            for u in limited.times(i) {
                 // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
                 let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
                 both([w * w - m, u * u - m], 3.0 * m * d, v_max);
             }
+            program.end_link();
         }
         program
     }
