@@ -34,63 +34,76 @@
 
 use std::ops::Range;
 
-/// Program (1) with n variables and n - 1 links.
-#[derive(Clone, Debug)]
+use rayon::prelude::*;
+
+/// Program (1) with n variables and n - 1 links, without its rows.
+#[derive(Clone, Debug, Default)]
 pub struct Program {
     /// P_ii (n); > 0.
-    diagonal: Vec<f64>,
+    pub diagonal: Vec<f64>,
     /// P_{i,i+1} (n-1).
-    beside: Vec<f64>,
+    pub beside: Vec<f64>,
     /// c (n).
-    linear: Vec<f64>,
+    pub linear: Vec<f64>,
     /// Whether the variable is free (n); the others are zero.
-    free: Vec<bool>,
+    pub free: Vec<bool>,
     /// p (n-1), > 0; or empty: the rows are hard.
-    price: Vec<f64>,
-    /// Bounds, link after link.
-    rows: Vec<Row>,
-    /// k >= 0 of the rows; empty without prices.
-    slack: Vec<f64>,
-    /// Number of rows up to each link.
-    end: Vec<usize>,
+    pub price: Vec<f64>,
 }
 
-/// `a[0] x_i + a[1] x_{i+1} - k e_i <= bound`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The rows of a half of the chain, in units of y and with a largest coefficient of 1. Rows without
+/// coefficients vanish.
+#[derive(Debug)]
+pub struct Rows {
+    row: Vec<Row>,
+    /// k of the rows; empty where they are hard.
+    slack: Vec<f64>,
+    /// Number of rows up to the end of link k.
+    end: Vec<usize>,
+    elastic: bool,
+    /// Whether links and their ends are in descending order.
+    up: bool,
+    /// w of the present link's ends.
+    w: [f64; 2],
+    /// A row without coefficients has a bound below zero.
+    infeasible: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
 struct Row {
+    /// Of the outer end of the link, and of the inner one.
     a: [f64; 2],
     bound: f64,
 }
 
-impl Program {
-    /// `P_ii` (n), > 0; `P_{i,i+1}` (n-1); `c` (n); whether the variable is free (n), the others are
-    /// zero; `p` (n-1), > 0, or empty: the rows are hard. There are no rows yet.
-    pub fn new(
-        diagonal: Vec<f64>,
-        beside: Vec<f64>,
-        linear: Vec<f64>,
-        free: Vec<bool>,
-        price: Vec<f64>,
-    ) -> Self {
-        let (rows, slack, end) = Default::default();
-        Self { diagonal, beside, linear, free, price, rows, slack, end }
-    }
-
-    /// Adds the row `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the present link `i`.
+impl Rows {
+    /// Adds `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the present link i.
     pub fn add(&mut self, a: [f64; 2], k: f64, bound: f64) {
-        self.rows.push(Row { a, bound });
-        if !self.price.is_empty() {
-            self.slack.push(k);
+        let a = [a[0] * self.w[0], a[1] * self.w[1]];
+        let k = if self.elastic { k } else { 0.0 };
+        let size = a[0].abs().max(a[1].abs()).max(k);
+        if size > 0.0 {
+            let a = if self.up { [a[1] / size, a[0] / size] } else { a.map(|a| a / size) };
+            self.row.push(Row { a, bound: bound / size });
+            if self.elastic {
+                self.slack.push(k / size);
+            }
+        } else {
+            self.infeasible |= bound < 0.0;
         }
     }
 
-    /// The rows to come belong to the next link; to be called once for every link.
-    pub fn end_link(&mut self) {
+    fn end_link(&mut self) {
         let start = self.end.last().copied().unwrap_or(0);
-        if !self.price.is_empty() && self.rows.len() > start {
+        if self.elastic && self.row.len() > start {
             self.add([0.0; 2], 1.0, 0.0); // e >= 0
         }
-        self.end.push(self.rows.len());
+        self.end.push(self.row.len());
+    }
+
+    fn of(&self, k: usize) -> Range<usize> {
+        let start = if k == 0 { 0 } else { self.end[k - 1] };
+        start..self.end[k]
     }
 }
 
@@ -120,80 +133,52 @@ const MAX_ITERATIONS: usize = 150;
 /// Links below which a second thread costs more than it saves.
 const WORTH_A_THREAD: usize = 2048;
 
-/// x of (1). The program is scaled in place: a copy of a long one would take as long as two
-/// iterations.
-pub fn solve(mut program: Program) -> Result<Vec<f64>, Failure> {
-    let n = program.diagonal.len();
-    if n == 0 {
+/// x of (1), where `rows` adds the rows of a link, in any order, but always the same. The program
+/// is scaled in place: a copy of a long one would take as long as an iteration.
+pub fn solve(
+    mut program: Program,
+    rows: impl Fn(usize, &mut Rows) + Sync,
+) -> Result<Vec<f64>, Failure> {
+    if program.diagonal.is_empty() {
         return Ok(Vec::new());
     }
-    assert_eq!(program.end.len(), n - 1, "every link is ended");
-    let w = program.scale()?;
-    let mut chain = Chain::new(&program);
+    let (w, diagonal) = program.scale();
     if program.price.is_empty() {
-        chain.solve::<false>(&program)?;
+        Chain::<false> { program: &program, diagonal }.solve(w, rows)
     } else {
-        chain.solve::<true>(&program)?;
+        Chain::<true> { program: &program, diagonal }.solve(w, rows)
     }
-    let mut x = w;
-    x.iter_mut().zip(&chain.node).for_each(|(x, node)| *x *= node.y);
-    Ok(x)
 }
 
 impl Program {
-    /// (1) in the variables y, x = w y: a diagonal all the same, 1 without prices (the first of
-    /// `diagonal`, the others are lost); a largest linear term of 1; rows with a largest coefficient
-    /// of 1; the objective divided so that no price is above 1. Variables that are not free have no
-    /// coefficient but the one on the diagonal, rows without coefficients vanish. Returns w.
-    fn scale(&mut self) -> Result<Vec<f64>, Failure> {
-        let (n, elastic) = (self.diagonal.len(), !self.price.is_empty());
+    /// (1) in the variables y, x = w y: a diagonal all the same, 1 without prices; a largest linear
+    /// term of 1; the objective divided so that no price is above 1. Variables that are not free
+    /// have no coefficient but the one on the diagonal. Returns w and the diagonal; `diagonal` is
+    /// empty afterwards.
+    fn scale(&mut self) -> (Vec<f64>, f64) {
         // w_i = unit / sqrt(P_ii)
         let mut w = std::mem::take(&mut self.diagonal);
-        let mut unit = 0.0_f64;
-        for i in 0..n {
-            w[i] = if self.free[i] { 1.0 / w[i].sqrt() } else { 0.0 };
-            unit = unit.max((self.linear[i] * w[i]).abs());
-        }
+        let root = |((w, free), c): ((&mut f64, &bool), &f64)| {
+            *w = if *free { 1.0 / w.sqrt() } else { 0.0 };
+            (c * *w).abs()
+        };
+        let unit = (w.par_iter_mut().zip(&self.free).zip(&self.linear))
+            .with_min_len(WORTH_A_THREAD)
+            .map(root)
+            .reduce(|| 0.0, f64::max);
         let unit = if unit > 0.0 { unit } else { 1.0 };
         // The objective is divided by unit^2 (1 + highest price).
         let highest = self.price.iter().copied().fold(0.0, f64::max) / (unit * unit);
         let diagonal = 1.0 / (1.0 + highest);
-        for (i, beside) in self.beside.iter_mut().enumerate() {
-            *beside *= diagonal * w[i] * w[i + 1];
+        for (beside, w) in self.beside.iter_mut().zip(w.windows(2)) {
+            *beside *= diagonal * w[0] * w[1];
         }
-        for (i, linear) in self.linear.iter_mut().enumerate() {
-            *linear *= diagonal * w[i] / unit;
+        for (linear, w) in self.linear.iter_mut().zip(&mut w) {
+            *linear *= diagonal * *w / unit;
+            *w *= unit;
         }
         self.price.iter_mut().for_each(|p| *p *= diagonal / (unit * unit));
-        w.iter_mut().for_each(|w| *w *= unit);
-        let (mut from, mut to) = (0, 0);
-        for link in 0..n - 1 {
-            let start = to;
-            while from < self.end[link] {
-                let row = self.rows[from];
-                let a = [row.a[0] * w[link], row.a[1] * w[link + 1]];
-                let slack = if elastic { self.slack[from] } else { 0.0 };
-                from += 1;
-                let size = a[0].abs().max(a[1].abs()).max(slack);
-                if size > 0.0 {
-                    self.rows[to] = Row { a: a.map(|a| a / size), bound: row.bound / size };
-                    if elastic {
-                        self.slack[to] = slack / size;
-                    }
-                    to += 1;
-                } else if row.bound < 0.0 {
-                    return Err(Failure::Infeasible);
-                }
-            }
-            if elastic && to == start + 1 {
-                to = start; // e >= 0 alone
-            }
-            self.end[link] = to;
-        }
-        self.rows.truncate(to);
-        self.slack.truncate(to);
-        self.diagonal = vec![diagonal];
-        Ok(w)
+        (w, diagonal)
     }
 }
 
@@ -227,15 +212,6 @@ struct Excess {
     mean: [f64; 2],
     /// 1 / sum_j D_j k_j^2.
     inverse: f64,
-}
-
-/// The iterate and the last step of a scaled program.
-struct Chain {
-    node: Vec<Node>,
-    at: Vec<Pair>,
-    /// t of the corrector in `l` before its way back.
-    step: Vec<Pair>,
-    excess: Vec<Excess>,
 }
 
 /// What an elimination has left to the next node towards the middle.
@@ -323,57 +299,33 @@ fn worse(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-impl Chain {
-    fn new(program: &Program) -> Self {
-        let (n, m) = (program.linear.len(), program.rows.len());
-        Self {
-            node: vec![Node::default(); n],
-            at: vec![Pair::default(); m],
-            step: vec![Pair::default(); m],
-            excess: vec![Excess::default(); program.price.len()],
-        }
-    }
+/// A scaled program.
+struct Chain<'a, const ELASTIC: bool> {
+    program: &'a Program,
+    /// P_ii.
+    diagonal: f64,
+}
 
-    /// Leaves the solution in the nodes.
-    fn solve<const ELASTIC: bool>(&mut self, program: &Program) -> Result<(), Failure> {
-        let (n, m) = (program.linear.len(), program.rows.len());
-        let (middle, diagonal) = (n / 2, program.diagonal[0]);
-        let start = if middle > 0 { program.end[middle - 1] } else { 0 };
-        let (node_low, node_high) = self.node.split_at_mut(middle);
-        let (mid, node_high) = node_high.split_first_mut().expect("n > middle");
-        let (at_low, at_high) = self.at.split_at_mut(start);
-        let (step_low, step_high) = self.step.split_at_mut(start);
-        let split = if ELASTIC { middle } else { 0 };
-        let (excess_low, excess_high) = self.excess.split_at_mut(split);
-        let mut low = Half::<false, ELASTIC> {
-            diagonal,
-            linear: &program.linear[..middle],
-            beside: &program.beside[..middle],
-            price: &program.price[..split],
-            end: &program.end[..middle],
-            first: 0,
-            rows: &program.rows[..start],
-            slack: program.slack.get(..start).unwrap_or_default(),
-            node: node_low,
-            at: at_low,
-            step: step_low,
-            excess: excess_low,
+impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
+    /// w y.
+    fn solve(
+        &self,
+        mut w: Vec<f64>,
+        rows: impl Fn(usize, &mut Rows) + Sync,
+    ) -> Result<Vec<f64>, Failure> {
+        let (n, diagonal) = (w.len(), self.diagonal);
+        let middle = n / 2;
+        let half = |up| Half::<ELASTIC>::new(self.program, diagonal, up, &w, &rows);
+        let (mut low, mut high) = if n < WORTH_A_THREAD {
+            (half(false), half(true))
+        } else {
+            rayon::join(|| half(false), || half(true))
         };
-        let mut high = Half::<true, ELASTIC> {
-            diagonal,
-            linear: &program.linear[middle + 1..],
-            beside: &program.beside[middle..],
-            price: &program.price[split..],
-            end: &program.end[middle..],
-            first: start,
-            rows: &program.rows[start..],
-            slack: program.slack.get(start..).unwrap_or_default(),
-            node: node_high,
-            at: at_high,
-            step: step_high,
-            excess: excess_high,
-        };
-        let linear = program.linear[middle];
+        if low.rows.infeasible || high.rows.infeasible {
+            return Err(Failure::Infeasible);
+        }
+        let m = low.rows.row.len() + high.rows.row.len();
+        let linear = self.program.linear[middle];
         /// Both halves, by two threads where that is worth it.
         macro_rules! both {
             ($method:ident($($argument:expr),*)) => {
@@ -388,19 +340,15 @@ impl Chain {
         // The free minimiser is a good start.
         let (a, b) = both!(eliminate_free());
         let c = a.plus(b);
-        mid.y = (linear + c.right) / (diagonal + c.pivot);
-        let y = mid.y;
+        let (mut y, mut dy) = ((linear + c.right) / (diagonal + c.pivot), 0.0);
         both!(start(y));
-        if m == 0 {
-            return Ok(());
-        }
         // The last point that would be accepted: rounding may spoil the next.
         let mut accepted: Option<Vec<f64>> = None;
         let mut lowest = f64::INFINITY;
         let mut length = 0.0;
-        for _ in 0..MAX_ITERATIONS {
-            mid.y += length * mid.dy;
-            let y = mid.y;
+        let mut solved = m == 0;
+        for _ in 0..if solved { 0 } else { MAX_ITERATIONS } {
+            y += length * dy;
             let ((a, ra), (b, rb)) = both!(advance_and_eliminate(length, y));
             let (c, mut r) = (a.plus(b), ra.plus(rb));
             let gradient = linear - diagonal * y + c.gradient;
@@ -409,14 +357,15 @@ impl Chain {
             r.mu /= m as f64;
             r.largest = worse(r.largest, r.mu);
             if r.is_within(TOLERANCE) {
-                return Ok(());
+                solved = true;
+                break;
             }
             if r.is_within(ACCEPTED) {
                 let values = accepted.get_or_insert_default();
                 values.clear();
                 values.extend(low.node.iter().map(|node| node.y));
                 values.push(y);
-                values.extend(high.node.iter().map(|node| node.y));
+                values.extend(high.node.iter().rev().map(|node| node.y));
             } else if accepted.is_some() || !r.largest.is_finite() {
                 break;
             }
@@ -424,9 +373,8 @@ impl Chain {
                 return Err(Failure::Infeasible);
             }
             // Predictor: sigma = 0, no second-order term.
-            mid.inverse = 1.0 / (diagonal + c.pivot);
-            mid.dy = (gradient + c.right) * mid.inverse;
-            let dy = mid.dy;
+            let inverse = 1.0 / (diagonal + c.pivot);
+            dy = (gradient + c.right) * inverse;
             let (a, b) = both!(predict(y, dy));
             let reach = a.plus(b);
             let a = (1.0 / reach.inverse).min(1.0);
@@ -438,72 +386,113 @@ impl Chain {
             let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
             lowest = lowest.min(r.mu);
             let (a, b) = both!(eliminate_corrector(second, sigma * r.mu, y, dy));
-            mid.dy = (gradient + a.right + b.right) * mid.inverse;
-            let dy = mid.dy;
+            dy = (gradient + a.right + b.right) * inverse;
             let (a, b) = both!(correct(y, dy));
             length = ((1.0 - r.mu).clamp(0.995, 0.9999) / a.plus(b).inverse).min(1.0);
             if length.is_nan() || length <= 1e-13 {
                 break;
             }
         }
-        let accepted = accepted.ok_or(Failure::NotConverged)?;
-        self.node.iter_mut().zip(accepted).for_each(|(node, y)| node.y = y);
-        Ok(())
+        if solved {
+            w[..middle].iter_mut().zip(&low.node).for_each(|(w, node)| *w *= node.y);
+            w[middle] *= y;
+            w[middle + 1..].iter_mut().rev().zip(&high.node).for_each(|(w, node)| *w *= node.y);
+        } else {
+            let accepted = accepted.ok_or(Failure::NotConverged)?;
+            w.iter_mut().zip(accepted).for_each(|(w, y)| *w *= y);
+        }
+        Ok(w)
     }
 }
 
 /// The links from an end of the chain to its middle. Link k joins node k and node k + 1, counted
-/// from the end; node k + 1 of the last link is the middle. Nodes and links are stored in the order
-/// of the chain: the other way round where `UP`, towards the start of the chain.
-struct Half<'a, const UP: bool, const ELASTIC: bool> {
+/// from the end; node k + 1 of the last link is the middle.
+struct Half<'a, const ELASTIC: bool> {
+    program: &'a Program,
     /// P_ii.
     diagonal: f64,
-    linear: &'a [f64],
-    beside: &'a [f64],
-    price: &'a [f64],
-    /// End of the rows of the links, counted from the start of the chain.
-    end: &'a [usize],
-    /// First row of this half, counted from the start of the chain.
-    first: usize,
-    rows: &'a [Row],
-    slack: &'a [f64],
-    node: &'a mut [Node],
-    at: &'a mut [Pair],
-    step: &'a mut [Pair],
-    excess: &'a mut [Excess],
+    /// Whether this is the half of the last nodes.
+    up: bool,
+    rows: Rows,
+    node: Vec<Node>,
+    at: Vec<Pair>,
+    /// t of the corrector in `l` before its way back.
+    step: Vec<Pair>,
+    excess: Vec<Excess>,
 }
 
-impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
+impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
+    fn new(
+        program: &'a Program,
+        diagonal: f64,
+        up: bool,
+        w: &[f64],
+        add: impl Fn(usize, &mut Rows),
+    ) -> Self {
+        let n = w.len();
+        let links = if up { n - 1 - n / 2 } else { n / 2 };
+        let mut rows = Rows {
+            row: Vec::new(),
+            slack: Vec::new(),
+            end: Vec::with_capacity(links),
+            elastic: ELASTIC,
+            up,
+            w: [0.0; 2],
+            infeasible: false,
+        };
+        for k in 0..links {
+            let link = if up { n - 2 - k } else { k };
+            rows.w = [w[link], w[link + 1]];
+            add(link, &mut rows);
+            rows.end_link();
+        }
+        let m = rows.row.len();
+        Self {
+            program,
+            diagonal,
+            up,
+            rows,
+            node: vec![Node::default(); links],
+            at: vec![Pair::default(); m],
+            step: vec![Pair::default(); m],
+            excess: vec![Excess::default(); if ELASTIC { links } else { 0 }],
+        }
+    }
+
     fn links(&self) -> usize {
-        self.beside.len()
+        self.node.len()
     }
 
-    /// Where link k and its outer node are.
-    fn place(&self, k: usize) -> usize {
-        if UP { self.links() - 1 - k } else { k }
+    /// c of the outer node of link k, and P of its two.
+    fn terms(&self, k: usize) -> (f64, f64) {
+        let Program { linear, beside, .. } = self.program;
+        if self.up {
+            (linear[linear.len() - 1 - k], beside[beside.len() - 1 - k])
+        } else {
+            (linear[k], beside[k])
+        }
     }
 
-    fn rows_of(&self, i: usize) -> Range<usize> {
-        let start = if i == 0 { 0 } else { self.end[i - 1] - self.first };
-        start..self.end[i] - self.first
+    fn price(&self, k: usize) -> f64 {
+        let price = &self.program.price;
+        price[if self.up { price.len() - 1 - k } else { k }]
     }
 
-    /// Coefficients of the outer and of the inner node, and k.
+    /// Coefficients of the outer and of the inner node, k and the bound.
     fn row(&self, j: usize) -> ([f64; 2], f64, f64) {
-        let Row { a, bound } = self.rows[j];
-        let slack = if ELASTIC { self.slack[j] } else { 0.0 };
-        (if UP { [a[1], a[0]] } else { a }, slack, bound)
+        let Row { a, bound } = self.rows.row[j];
+        (a, if ELASTIC { self.rows.slack[j] } else { 0.0 }, bound)
     }
 
     /// P y = c towards the middle.
     fn eliminate_free(&mut self) -> Carry {
         let mut carry = Carry::default();
         for k in 0..self.links() {
-            let i = self.place(k);
-            let (beside, node) = (self.beside[i], &mut self.node[i]);
+            let (linear, beside) = self.terms(k);
+            let node = &mut self.node[k];
             node.inverse = 1.0 / (self.diagonal + carry.pivot);
             node.below = beside * node.inverse;
-            let right = self.linear[i] + carry.right;
+            let right = linear + carry.right;
             node.dy = right * node.inverse;
             carry.pivot = -node.below * beside;
             carry.right = -node.below * right;
@@ -515,11 +504,10 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
     fn start(&mut self, middle: f64) {
         let mut y1 = middle;
         for k in (0..self.links()).rev() {
-            let i = self.place(k);
-            let node = &mut self.node[i];
+            let node = &mut self.node[k];
             node.y = node.dy - node.below * y1;
             let y0 = node.y;
-            for j in self.rows_of(i) {
+            for j in self.rows.of(k) {
                 let (a, _, bound) = self.row(j);
                 let s = (bound - (a[0] * y0 + a[1] * y1)).max(1.0);
                 (self.at[j], self.step[j]) = (Pair { s, l: 1.0 }, Pair::default());
@@ -536,26 +524,26 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
             node.y += length * node.dy;
             node.y
         };
-        let mut y1 = if self.links() > 0 { go(&mut self.node[self.place(0)]) } else { middle };
+        let mut y1 = if self.links() > 0 { go(&mut self.node[0]) } else { middle };
         for k in 0..self.links() {
-            let (i, y0) = (self.place(k), y1);
-            y1 = if k + 1 < self.links() { go(&mut self.node[self.place(k + 1)]) } else { middle };
-            let beside = self.beside[i];
+            let y0 = y1;
+            y1 = if k + 1 < self.links() { go(&mut self.node[k + 1]) } else { middle };
+            let (linear, beside) = self.terms(k);
             // c - P y
-            let gradient = self.linear[i] - self.diagonal * y0 - beside * y1 + carry.gradient;
+            let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
             let mut multipliers = [carry.multipliers, 0.0];
             let mut right = [gradient + carry.right, 0.0];
             let (mut pivot, mut off) = ([self.diagonal + carry.pivot, 0.0], beside);
-            let rows = self.rows_of(i);
+            let rows = self.rows.of(k);
             let mut excess = Excess::default();
             if ELASTIC {
-                excess = self.excess[i];
+                excess = self.excess[k];
                 excess.e += length * excess.de;
                 (excess.de, excess.mean, excess.inverse) = (0.0, [0.0; 2], 0.0);
             }
             let (mut dual_e, mut square, mut right_e) = (0.0, 0.0, 0.0);
             if ELASTIC && !rows.is_empty() {
-                (dual_e, right_e) = (self.price[i], -self.price[i]);
+                (dual_e, right_e) = (self.price(k), -self.price(k));
             }
             for j in rows.clone() {
                 let (a, slack, bound) = self.row(j);
@@ -609,11 +597,11 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
                 r.largest_dual = worse(r.largest_dual, dual_e.abs());
             }
             if ELASTIC {
-                self.excess[i] = excess;
+                self.excess[k] = excess;
             }
             r.largest_dual = worse(r.largest_dual, (multipliers[0] - gradient).abs());
             r.largest_multipliers = worse(r.largest_multipliers, multipliers[0].abs());
-            let node = &mut self.node[i];
+            let node = &mut self.node[k];
             node.inverse = 1.0 / pivot[0];
             node.below = off * node.inverse;
             node.dy = right[0] * node.inverse;
@@ -627,14 +615,14 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
         (carry, r)
     }
 
-    /// Step of node i and of its link by substitution.
-    fn substitute(&mut self, i: usize, dy1: f64) -> f64 {
-        let node = &mut self.node[i];
+    /// Step of node k and of its link by substitution.
+    fn substitute(&mut self, k: usize, dy1: f64) -> f64 {
+        let node = &mut self.node[k];
         node.dy -= node.below * dy1;
         let dy0 = node.dy;
         if ELASTIC {
             // M_ee de = right_e - M_ey dy
-            let excess = &mut self.excess[i];
+            let excess = &mut self.excess[k];
             let m = excess.mean;
             excess.de = excess.de * excess.inverse + m[0] * dy0 + m[1] * dy1;
         }
@@ -642,8 +630,8 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
     }
 
     /// e and its step.
-    fn excess_of(&self, i: usize) -> (f64, f64) {
-        if ELASTIC { (self.excess[i].e, self.excess[i].de) } else { (0.0, 0.0) }
+    fn excess_of(&self, k: usize) -> (f64, f64) {
+        if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
     }
 
     /// The predictor back from the middle.
@@ -651,10 +639,9 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
         let mut reach = Reach::default();
         let (mut y1, mut dy1) = (middle, step);
         for k in (0..self.links()).rev() {
-            let i = self.place(k);
-            let (y0, dy0) = (self.node[i].y, self.substitute(i, dy1));
-            let (e, de) = self.excess_of(i);
-            for j in self.rows_of(i) {
+            let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
+            let (e, de) = self.excess_of(k);
+            for j in self.rows.of(k) {
                 let (a, slack, bound) = self.row(j);
                 let Pair { s, l } = self.at[j];
                 let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
@@ -673,17 +660,17 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
     fn eliminate_corrector(&mut self, second: f64, sigma_mu: f64, middle: f64, step: f64) -> Carry {
         let mut carry = Carry::default();
         let of = |node: Option<&Node>| node.map_or((middle, step), |node| (node.y, node.dy));
-        let mut inner = of((self.links() > 0).then(|| &self.node[self.place(0)]));
+        let mut inner = of((self.links() > 0).then(|| &self.node[0]));
         for k in 0..self.links() {
-            let (i, (y0, dy0)) = (self.place(k), inner);
-            inner = of((k + 1 < self.links()).then(|| &self.node[self.place(k + 1)]));
+            let (y0, dy0) = inner;
+            inner = of((k + 1 < self.links()).then(|| &self.node[k + 1]));
             let (y1, dy1) = inner;
-            let beside = self.beside[i];
-            let gradient = self.linear[i] - self.diagonal * y0 - beside * y1 + carry.gradient;
+            let (linear, beside) = self.terms(k);
+            let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
             let mut right = [gradient + carry.right, 0.0];
-            let rows = self.rows_of(i);
-            let (e, de) = self.excess_of(i);
-            let mut right_e = if ELASTIC && !rows.is_empty() { -self.price[i] } else { 0.0 };
+            let rows = self.rows.of(k);
+            let (e, de) = self.excess_of(k);
+            let mut right_e = if ELASTIC && !rows.is_empty() { -self.price(k) } else { 0.0 };
             for j in rows {
                 let (a, slack, bound) = self.row(j);
                 let Pair { s, l } = self.at[j];
@@ -700,12 +687,12 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
                 right_e += slack * v;
             }
             if ELASTIC {
-                let excess = &mut self.excess[i];
+                let excess = &mut self.excess[k];
                 excess.de = right_e;
                 right[0] += excess.mean[0] * right_e;
                 right[1] += excess.mean[1] * right_e;
             }
-            let node = &mut self.node[i];
+            let node = &mut self.node[k];
             node.dy = right[0] * node.inverse;
             carry.right = right[1] - node.below * right[0];
             carry.gradient = -beside * y0;
@@ -718,10 +705,9 @@ impl<const UP: bool, const ELASTIC: bool> Half<'_, UP, ELASTIC> {
         let mut reach = Reach::default();
         let (mut y1, mut dy1) = (middle, step);
         for k in (0..self.links()).rev() {
-            let i = self.place(k);
-            let (y0, dy0) = (self.node[i].y, self.substitute(i, dy1));
-            let (e, de) = self.excess_of(i);
-            for j in self.rows_of(i) {
+            let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
+            let (e, de) = self.excess_of(k);
+            for j in self.rows.of(k) {
                 let (a, slack, bound) = self.row(j);
                 let Pair { s, l } = self.at[j];
                 let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
@@ -760,26 +746,17 @@ mod tests {
     /// Program (1), its rows in any order within their links.
     #[derive(Clone)]
     struct Case {
-        diagonal: Vec<f64>,
-        beside: Vec<f64>,
-        linear: Vec<f64>,
-        free: Vec<bool>,
-        price: Vec<f64>,
+        program: Program,
         rows: Vec<Bound>,
     }
 
     impl Case {
         fn solve(&self) -> Result<Vec<f64>, Failure> {
-            let Self { diagonal, beside, linear, free, price, rows } = self.clone();
-            let links = beside.len();
-            let mut program = Program::new(diagonal, beside, linear, free, price);
-            for link in 0..links {
-                for row in rows.iter().filter(|r| r.link == link) {
-                    program.add(row.a, row.slack, row.bound);
+            solve(self.program.clone(), |link, rows| {
+                for r in self.rows.iter().filter(|r| r.link == link) {
+                    rows.add(r.a, r.slack, r.bound);
                 }
-                program.end_link();
-            }
-            solve(program)
+            })
         }
     }
 
@@ -805,11 +782,11 @@ mod tests {
         }
         let diagonal = size.iter().map(|s| 4.0 * s * s).collect();
         let beside = size.windows(2).map(|s| s[0] * s[1]).collect();
-        Case { diagonal, beside, linear, free, price, rows }
+        Case { program: Program { diagonal, beside, linear, free, price }, rows }
     }
 
     /// The same by a general conic solver.
-    fn clarabel(program: &Case) -> Option<Vec<f64>> {
+    fn clarabel(Case { program, rows: bounds }: &Case) -> Option<Vec<f64>> {
         let (n, elastic) = (program.diagonal.len(), !program.price.is_empty());
         let variables = n + program.price.len();
         let mut p: Vec<(usize, usize, f64)> =
@@ -823,7 +800,7 @@ mod tests {
             b.push(0.0);
         }
         let fixed = b.len();
-        for row in &program.rows {
+        for row in bounds {
             a.push((b.len(), row.link, row.a[0]));
             a.push((b.len(), row.link + 1, row.a[1]));
             if elastic {
@@ -860,14 +837,14 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let mut compared = 0;
         for case in 0..200 {
-            let program = random(2 + case % 40, case % 2 == 1, &mut rng);
-            let Some(expected) = clarabel(&program) else { continue };
-            let found = program.solve().unwrap();
+            let problem = random(2 + case % 40, case % 2 == 1, &mut rng);
+            let Some(expected) = clarabel(&problem) else { continue };
+            let found = problem.solve().unwrap();
             compared += 1;
             for i in 0..found.len() {
                 // Its gap of 1e-10, or 1e-12 of an objective of up to 1e3, bounds half the square
                 // of the error in units of 1 / sqrt(P_ii).
-                let error = (found[i] - expected[i]).abs() * program.diagonal[i].sqrt();
+                let error = (found[i] - expected[i]).abs() * problem.program.diagonal[i].sqrt();
                 assert!(error < 5e-5, "case {case}, variable {i}: {error}");
             }
         }
@@ -877,18 +854,19 @@ mod tests {
     #[test]
     fn without_active_rows_it_is_the_tridiagonal_solution() {
         // [4 1; 1 4] x = [9 9]: 1.8 each; the ends are not free.
-        let program = Case {
+        let program = Program {
             diagonal: vec![4.0; 4],
             beside: vec![1.0; 3],
             linear: vec![7.0, 9.0, 9.0, 7.0],
             free: vec![false, true, true, false],
-            rows: vec![Bound { link: 1, a: [1.0, 1.0], slack: 0.0, bound: 5.0 }],
             price: Vec::new(),
         };
-        let x = program.solve().unwrap();
+        let rows = vec![Bound { link: 1, a: [1.0, 1.0], slack: 0.0, bound: 5.0 }];
+        let wide = Case { program, rows };
+        let x = wide.solve().unwrap();
         assert!(x.iter().zip([0.0, 1.8, 1.8, 0.0]).all(|(x, e)| (x - e).abs() < 1e-11), "{x:?}");
         // With x1 + x2 <= 3 both lose the same.
-        let mut tight = program;
+        let mut tight = wide;
         tight.rows[0].bound = 3.0;
         let x = tight.solve().unwrap();
         assert!((x[1] - 1.5).abs() < 1e-11 && (x[2] - 1.5).abs() < 1e-11, "{x:?}");
@@ -896,7 +874,7 @@ mod tests {
         // is 9 - 5 * 1.5 = 1.5 at the hard bound. Above: hard. Below: 5 x = 9 - price.
         for (price, expected) in [(2.0, 1.5), (1.0, 1.6)] {
             tight.rows[0].slack = 1.0;
-            tight.price = vec![price; 3];
+            tight.program.price = vec![price; 3];
             let x = tight.solve().unwrap();
             assert!((x[1] - expected).abs() < 1e-10, "{price}: {x:?}");
         }
@@ -904,37 +882,40 @@ mod tests {
 
     #[test]
     fn contradictions_are_found() {
-        let mut program = Case {
+        let program = Program {
             diagonal: vec![1.0; 3],
             beside: vec![0.1; 2],
             linear: vec![1.0; 3],
             free: vec![true; 3],
-            rows: vec![
-                Bound { link: 0, a: [1.0, 0.5], slack: 1.0, bound: -1.0 },
-                Bound { link: 0, a: [-1.0, -0.5], slack: 1.0, bound: 0.99 },
-            ],
             price: Vec::new(),
         };
-        assert_eq!(program.solve(), Err(Failure::Infeasible));
-        program.rows[1].bound = 1.01;
-        assert!(program.solve().is_ok());
-        program.rows[1] = Bound { link: 1, a: [0.0; 2], slack: 1.0, bound: -1e-3 };
-        assert_eq!(program.solve(), Err(Failure::Infeasible));
-        program.price = vec![1.0; 2];
-        assert!(program.solve().is_ok());
+        let rows = vec![
+            Bound { link: 0, a: [1.0, 0.5], slack: 1.0, bound: -1.0 },
+            Bound { link: 0, a: [-1.0, -0.5], slack: 1.0, bound: 0.99 },
+        ];
+        let mut case = Case { program, rows };
+        assert_eq!(case.solve(), Err(Failure::Infeasible));
+        case.rows[1].bound = 1.01;
+        assert!(case.solve().is_ok());
+        case.rows[1] = Bound { link: 1, a: [0.0; 2], slack: 1.0, bound: -1e-3 };
+        assert_eq!(case.solve(), Err(Failure::Infeasible));
+        case.program.price = vec![1.0; 2];
+        assert!(case.solve().is_ok());
     }
 
     #[test]
     fn the_solution_does_not_depend_on_units_or_direction() {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         for case in 0..20 {
-            let program = random(30, case % 2 == 1, &mut rng);
-            let x = program.solve().unwrap();
-            let mut other = program.clone();
+            let problem = random(30, case % 2 == 1, &mut rng);
+            let Case { program, .. } = &problem;
+            let x = problem.solve().unwrap();
+            let mut other = problem.clone();
+            let scaled = &mut other.program;
             // x in other units: P / 64, c / 8, a / 8; the objective a thousand times as large.
-            other.diagonal.iter_mut().chain(&mut other.beside).for_each(|v| *v *= 1000.0 / 64.0);
-            other.linear.iter_mut().for_each(|v| *v *= 1000.0 / 8.0);
-            other.price.iter_mut().for_each(|v| *v *= 1000.0);
+            scaled.diagonal.iter_mut().chain(&mut scaled.beside).for_each(|v| *v *= 1000.0 / 64.0);
+            scaled.linear.iter_mut().for_each(|v| *v *= 1000.0 / 8.0);
+            scaled.price.iter_mut().for_each(|v| *v *= 1000.0);
             other.rows.iter_mut().for_each(|r| r.a = r.a.map(|a| a / 8.0));
             let y = other.solve().unwrap();
             for i in 0..30 {
@@ -943,11 +924,13 @@ mod tests {
                 // just active.
                 assert!((y[i] / 8.0 - x).abs() * d < 1e-5, "{} {x}", y[i] / 8.0);
             }
-            other = program.clone();
-            for v in [&mut other.diagonal, &mut other.beside, &mut other.linear, &mut other.price] {
+            other = problem.clone();
+            let turned = &mut other.program;
+            let Program { diagonal, beside, linear, price, .. } = turned;
+            for v in [diagonal, beside, linear, price] {
                 v.reverse();
             }
-            other.free.reverse();
+            turned.free.reverse();
             other.rows.reverse();
             other.rows.iter_mut().for_each(|r| {
                 r.link = 28 - r.link;

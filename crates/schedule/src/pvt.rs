@@ -152,6 +152,16 @@ pub fn schedule(
     settings: &Settings,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
+    // All of it by the threads of rayon: to hand over every part of it would cost more than a part.
+    rayon::scope(|_| schedule_stretched(path, dwell, limits, settings))
+}
+
+fn schedule_stretched(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Schedule, ScheduleError> {
     let mut timing = Timing::new(path, dwell, limits);
     if timing.kept.is_empty() {
         let problem = "is zero everywhere on a path at rest";
@@ -162,8 +172,9 @@ pub fn schedule(
     {
         return Err(error);
     }
+    let displacement = |axis: usize, k: usize| path.displacement_mm(timing.kept[k])[axis];
     let axes = [0, 1].map(|axis| AxisProblem {
-        displacement_mm: timing.kept.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
+        displacement_mm: parallel(timing.kept.len()).map(|k| displacement(axis, k)).collect(),
         mode: settings.mode,
         max_velocity: (1.0 - MARGIN) * limits.max_velocity_mm_per_s()[axis],
         max_acceleration: (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2()[axis],
@@ -180,13 +191,13 @@ pub fn schedule(
     for rounds in 0..=MAX_ROUNDS {
         // Durations as the difference of the break times, so that the segments join to rounding.
         let break_time_s = break_times(&timing.duration_s);
-        let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
+        let duration = |k: usize| break_time_s[k + 1] - break_time_s[k];
+        let h: Vec<f64> = parallel(timing.kept.len()).map(duration).collect();
         let (x, y) = rayon::join(|| axes[0].solve(&h, &mut of_x), || axes[1].solve(&h, &mut of_y));
         match (x, y) {
             (Ok(x), Ok(y)) => {
                 let solver = [x.solver, y.solver];
-                // By all threads: most of the time is the memory's, touched for the first time.
-                let segments = (0..h.len()).into_par_iter().map(|k| {
+                let segments = parallel(h.len()).map(|k| {
                     let start = path.point_mm()[timing.kept[k]];
                     let hermite = |axis: usize, v: &[f64]| {
                         hermite(start[axis], axes[axis].displacement_mm[k], v[k], v[k + 1], h[k])
@@ -196,8 +207,8 @@ pub fn schedule(
                 let trajectory = Trajectory::new(
                     break_time_s,
                     segments.collect(),
-                    timing.kept.iter().map(|i| path.tool_on()[*i]).collect(),
-                    timing.kept.iter().map(|i| *i as i64).collect(),
+                    parallel(h.len()).map(|k| path.tool_on()[timing.kept[k]]).collect(),
+                    parallel(h.len()).map(|k| timing.kept[k] as i64).collect(),
                 )?;
                 return Ok(Schedule {
                     trajectory,
@@ -235,6 +246,12 @@ pub fn schedule(
         }
     }
     unreachable!("the last round returns")
+}
+
+/// The segments by all threads, where there are many: the system's work for memory that is touched
+/// for the first time would else be that of one.
+fn parallel(segments: usize) -> impl IndexedParallelIterator<Item = usize> {
+    (0..segments).into_par_iter().with_min_len(2048)
 }
 
 /// Rounds after which everything is slowed together, which ends: a factor k divides velocity,
@@ -331,14 +348,10 @@ struct Timing {
 impl Timing {
     /// `h >= |dp| / v_max` on both axes, `h >= min_segment_s`.
     fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
-        let (mut kept, mut duration_s) = (Vec::new(), Vec::new());
-        for (i, t) in dwell.dwell_s().iter().enumerate() {
-            let h = t.max(least_time(path, limits, i));
-            if h > 0.0 {
-                kept.push(i);
-                duration_s.push(h);
-            }
-        }
+        let time = |i: usize| dwell.dwell_s()[i].max(least_time(path, limits, i));
+        let mut duration_s: Vec<f64> = parallel(path.len()).map(time).collect();
+        let kept = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
+        duration_s.retain(|h| *h > 0.0);
         Self { kept, duration_s }
     }
 
@@ -491,9 +504,10 @@ impl AxisProblem {
         before.unsolved = false;
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
-        if allowed && (0..h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
+        if allowed && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
+        drop(free); // its memory is the program's
         let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
         if !before.infeasible
             && let Some(velocity) = self.quadratic_program(h, Bounds::Hard, before)
@@ -525,7 +539,7 @@ impl AxisProblem {
                     }
                     return Err(excess);
                 }
-                self.excess(&free, h)
+                self.excess(&self.clamped_spline(h), h)
             }
         };
         before.infeasible = excess.iter().any(|e| *e > CLEARLY);
@@ -658,18 +672,24 @@ impl AxisProblem {
         before: &mut Rounds,
     ) -> Option<Vec<f64>> {
         let n = h.len();
-        if self.displacement_mm.iter().all(|dp| *dp == 0.0) {
-            return Some(vec![0.0; n + 1]); // an axis at rest
+        let exceeds = |v: &[f64], i: usize| self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN;
+        if (0..=n).all(|i| self.allowed_signs(i) == [false, false]) {
+            // The axis rests in every control point.
+            let v = vec![0.0; n + 1];
+            let kept = bounds == Bounds::Elastic || !parallel(n).any(|i| exceeds(&v, i));
+            return kept.then_some(v);
         }
         let mut limited = Limited { segment: vec![false; n], velocity_at: BTreeMap::new() };
         before.limited.iter().for_each(|i| limited.segment[*i] = true);
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
-            let v = chain::solve(self.program(h, bounds, &limited)).ok()?;
+            let add = |i: usize, rows: &mut chain::Rows| self.rows(i, h, &limited, rows);
+            let v = chain::solve(self.program(h, bounds), add).ok()?;
             let v = self.exact_at_fixed_nodes(v);
             let mut complete = true;
             let mut with_rows: Vec<usize> = Vec::new();
-            for i in (0..n).filter(|i| self.excess_of(*i, &v, h) > 1.0 + 0.5 * MARGIN) {
+            let exceeding: Vec<usize> = parallel(n).filter(|i| exceeds(&v, *i)).collect();
+            for i in exceeding {
                 if !limited.segment[i] {
                     with_rows.push(i);
                 } else if bounds == Bounds::Hard {
@@ -699,27 +719,21 @@ impl AxisProblem {
         None
     }
 
-    /// The program with the limits of the machine in the segments that are `limited`.
+    /// (4), and how its bounds may be exceeded.
     ///
     /// Elastic bounds: the limits of segment i may be exceeded by the fraction e_i >= 0, a
     /// variable of its own, at the price of h_i e_i, about twice the time that it costs to mend;
     /// the energy hardly counts against it. The excesses are then few and cheap.
-    fn program(&self, h: &[f64], bounds: Bounds, limited: &Limited) -> chain::Program {
+    fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
         let (n, dp) = (h.len(), &self.displacement_mm);
-        let signs = |i: usize| self.allowed_signs(i);
-        let mut beside = Vec::with_capacity(n);
-        let (mut diagonal, mut linear) = (Vec::with_capacity(n + 1), Vec::with_capacity(n + 1));
-        let mut before = [0.0; 2];
-        for i in 0..n {
-            let r = 1.0 / h[i];
-            let own = [4.0 * r, 6.0 * dp[i] * r * r];
-            beside.push(2.0 * r);
-            diagonal.push(before[0] + own[0]);
-            linear.push(before[1] + own[1]);
-            before = own;
-        }
-        diagonal.push(before[0]);
-        linear.push(before[1]);
+        // Of the segments at a node.
+        let sum = |node: usize, of: &dyn Fn(usize) -> f64| {
+            (node.saturating_sub(1)..(node + 1).min(n)).map(of).sum()
+        };
+        let nodes = || parallel(n + 1);
+        let diagonal: Vec<f64> = nodes().map(|node| sum(node, &|i| 4.0 / h[i])).collect();
+        let linear = nodes().map(|node| sum(node, &|i| 6.0 * dp[i] / (h[i] * h[i]))).collect();
+        let beside = parallel(n).map(|i| 2.0 / h[i]).collect();
         let price = match bounds {
             Bounds::Hard => Vec::new(),
             Bounds::Elastic => {
@@ -730,48 +744,47 @@ impl AxisProblem {
                 h.iter().map(|h| price * h).collect()
             }
         };
-        let free = (0..=n).map(|i| signs(i) != [false, false]).collect();
-        let mut program = chain::Program::new(diagonal, beside, linear, free, price);
-        let v_max = self.max_velocity;
-        for i in 0..n {
-            if self.mode == Mode::Monotone {
-                // v_i >= 0 or v_i <= 0;  sign(dp) (v0 + v1) <= 3 |dp| / h
-                match signs(i) {
-                    [false, true] => program.add([-1.0, 0.0], 0.0, 0.0),
-                    [true, false] => program.add([1.0, 0.0], 0.0, 0.0),
-                    _ => {}
-                }
-                let sign = dp[i].signum();
-                if dp[i] != 0.0 {
-                    program.add([sign, sign], 0.0, 3.0 * dp[i].abs() / h[i]);
-                }
+        let free = nodes().map(|i| self.allowed_signs(i) != [false, false]).collect();
+        chain::Program { diagonal, beside, linear, free, price }
+    }
+
+    /// Rows of segment i: its signs, and the limits of the machine where it is limited.
+    fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::Rows) {
+        let dp = self.displacement_mm[i];
+        if self.mode == Mode::Monotone {
+            // v_i >= 0 or v_i <= 0;  sign(dp) (v0 + v1) <= 3 |dp| / h
+            match self.allowed_signs(i) {
+                [false, true] => rows.add([-1.0, 0.0], 0.0, 0.0),
+                [true, false] => rows.add([1.0, 0.0], 0.0, 0.0),
+                _ => {}
             }
-            if !limited.segment[i] {
-                program.end_link();
-                continue;
+            let sign = dp.signum();
+            if dp != 0.0 {
+                rows.add([sign, sign], 0.0, 3.0 * dp.abs() / h[i]);
             }
-            // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
-            let (d, a) = (dp[i] / h[i], self.max_acceleration * h[i]);
-            let mut both = |row: [f64; 2], constant: f64, bound: f64| {
-                program.add(row, bound, bound - constant);
-                program.add(row.map(|v| -v), bound, bound + constant);
-            };
-            both([-4.0, -2.0], 6.0 * d, a);
-            both([2.0, 4.0], -6.0 * d, a);
-            both([1.0, 0.0], 0.0, v_max);
-            both([0.0, 1.0], 0.0, v_max);
-            if self.max_jerk.is_finite() {
-                // |6 (v0 + v1) - 12 dp/h| <= j h^2
-                both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
-            }
-            for u in limited.times(i) {
-                // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
-                let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
-                both([w * w - m, u * u - m], 3.0 * m * d, v_max);
-            }
-            program.end_link();
         }
-        program
+        if !limited.segment[i] {
+            return;
+        }
+        // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
+        let (d, a, v_max) = (dp / h[i], self.max_acceleration * h[i], self.max_velocity);
+        let mut both = |row: [f64; 2], constant: f64, bound: f64| {
+            rows.add(row, bound, bound - constant);
+            rows.add(row.map(|v| -v), bound, bound + constant);
+        };
+        both([-4.0, -2.0], 6.0 * d, a);
+        both([2.0, 4.0], -6.0 * d, a);
+        both([1.0, 0.0], 0.0, v_max);
+        both([0.0, 1.0], 0.0, v_max);
+        if self.max_jerk.is_finite() {
+            // |6 (v0 + v1) - 12 dp/h| <= j h^2
+            both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
+        }
+        for u in limited.times(i) {
+            // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
+            let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
+            both([w * w - m, u * u - m], 3.0 * m * d, v_max);
+        }
     }
 
     /// Velocities that are fixed at zero are zero, and none has a forbidden sign by the solver's
