@@ -29,7 +29,7 @@
 //! A long chain does not fit the caches, so an iteration goes over it four times and no more: there
 //! (residual, factorisation, right-hand side) and back (substitution) for the predictor, and the
 //! same for the corrector; `r_p` and the predictor's `ds`, `dl` are computed again where they are
-//! needed. The chain is eliminated from both ends towards the node in its middle, one [`Half`] per
+//! needed. The chain is eliminated from both ends towards the node in its middle, one half per
 //! thread; the halves are the same on one thread, and so are their bytes.
 
 use std::ops::Range;
@@ -901,6 +901,19 @@ mod tests {
         assert_eq!(case.solve(), Err(Failure::Infeasible));
         case.program.price = vec![1.0; 2];
         assert!(case.solve().is_ok());
+    }
+
+    #[test]
+    fn a_long_chain_is_the_same_on_one_thread_and_two() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for elastic in [false, true] {
+            let long = random(2 * WORTH_A_THREAD, elastic, &mut rng);
+            let [one, two] = [1, 2].map(|threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                pool.install(|| long.solve().unwrap())
+            });
+            assert!(one.iter().zip(&two).all(|(a, b)| a.to_bits() == b.to_bits()));
+        }
     }
 
     #[test]

@@ -25,7 +25,9 @@
 //!
 //! Modes: *smooth* is (4); *monotone* adds that no axis reverses inside a segment, so the tool
 //! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
-//! where they differ), and `sign(dp) V >= 0`.
+//! where they differ), and `sign(dp) V >= 0`. A node at which the velocity is fixed at zero parts the
+//! axis: neither (4) nor a bound couples what is on its two sides, so the parts are solved one by one,
+//! and after a round of stretching only those whose times have changed.
 //!
 //! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. Where the machine
 //! limits it, *monotone* has it as rows of its program; its acceleration still steps at the nodes,
@@ -955,6 +957,35 @@ mod tests {
         close(&mono(&p, &h, FREE), &[0.0, 3.0, 2.75, 0.25, 0.0], 1e-6);
         close(&mono(&p, &h, 8.0), &[0.0, 3.0, 2.9, 0.1, 0.0], 1e-6);
         close(&mono(&[0.0, 1.0, 1.0, 3.0], &[1.0, 0.5, 2.0], FREE), &[0.0; 4], 1e-12);
+    }
+
+    #[test]
+    fn the_parts_are_the_whole() {
+        // Runs of a few segments to and fro with rests between; limits that some of them reach.
+        let wave = |i: i32| (f64::from(i) * 0.37).sin() + 0.4 * (f64::from(i) * 1.9).sin();
+        let dp: Vec<f64> = (0..700).map(|i| if i % 31 == 0 { 0.0 } else { wave(i) }).collect();
+        let h: Vec<f64> = (0..700).map(|i| 0.6 + 0.2 * f64::from(i * 7 % 5)).collect();
+        let mut p = problem(&break_times(&dp), Mode::Monotone, 0.0);
+        // Loose; active here and there; too tight for some parts.
+        for (limit, feasible) in [(40.0, true), (15.0, true), (8.0, false)] {
+            p.max_acceleration = limit;
+            let mut parts = p.parts();
+            p.solve_parts(&h, &mut parts);
+            let solved = parts.iter().filter(|part| matches!(part.solved, Some(Ok(_)))).count();
+            match solve(&p, &h) {
+                Ok(whole) => {
+                    assert!(feasible && solved == parts.len() && solved > 5, "{limit} {solved}");
+                    // The root of the tolerance of 1e-14 where a bound is only just active.
+                    close(&joined(parts).velocity, &whole.velocity, 1e-6);
+                }
+                Err(whole) => {
+                    assert!(!feasible && solved > 0 && solved < parts.len(), "{limit} {solved}");
+                    let excess = excess_of_parts(&[parts, Vec::new()], h.len()).unwrap();
+                    // The tolerance of the elastic program, whose largest term is the price.
+                    close(&excess, &whole, 1e-5);
+                }
+            }
+        }
     }
 
     #[test]
