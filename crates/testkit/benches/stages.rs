@@ -243,7 +243,7 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     (path, DwellTime::new(dwell).unwrap())
 }
 
-/// One segment in seven is stretched, in six to eight rounds.
+/// Some rounds of stretching, each of which leaves most lines as they are.
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);
