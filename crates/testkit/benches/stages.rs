@@ -243,7 +243,7 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     (path, DwellTime::new(dwell).unwrap())
 }
 
-/// Some rounds of stretching, each of which leaves most lines as they are.
+/// Several rounds of stretching.
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);
