@@ -12,20 +12,31 @@
 //! 575). With the slacks `s = b - G x`, the multipliers `l` and `D = diag(l / s)`, a step solves
 //!
 //! ```text
-//! (P + G' D G) dx = -r_d + G' (r_c / s - D r_p)                                         (2)
-//! ds = -r_p - G dx,   dl = -(r_c + l ds) / s
-//! r_d = P x - c + G' l,   r_p = G x + s - b,   r_c = s l + ds dl - sigma mu
+//! (P + G' D G) dx = c - P x - G' (t + D r_p)                                            (2)
+//! ds = -r_p - G dx,   dl = t - l - D ds,   r_p = G x + s - b
+//! predictor: t = 0;   corrector: t = (sigma mu - ds dl) / s  with ds, dl of the predictor
 //! ```
 //!
-//! and since a row couples neighbours only, the matrix of (2) is tridiagonal: time and memory of
-//! an iteration are proportional to the length of the chain. The `e_i` of a link is eliminated
-//! within the link; what is left is a sum of squares again, without a difference,
+//! (`s (l + dl) + l ds = s t`: the complementarity that the step aims at), and since a row couples
+//! neighbours only, the matrix of (2) is tridiagonal: time and memory of an iteration are
+//! proportional to the length of the chain. The `e_i` of a link is eliminated within the link; what
+//! is left is a sum of squares again, without a difference,
 //!
 //! ```text
 //! sum_j D_j (a_j - k_j m) (a_j - k_j m)',   m = sum_j D_j k_j a_j / sum_j D_j k_j^2      (3)
 //! ```
+//!
+//! A long chain does not fit the caches, so an iteration goes over it four times and no more: there
+//! (residual, factorisation, right-hand side) and back (substitution) for the predictor, and the
+//! same for the corrector; `r_p` and the predictor's `ds`, `dl` are computed again where they are
+//! needed. The chain is eliminated from both ends towards the node in its middle, one half per
+//! thread; the halves are the same on one thread, and so are their bytes.
 
-/// Program (1) with n variables and n - 1 links.
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+/// Program (1) with n variables and n - 1 links, without its rows.
 #[derive(Clone, Debug, Default)]
 pub struct Program {
     /// P_ii (n); > 0.
@@ -36,23 +47,64 @@ pub struct Program {
     pub linear: Vec<f64>,
     /// Whether the variable is free (n); the others are zero.
     pub free: Vec<bool>,
-    /// Bounds, in ascending order of their links.
-    pub rows: Vec<Row>,
     /// p (n-1), > 0; or empty: the rows are hard.
     pub price: Vec<f64>,
 }
 
-/// `a[0] x_link + a[1] x_{link+1} - slack e_link <= bound`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
-    /// i.
-    pub link: usize,
-    /// a0, a1.
-    pub a: [f64; 2],
-    /// k; >= 0.
-    pub slack: f64,
-    /// b.
-    pub bound: f64,
+/// The rows of a half of the chain, in units of y and with a largest coefficient of 1. Rows without
+/// coefficients vanish.
+#[derive(Debug)]
+pub struct Rows {
+    row: Vec<Row>,
+    /// k of the rows; empty where they are hard.
+    slack: Vec<f64>,
+    /// Number of rows up to the end of link k.
+    end: Vec<usize>,
+    elastic: bool,
+    /// Whether links and their ends are in descending order.
+    up: bool,
+    /// w of the present link's ends.
+    w: [f64; 2],
+    /// A row without coefficients has a bound below zero.
+    infeasible: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    /// Of the outer end of the link, and of the inner one.
+    a: [f64; 2],
+    bound: f64,
+}
+
+impl Rows {
+    /// Adds `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the present link i.
+    pub fn add(&mut self, a: [f64; 2], k: f64, bound: f64) {
+        let a = [a[0] * self.w[0], a[1] * self.w[1]];
+        let k = if self.elastic { k } else { 0.0 };
+        let size = a[0].abs().max(a[1].abs()).max(k);
+        if size > 0.0 {
+            let a = if self.up { [a[1] / size, a[0] / size] } else { a.map(|a| a / size) };
+            self.row.push(Row { a, bound: bound / size });
+            if self.elastic {
+                self.slack.push(k / size);
+            }
+        } else {
+            self.infeasible |= bound < 0.0;
+        }
+    }
+
+    fn end_link(&mut self) {
+        let start = self.end.last().copied().unwrap_or(0);
+        if self.elastic && self.row.len() > start {
+            self.add([0.0; 2], 1.0, 0.0); // e >= 0
+        }
+        self.end.push(self.row.len());
+    }
+
+    fn of(&self, k: usize) -> Range<usize> {
+        let start = if k == 0 { 0 } else { self.end[k - 1] };
+        start..self.end[k]
+    }
 }
 
 /// Why there is no solution.
@@ -75,305 +127,170 @@ const DUAL_TOLERANCE: f64 = 1e-9;
 /// What r_p and the complementarity may be where rounding ends the iteration early.
 const ACCEPTED: f64 = 1e-9;
 
-/// Most iterations. Programs of 1e6 links take 20 to 40.
+/// Most iterations. Programs of 1e6 links take 7 to 40.
 const MAX_ITERATIONS: usize = 150;
 
-/// x of (1).
-pub fn solve(program: &Program) -> Result<Vec<f64>, Failure> {
-    let n = program.diagonal.len();
-    // x = w y with w_i = unit / sqrt(P_ii): a unit diagonal, the largest linear term 1.
-    let root: Vec<f64> = program.diagonal.iter().map(|d| 1.0 / d.sqrt()).collect();
-    let free = (0..n).filter(|i| program.free[*i]);
-    let unit = free.map(|i| (program.linear[i] * root[i]).abs()).fold(0.0, f64::max);
-    let unit = if unit > 0.0 { unit } else { 1.0 };
-    let w: Vec<f64> = (0..n).map(|i| if program.free[i] { unit * root[i] } else { 0.0 }).collect();
-    let scaled = Scaled::new(program, &w, unit)?;
-    let y = scaled.solve()?;
-    Ok(y.iter().zip(&w).map(|(y, w)| y * w).collect())
-}
+/// Links below which a second thread costs more than it saves.
+const WORTH_A_THREAD: usize = 2048;
 
-/// (1) in the variables y, rows with a largest coefficient of 1, the objective divided so that no
-/// price is above 1. Variables that are not free have no coefficient but the one on the diagonal.
-struct Scaled {
-    /// P_ii, all the same; 1 without prices.
-    diagonal: f64,
-    beside: Vec<f64>,
-    linear: Vec<f64>,
-    price: Vec<f64>,
-    rows: Vec<Row>,
-    /// Rows of link i: start[i] .. start[i+1].
-    start: Vec<usize>,
-}
-
-/// The iterate.
-struct Point {
-    y: Vec<f64>,
-    e: Vec<f64>,
-    s: Vec<f64>,
-    l: Vec<f64>,
-}
-
-/// r_d for y and e, r_p, and what decides on the end.
-#[derive(Default)]
-struct Residual {
-    dual: Vec<f64>,
-    dual_e: Vec<f64>,
-    primal: Vec<f64>,
-    /// Mean complementarity.
-    mu: f64,
-    /// Largest |r_d|.
-    largest_dual: f64,
-    /// Largest |r_p| and complementarity.
-    largest: f64,
-}
-
-/// A step.
-#[derive(Default)]
-struct Step {
-    y: Vec<f64>,
-    e: Vec<f64>,
-    s: Vec<f64>,
-    l: Vec<f64>,
-}
-
-/// The matrix of (2), factorised, with what the elimination of e left per link.
-#[derive(Default)]
-struct Factor {
-    /// D_ii of L D L'.
-    pivot: Vec<f64>,
-    /// L_{i+1,i}.
-    below: Vec<f64>,
-    /// m of (3).
-    mean: Vec<[f64; 2]>,
-    /// 1 / sum_j D_j k_j^2.
-    inverse: Vec<f64>,
-}
-
-impl Scaled {
-    fn new(program: &Program, w: &[f64], unit: f64) -> Result<Self, Failure> {
-        let links = program.beside.len();
-        let elastic = !program.price.is_empty();
-        let highest = program.price.iter().copied().fold(0.0, f64::max) / (unit * unit);
-        // The objective is divided by unit^2 (1 + highest price).
-        let diagonal = 1.0 / (1.0 + highest);
-        let root = |i: usize| w[i] / unit;
-        let beside = (0..links).map(|i| diagonal * program.beside[i] * root(i) * root(i + 1));
-        let linear = program.linear.iter().enumerate().map(|(i, c)| diagonal * c * root(i) / unit);
-        let mut rows = Vec::with_capacity(program.rows.len() + program.price.len());
-        let mut start = vec![0];
-        let mut next = program.rows.iter().peekable();
-        for link in 0..links {
-            while let Some(row) = next.next_if(|r| r.link == link) {
-                let a = [row.a[0] * w[link], row.a[1] * w[link + 1]];
-                let slack = if elastic { row.slack } else { 0.0 };
-                let size = a[0].abs().max(a[1].abs()).max(slack);
-                if size > 0.0 {
-                    let bound = row.bound / size;
-                    rows.push(Row { link, a: a.map(|a| a / size), slack: slack / size, bound });
-                } else if row.bound < 0.0 {
-                    return Err(Failure::Infeasible);
-                }
-            }
-            if elastic && rows.len() > start[link] {
-                rows.push(Row { link, a: [0.0; 2], slack: 1.0, bound: 0.0 }); // e >= 0
-            }
-            start.push(rows.len());
-        }
-        debug_assert!(next.next().is_none(), "rows are in the order of the links");
-        let price = program.price.iter().map(|p| diagonal * p / (unit * unit)).collect();
-        Ok(Self {
-            diagonal,
-            beside: beside.collect(),
-            linear: linear.collect(),
-            price,
-            rows,
-            start,
-        })
+/// x of (1), where `rows` adds the rows of a link, in any order, but always the same. The program
+/// is scaled in place: a copy of a long one would take as long as an iteration.
+pub fn solve(
+    mut program: Program,
+    rows: impl Fn(usize, &mut Rows) + Sync,
+) -> Result<Vec<f64>, Failure> {
+    if program.diagonal.is_empty() {
+        return Ok(Vec::new());
     }
-
-    fn links(&self) -> usize {
-        self.beside.len()
+    let (w, diagonal) = program.scale();
+    if program.price.is_empty() {
+        Chain::<false> { program: &program, diagonal }.solve(w, rows)
+    } else {
+        Chain::<true> { program: &program, diagonal }.solve(w, rows)
     }
+}
 
-    fn rows_of(&self, link: usize) -> std::ops::Range<usize> {
-        self.start[link]..self.start[link + 1]
-    }
-
-    fn e_of(&self, e: &[f64], link: usize) -> f64 {
-        e.get(link).copied().unwrap_or(0.0)
-    }
-
-    /// G (y, e), row by row.
-    fn product(&self, y: &[f64], e: &[f64], product: &mut Vec<f64>) {
-        product.clear();
-        product.extend(
-            self.rows.iter().map(|r| {
-                r.a[0] * y[r.link] + r.a[1] * y[r.link + 1] - r.slack * self.e_of(e, r.link)
-            }),
-        );
-    }
-
-    fn solve(&self) -> Result<Vec<f64>, Failure> {
-        let (n, m) = (self.linear.len(), self.rows.len());
-        let mut at = Point {
-            y: vec![0.0; n],
-            e: vec![0.0; self.price.len()],
-            s: Vec::new(),
-            l: vec![1.0; m],
+impl Program {
+    /// (1) in the variables y, x = w y: a diagonal all the same, 1 without prices; a largest linear
+    /// term of 1; the objective divided so that no price is above 1. Variables that are not free
+    /// have no coefficient but the one on the diagonal. Returns w and the diagonal; `diagonal` is
+    /// empty afterwards.
+    fn scale(&mut self) -> (Vec<f64>, f64) {
+        // w_i = unit / sqrt(P_ii)
+        let mut w = std::mem::take(&mut self.diagonal);
+        let root = |((w, free), c): ((&mut f64, &bool), &f64)| {
+            *w = if *free { 1.0 / w.sqrt() } else { 0.0 };
+            (c * *w).abs()
         };
-        // The free minimiser is a good start.
-        let mut factor = Factor::default();
-        factor.update(self, None);
-        at.y.clone_from(&self.linear);
-        factor.substitute(&mut at.y);
-        if m == 0 {
-            return Ok(at.y);
+        let unit = (w.par_iter_mut().zip(&self.free).zip(&self.linear))
+            .with_min_len(WORTH_A_THREAD)
+            .map(root)
+            .reduce(|| 0.0, f64::max);
+        let unit = if unit > 0.0 { unit } else { 1.0 };
+        // The objective is divided by unit^2 (1 + highest price).
+        let highest = self.price.iter().copied().fold(0.0, f64::max) / (unit * unit);
+        let diagonal = 1.0 / (1.0 + highest);
+        for (beside, w) in self.beside.iter_mut().zip(w.windows(2)) {
+            *beside *= diagonal * w[0] * w[1];
         }
-        self.product(&at.y, &at.e, &mut at.s);
-        at.s.iter_mut().zip(&self.rows).for_each(|(s, r)| *s = (r.bound - *s).max(1.0));
-        // Filled anew in every iteration: a long chain would spend as much time on fresh pages.
-        let (mut r, mut step) = (Residual::default(), Step::default());
-        let mut target = vec![0.0; m];
-        // The last point that would be accepted: rounding may spoil the next.
-        let mut accepted = None;
-        let mut lowest = f64::INFINITY;
-        for _ in 0..MAX_ITERATIONS {
-            self.residual(&at, &mut r);
-            if r.is_within(TOLERANCE) {
-                return Ok(at.y);
-            }
-            if r.is_within(ACCEPTED) {
-                accepted = Some(at.y.clone());
-            } else if accepted.is_some() || !r.largest.is_finite() {
-                break;
-            }
-            if self.is_infeasible(&at) {
-                return Err(Failure::Infeasible);
-            }
-            factor.update(self, Some(&at));
-            // Predictor: sigma = 0, no second-order term.
-            (0..m).for_each(|j| target[j] = at.s[j] * at.l[j]);
-            self.step(&factor, &at, &r, &target, &mut step);
-            let a = at.longest(&step).min(1.0);
-            let after: f64 =
-                (0..m).map(|j| (at.s[j] + a * step.s[j]) * (at.l[j] + a * step.l[j])).sum::<f64>()
-                    / m as f64;
-            let sigma = (after / r.mu).powi(3);
-            // Corrector. Where mu did not fall the second-order term can make the iteration go in
-            // circles: then a step towards the centre without it.
-            let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
-            lowest = lowest.min(r.mu);
-            for (j, target) in target.iter_mut().enumerate() {
-                *target = at.s[j] * at.l[j] + second * step.s[j] * step.l[j] - sigma * r.mu;
-            }
-            self.step(&factor, &at, &r, &target, &mut step);
-            let a = (at.longest(&step) * (1.0 - r.mu).clamp(0.995, 0.9999)).min(1.0);
-            if a.is_nan() || a <= 1e-13 {
-                break;
-            }
-            at.advance(&step, a);
+        for (linear, w) in self.linear.iter_mut().zip(&mut w) {
+            *linear *= diagonal * *w / unit;
+            *w *= unit;
         }
-        accepted.ok_or(Failure::NotConverged)
+        self.price.iter_mut().for_each(|p| *p *= diagonal / (unit * unit));
+        (w, diagonal)
+    }
+}
+
+/// What is known of a variable.
+#[derive(Clone, Copy, Default)]
+struct Node {
+    y: f64,
+    /// On the way there, the right-hand side of (2), eliminated and divided by the pivot; on the way
+    /// back the step.
+    dy: f64,
+    /// 1 / D_ii of L D L'.
+    inverse: f64,
+    /// L of the next node towards the middle.
+    below: f64,
+}
+
+/// s and l, or their steps.
+#[derive(Clone, Copy, Default)]
+struct Pair {
+    s: f64,
+    l: f64,
+}
+
+/// The e of a link.
+#[derive(Clone, Copy, Default)]
+struct Excess {
+    e: f64,
+    /// Right-hand side, then step.
+    de: f64,
+    /// m of (3).
+    mean: [f64; 2],
+    /// 1 / sum_j D_j k_j^2.
+    inverse: f64,
+}
+
+/// What an elimination has left to the next node towards the middle.
+#[derive(Clone, Copy, Default)]
+struct Carry {
+    /// To its pivot.
+    pivot: f64,
+    /// To its right-hand side.
+    right: f64,
+    /// To c - P y.
+    gradient: f64,
+    /// To G' l.
+    multipliers: f64,
+}
+
+impl Carry {
+    fn plus(self, other: Self) -> Self {
+        Self {
+            pivot: self.pivot + other.pivot,
+            right: self.right + other.right,
+            gradient: self.gradient + other.gradient,
+            multipliers: self.multipliers + other.multipliers,
+        }
+    }
+}
+
+/// What decides on the end.
+#[derive(Clone, Copy, Default)]
+struct Residual {
+    /// Sum, then mean, of the complementarity.
+    mu: f64,
+    /// Largest |r_d| = |P y - c + G' l|.
+    largest_dual: f64,
+    /// Largest |r_p|, then of that and mu.
+    largest: f64,
+    /// -b' l.
+    gain: f64,
+    /// Sum of l.
+    total: f64,
+    /// Largest |G' l|.
+    largest_multipliers: f64,
+}
+
+impl Residual {
+    fn plus(self, other: Self) -> Self {
+        Self {
+            mu: self.mu + other.mu,
+            largest_dual: worse(self.largest_dual, other.largest_dual),
+            largest: worse(self.largest, other.largest),
+            gain: self.gain + other.gain,
+            total: self.total + other.total,
+            largest_multipliers: worse(self.largest_multipliers, other.largest_multipliers),
+        }
     }
 
-    fn residual(&self, at: &Point, r: &mut Residual) {
-        let n = at.y.len();
-        let Residual { dual, dual_e, primal, .. } = r;
-        // r_d = P y - c + G' l
-        dual.clear();
-        dual.extend((0..n).map(|i| self.diagonal * at.y[i] - self.linear[i]));
-        for i in 0..self.links() {
-            dual[i] += self.beside[i] * at.y[i + 1];
-            dual[i + 1] += self.beside[i] * at.y[i];
-        }
-        dual_e.clone_from(&self.price);
-        self.product(&at.y, &at.e, primal);
-        let (mut mu, mut largest) = (0.0, 0.0_f64);
-        for link in 0..self.links() {
-            for j in self.rows_of(link) {
-                let (row, s, l) = (&self.rows[j], at.s[j], at.l[j]);
-                dual[link] += row.a[0] * l;
-                dual[link + 1] += row.a[1] * l;
-                if let Some(d) = dual_e.get_mut(link) {
-                    *d -= row.slack * l;
-                }
-                primal[j] += s - row.bound;
-                // Its rounding is that of a sum of numbers of order 1.
-                let rounding = 16.0 * f64::EPSILON * (1.0 + row.bound.abs() + s);
-                largest = worse(largest, primal[j].abs() - rounding);
-                mu += s * l;
-            }
-            if self.rows_of(link).is_empty()
-                && let Some(d) = dual_e.get_mut(link)
-            {
-                *d = 0.0; // no row, no e
-            }
-        }
-        mu /= self.rows.len() as f64;
-        largest = worse(largest, mu);
-        let largest_dual = dual.iter().map(|d| d.abs()).fold(0.0, worse);
-        let largest_dual = dual_e.iter().map(|d| d.abs()).fold(largest_dual, worse);
-        (r.mu, r.largest_dual, r.largest) = (mu, largest_dual, largest);
+    fn is_within(&self, tolerance: f64) -> bool {
+        self.largest <= tolerance && self.largest_dual <= DUAL_TOLERANCE.max(tolerance)
     }
 
-    /// Whether the multipliers prove that no point satisfies the rows.
-    fn is_infeasible(&self, at: &Point) -> bool {
-        if !self.price.is_empty() {
-            return false; // a large e satisfies all
-        }
-        let gain: f64 = -self.rows.iter().zip(&at.l).map(|(r, l)| r.bound * l).sum::<f64>();
-        let total: f64 = at.l.iter().sum();
-        if gain <= 1e-9 * total {
-            return false;
-        }
-        let mut sum = vec![0.0; at.y.len()];
-        for (r, l) in self.rows.iter().zip(&at.l) {
-            sum[r.link] += r.a[0] * l;
-            sum[r.link + 1] += r.a[1] * l;
-        }
-        // Any y with G y <= b has  -gain >= sum . y >= -largest |y|_1: it would be huge.
-        let largest = sum.iter().map(|v| v.abs()).fold(0.0, f64::max);
-        largest < 1e-10 * gain
+    /// Whether the multipliers prove that no point satisfies hard rows: any y with G y <= b has
+    /// `-gain >= (G' l) . y >= -largest |y|_1`, it would be huge.
+    fn is_infeasible(&self) -> bool {
+        self.gain > 1e-9 * self.total && self.largest_multipliers < 1e-10 * self.gain
     }
+}
 
-    /// The solution of (2) with the given r_c.
-    fn step(&self, factor: &Factor, at: &Point, r: &Residual, target: &[f64], step: &mut Step) {
-        let Step { y, e, s, l } = step;
-        y.clear();
-        y.extend(r.dual.iter().map(|v| -v));
-        e.clear();
-        e.resize(self.price.len(), 0.0);
-        for link in 0..self.links() {
-            let rows = self.rows_of(link);
-            if rows.is_empty() {
-                continue;
-            }
-            let mut right_e = -r.dual_e.get(link).copied().unwrap_or(0.0);
-            for j in rows {
-                let row = &self.rows[j];
-                let v = (target[j] - at.l[j] * r.primal[j]) / at.s[j];
-                y[link] += row.a[0] * v;
-                y[link + 1] += row.a[1] * v;
-                right_e -= row.slack * v;
-            }
-            if let Some(e) = e.get_mut(link) {
-                // M_ye = -sum D a k, and M_ye / M_ee = -m
-                let m = factor.mean[link];
-                y[link] += m[0] * right_e;
-                y[link + 1] += m[1] * right_e;
-                *e = right_e;
-            }
-        }
-        factor.substitute(y);
-        for (link, e) in e.iter_mut().enumerate() {
-            // M_ee de = right_e - M_ey dy
-            let m = factor.mean[link];
-            *e = *e * factor.inverse[link] + m[0] * y[link] + m[1] * y[link + 1];
-        }
-        self.product(y, e, s);
-        s.iter_mut().zip(&r.primal).for_each(|(s, p)| *s = -p - *s);
-        l.clear();
-        l.extend((0..s.len()).map(|j| -(target[j] + at.l[j] * s[j]) / at.s[j]));
+/// How far a step may go, and what becomes of the complementarity.
+#[derive(Clone, Copy, Default)]
+struct Reach {
+    /// Largest -ds / s or -dl / l: the inverse of the longest step.
+    inverse: f64,
+    /// Of the predictor: sum of -ds dl.
+    product: f64,
+}
+
+impl Reach {
+    fn plus(self, other: Self) -> Self {
+        let inverse = self.inverse.max(other.inverse);
+        Self { inverse, product: self.product + other.product }
     }
 }
 
@@ -382,84 +299,428 @@ fn worse(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-impl Residual {
-    fn is_within(&self, tolerance: f64) -> bool {
-        self.largest <= tolerance && self.largest_dual <= DUAL_TOLERANCE.max(tolerance)
-    }
+/// A scaled program.
+struct Chain<'a, const ELASTIC: bool> {
+    program: &'a Program,
+    /// P_ii.
+    diagonal: f64,
 }
 
-impl Point {
-    /// Largest step that keeps s and l at least zero.
-    fn longest(&self, step: &Step) -> f64 {
-        let limit = |v: &[f64], d: &[f64]| {
-            v.iter().zip(d).filter(|(_, d)| **d < 0.0).map(|(v, d)| -v / d).fold(1e30, f64::min)
+impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
+    /// w y.
+    fn solve(
+        &self,
+        mut w: Vec<f64>,
+        rows: impl Fn(usize, &mut Rows) + Sync,
+    ) -> Result<Vec<f64>, Failure> {
+        let (n, diagonal) = (w.len(), self.diagonal);
+        let middle = n / 2;
+        let half = |up| Half::<ELASTIC>::new(self.program, diagonal, up, &w, &rows);
+        let (mut low, mut high) = if n < WORTH_A_THREAD {
+            (half(false), half(true))
+        } else {
+            rayon::join(|| half(false), || half(true))
         };
-        limit(&self.s, &step.s).min(limit(&self.l, &step.l))
-    }
+        if low.rows.infeasible || high.rows.infeasible {
+            return Err(Failure::Infeasible);
+        }
+        let m = low.rows.row.len() + high.rows.row.len();
+        let linear = self.program.linear[middle];
+        /// Both halves, by two threads where that is worth it.
+        macro_rules! both {
+            ($method:ident($($argument:expr),*)) => {
+                if n < WORTH_A_THREAD {
+                    (low.$method($($argument),*), high.$method($($argument),*))
+                } else {
+                    rayon::join(|| low.$method($($argument),*), || high.$method($($argument),*))
+                }
+            };
+        }
 
-    fn advance(&mut self, step: &Step, a: f64) {
-        let add = |v: &mut [f64], d: &[f64]| v.iter_mut().zip(d).for_each(|(v, d)| *v += a * d);
-        add(&mut self.y, &step.y);
-        add(&mut self.e, &step.e);
-        add(&mut self.s, &step.s);
-        add(&mut self.l, &step.l);
+        // The free minimiser is a good start.
+        let (a, b) = both!(eliminate_free());
+        let c = a.plus(b);
+        let (mut y, mut dy) = ((linear + c.right) / (diagonal + c.pivot), 0.0);
+        both!(start(y));
+        // The last point that would be accepted: rounding may spoil the next.
+        let mut accepted: Option<Vec<f64>> = None;
+        let mut lowest = f64::INFINITY;
+        let mut length = 0.0;
+        let mut solved = m == 0;
+        for _ in 0..if solved { 0 } else { MAX_ITERATIONS } {
+            y += length * dy;
+            let ((a, ra), (b, rb)) = both!(advance_and_eliminate(length, y));
+            let (c, mut r) = (a.plus(b), ra.plus(rb));
+            let gradient = linear - diagonal * y + c.gradient;
+            r.largest_dual = worse(r.largest_dual, (c.multipliers - gradient).abs());
+            r.largest_multipliers = worse(r.largest_multipliers, c.multipliers.abs());
+            r.mu /= m as f64;
+            r.largest = worse(r.largest, r.mu);
+            if r.is_within(TOLERANCE) {
+                solved = true;
+                break;
+            }
+            if r.is_within(ACCEPTED) {
+                let values = accepted.get_or_insert_default();
+                values.clear();
+                values.extend(low.node.iter().map(|node| node.y));
+                values.push(y);
+                values.extend(high.node.iter().rev().map(|node| node.y));
+            } else if accepted.is_some() || !r.largest.is_finite() {
+                break;
+            }
+            if !ELASTIC && r.is_infeasible() {
+                return Err(Failure::Infeasible);
+            }
+            // Predictor: sigma = 0, no second-order term.
+            let inverse = 1.0 / (diagonal + c.pivot);
+            dy = (gradient + c.right) * inverse;
+            let (a, b) = both!(predict(y, dy));
+            let reach = a.plus(b);
+            let a = (1.0 / reach.inverse).min(1.0);
+            // sum (s + a ds) (l + a dl) = sum s l (1 - a) + a^2 sum ds dl
+            let after = r.mu * (1.0 - a) - a * a * reach.product / m as f64;
+            let sigma = (after / r.mu).max(0.0).powi(3);
+            // Corrector. Where mu did not fall the second-order term can make the iteration go in
+            // circles: then a step towards the centre without it.
+            let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
+            lowest = lowest.min(r.mu);
+            let (a, b) = both!(eliminate_corrector(second, sigma * r.mu, y, dy));
+            dy = (gradient + a.right + b.right) * inverse;
+            let (a, b) = both!(correct(y, dy));
+            length = ((1.0 - r.mu).clamp(0.995, 0.9999) / a.plus(b).inverse).min(1.0);
+            if length.is_nan() || length <= 1e-13 {
+                break;
+            }
+        }
+        if solved {
+            w[..middle].iter_mut().zip(&low.node).for_each(|(w, node)| *w *= node.y);
+            w[middle] *= y;
+            w[middle + 1..].iter_mut().rev().zip(&high.node).for_each(|(w, node)| *w *= node.y);
+        } else {
+            let accepted = accepted.ok_or(Failure::NotConverged)?;
+            w.iter_mut().zip(accepted).for_each(|(w, y)| *w *= y);
+        }
+        Ok(w)
     }
 }
 
-impl Factor {
-    /// P + G' D G, or P alone.
-    fn update(&mut self, program: &Scaled, at: Option<&Point>) {
-        let n = program.linear.len();
-        let Self { pivot, below, mean, inverse } = self;
-        pivot.clear();
-        pivot.resize(n, program.diagonal);
-        below.clone_from(&program.beside);
-        let elastic = program.price.len();
-        mean.clear();
-        mean.resize(elastic, [0.0; 2]);
-        inverse.clear();
-        inverse.resize(elastic, 0.0);
-        for link in (0..program.links()).filter(|_| at.is_some()) {
-            let Some(at) = at else { continue };
-            let rows = program.rows_of(link);
-            let weight = |j: usize| at.l[j] / at.s[j];
-            let mut m = [0.0; 2];
-            if elastic > 0 && !rows.is_empty() {
-                let (mut cross, mut square) = ([0.0; 2], 0.0);
-                for j in rows.clone() {
-                    let (row, d) = (&program.rows[j], weight(j));
-                    cross[0] += d * row.slack * row.a[0];
-                    cross[1] += d * row.slack * row.a[1];
-                    square += d * row.slack * row.slack;
-                }
-                m = cross.map(|c| c / square);
-                mean[link] = m;
-                inverse[link] = 1.0 / square;
-            }
-            for j in rows {
-                let (row, d) = (&program.rows[j], weight(j));
-                let a = [row.a[0] - row.slack * m[0], row.a[1] - row.slack * m[1]];
-                pivot[link] += d * a[0] * a[0];
-                pivot[link + 1] += d * a[1] * a[1];
-                below[link] += d * a[0] * a[1];
-            }
+/// The links from an end of the chain to its middle. Link k joins node k and node k + 1, counted
+/// from the end; node k + 1 of the last link is the middle.
+struct Half<'a, const ELASTIC: bool> {
+    program: &'a Program,
+    /// P_ii.
+    diagonal: f64,
+    /// Whether this is the half of the last nodes.
+    up: bool,
+    rows: Rows,
+    node: Vec<Node>,
+    at: Vec<Pair>,
+    /// t of the corrector in `l` before its way back.
+    step: Vec<Pair>,
+    excess: Vec<Excess>,
+}
+
+impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
+    fn new(
+        program: &'a Program,
+        diagonal: f64,
+        up: bool,
+        w: &[f64],
+        add: impl Fn(usize, &mut Rows),
+    ) -> Self {
+        let n = w.len();
+        let links = if up { n - 1 - n / 2 } else { n / 2 };
+        let mut rows = Rows {
+            row: Vec::new(),
+            slack: Vec::new(),
+            end: Vec::with_capacity(links),
+            elastic: ELASTIC,
+            up,
+            w: [0.0; 2],
+            infeasible: false,
+        };
+        for k in 0..links {
+            let link = if up { n - 2 - k } else { k };
+            rows.w = [w[link], w[link + 1]];
+            add(link, &mut rows);
+            rows.end_link();
         }
-        // L D L': the next pivot loses what the elimination of this one takes.
-        for i in 0..below.len() {
-            let factor = below[i] / pivot[i];
-            pivot[i + 1] -= factor * below[i];
-            below[i] = factor;
+        let m = rows.row.len();
+        Self {
+            program,
+            diagonal,
+            up,
+            rows,
+            node: vec![Node::default(); links],
+            at: vec![Pair::default(); m],
+            step: vec![Pair::default(); m],
+            excess: vec![Excess::default(); if ELASTIC { links } else { 0 }],
         }
     }
 
-    fn substitute(&self, y: &mut [f64]) {
-        for i in 0..self.below.len() {
-            y[i + 1] -= self.below[i] * y[i];
+    fn links(&self) -> usize {
+        self.node.len()
+    }
+
+    /// c of the outer node of link k, and P of its two.
+    fn terms(&self, k: usize) -> (f64, f64) {
+        let Program { linear, beside, .. } = self.program;
+        if self.up {
+            (linear[linear.len() - 1 - k], beside[beside.len() - 1 - k])
+        } else {
+            (linear[k], beside[k])
         }
-        y.iter_mut().zip(&self.pivot).for_each(|(y, p)| *y /= p);
-        for i in (0..self.below.len()).rev() {
-            y[i] -= self.below[i] * y[i + 1];
+    }
+
+    fn price(&self, k: usize) -> f64 {
+        let price = &self.program.price;
+        price[if self.up { price.len() - 1 - k } else { k }]
+    }
+
+    /// Coefficients of the outer and of the inner node, k and the bound.
+    fn row(&self, j: usize) -> ([f64; 2], f64, f64) {
+        let Row { a, bound } = self.rows.row[j];
+        (a, if ELASTIC { self.rows.slack[j] } else { 0.0 }, bound)
+    }
+
+    /// P y = c towards the middle.
+    fn eliminate_free(&mut self) -> Carry {
+        let mut carry = Carry::default();
+        for k in 0..self.links() {
+            let (linear, beside) = self.terms(k);
+            let node = &mut self.node[k];
+            node.inverse = 1.0 / (self.diagonal + carry.pivot);
+            node.below = beside * node.inverse;
+            let right = linear + carry.right;
+            node.dy = right * node.inverse;
+            carry.pivot = -node.below * beside;
+            carry.right = -node.below * right;
         }
+        carry
+    }
+
+    /// y by substitution from the middle, and slacks and multipliers to begin with.
+    fn start(&mut self, middle: f64) {
+        let mut y1 = middle;
+        for k in (0..self.links()).rev() {
+            let node = &mut self.node[k];
+            node.y = node.dy - node.below * y1;
+            let y0 = node.y;
+            for j in self.rows.of(k) {
+                let (a, _, bound) = self.row(j);
+                let s = (bound - (a[0] * y0 + a[1] * y1)).max(1.0);
+                (self.at[j], self.step[j]) = (Pair { s, l: 1.0 }, Pair::default());
+            }
+            y1 = y0;
+        }
+    }
+
+    /// Goes the part `length` of the step; the residuals there; (2) of the predictor towards the
+    /// middle.
+    fn advance_and_eliminate(&mut self, length: f64, middle: f64) -> (Carry, Residual) {
+        let (mut carry, mut r) = (Carry::default(), Residual::default());
+        let go = |node: &mut Node| {
+            node.y += length * node.dy;
+            node.y
+        };
+        let mut y1 = if self.links() > 0 { go(&mut self.node[0]) } else { middle };
+        for k in 0..self.links() {
+            let y0 = y1;
+            y1 = if k + 1 < self.links() { go(&mut self.node[k + 1]) } else { middle };
+            let (linear, beside) = self.terms(k);
+            // c - P y
+            let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
+            let mut multipliers = [carry.multipliers, 0.0];
+            let mut right = [gradient + carry.right, 0.0];
+            let (mut pivot, mut off) = ([self.diagonal + carry.pivot, 0.0], beside);
+            let rows = self.rows.of(k);
+            let mut excess = Excess::default();
+            if ELASTIC {
+                excess = self.excess[k];
+                excess.e += length * excess.de;
+                (excess.de, excess.mean, excess.inverse) = (0.0, [0.0; 2], 0.0);
+            }
+            let (mut dual_e, mut square, mut right_e) = (0.0, 0.0, 0.0);
+            if ELASTIC && !rows.is_empty() {
+                (dual_e, right_e) = (self.price(k), -self.price(k));
+            }
+            for j in rows.clone() {
+                let (a, slack, bound) = self.row(j);
+                let (at, step) = (&mut self.at[j], &mut self.step[j]);
+                at.s += length * step.s;
+                at.l += length * step.l;
+                let Pair { s, l } = *at;
+                let primal = a[0] * y0 + a[1] * y1 - slack * excess.e + (s - bound);
+                // Its rounding is that of a sum of numbers of order 1.
+                let rounding = 16.0 * f64::EPSILON * (1.0 + bound.abs() + s);
+                r.largest = worse(r.largest, primal.abs() - rounding);
+                r.mu += s * l;
+                multipliers[0] += a[0] * l;
+                multipliers[1] += a[1] * l;
+                r.gain -= bound * l;
+                r.total += l;
+                let d = l / s;
+                if ELASTIC {
+                    dual_e -= slack * l;
+                    excess.mean[0] += d * slack * a[0];
+                    excess.mean[1] += d * slack * a[1];
+                    square += d * slack * slack;
+                    right_e += slack * d * primal;
+                    // For the loop below.
+                    *step = Pair { s: primal, l: d };
+                } else {
+                    pivot[0] += d * a[0] * a[0];
+                    pivot[1] += d * a[1] * a[1];
+                    off += d * a[0] * a[1];
+                    right[0] -= a[0] * d * primal;
+                    right[1] -= a[1] * d * primal;
+                }
+            }
+            if ELASTIC && !rows.is_empty() {
+                excess.mean = excess.mean.map(|c| c / square);
+                (excess.inverse, excess.de) = (1.0 / square, right_e);
+                let m = excess.mean;
+                for j in rows {
+                    let (a, slack, _) = self.row(j);
+                    let Pair { s: primal, l: d } = self.step[j];
+                    let b = [a[0] - slack * m[0], a[1] - slack * m[1]];
+                    pivot[0] += d * b[0] * b[0];
+                    pivot[1] += d * b[1] * b[1];
+                    off += d * b[0] * b[1];
+                    right[0] -= a[0] * d * primal;
+                    right[1] -= a[1] * d * primal;
+                }
+                // M_ye = -sum D a k, and M_ye / M_ee = -m
+                right[0] += m[0] * right_e;
+                right[1] += m[1] * right_e;
+                r.largest_dual = worse(r.largest_dual, dual_e.abs());
+            }
+            if ELASTIC {
+                self.excess[k] = excess;
+            }
+            r.largest_dual = worse(r.largest_dual, (multipliers[0] - gradient).abs());
+            r.largest_multipliers = worse(r.largest_multipliers, multipliers[0].abs());
+            let node = &mut self.node[k];
+            node.inverse = 1.0 / pivot[0];
+            node.below = off * node.inverse;
+            node.dy = right[0] * node.inverse;
+            carry = Carry {
+                pivot: pivot[1] - node.below * off,
+                right: right[1] - node.below * right[0],
+                gradient: -beside * y0,
+                multipliers: multipliers[1],
+            };
+        }
+        (carry, r)
+    }
+
+    /// Step of node k and of its link by substitution.
+    fn substitute(&mut self, k: usize, dy1: f64) -> f64 {
+        let node = &mut self.node[k];
+        node.dy -= node.below * dy1;
+        let dy0 = node.dy;
+        if ELASTIC {
+            // M_ee de = right_e - M_ey dy
+            let excess = &mut self.excess[k];
+            let m = excess.mean;
+            excess.de = excess.de * excess.inverse + m[0] * dy0 + m[1] * dy1;
+        }
+        dy0
+    }
+
+    /// e and its step.
+    fn excess_of(&self, k: usize) -> (f64, f64) {
+        if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
+    }
+
+    /// The predictor back from the middle.
+    fn predict(&mut self, middle: f64, step: f64) -> Reach {
+        let mut reach = Reach::default();
+        let (mut y1, mut dy1) = (middle, step);
+        for k in (0..self.links()).rev() {
+            let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
+            let (e, de) = self.excess_of(k);
+            for j in self.rows.of(k) {
+                let (a, slack, bound) = self.row(j);
+                let Pair { s, l } = self.at[j];
+                let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
+                let ds = -primal - (a[0] * dy0 + a[1] * dy1 - slack * de);
+                // dl = -l - D ds = -l (1 + ds/s)
+                let ratio = ds / s;
+                reach.inverse = reach.inverse.max(-ratio).max(1.0 + ratio);
+                reach.product += s * l * ratio * (1.0 + ratio);
+            }
+            (y1, dy1) = (y0, dy0);
+        }
+        reach
+    }
+
+    /// (2) of the corrector towards the middle.
+    fn eliminate_corrector(&mut self, second: f64, sigma_mu: f64, middle: f64, step: f64) -> Carry {
+        let mut carry = Carry::default();
+        let of = |node: Option<&Node>| node.map_or((middle, step), |node| (node.y, node.dy));
+        let mut inner = of((self.links() > 0).then(|| &self.node[0]));
+        for k in 0..self.links() {
+            let (y0, dy0) = inner;
+            inner = of((k + 1 < self.links()).then(|| &self.node[k + 1]));
+            let (y1, dy1) = inner;
+            let (linear, beside) = self.terms(k);
+            let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
+            let mut right = [gradient + carry.right, 0.0];
+            let rows = self.rows.of(k);
+            let (e, de) = self.excess_of(k);
+            let mut right_e = if ELASTIC && !rows.is_empty() { -self.price(k) } else { 0.0 };
+            for j in rows {
+                let (a, slack, bound) = self.row(j);
+                let Pair { s, l } = self.at[j];
+                let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
+                let ds = -primal - (a[0] * dy0 + a[1] * dy1 - slack * de);
+                // t = (sigma mu - ds dl) / s,  dl = -l (1 + ds/s)
+                let inverse = 1.0 / s;
+                let ratio = ds * inverse;
+                let t = second * l * ratio * (1.0 + ratio) + sigma_mu * inverse;
+                self.step[j].l = t;
+                let v = t + l * inverse * primal;
+                right[0] -= a[0] * v;
+                right[1] -= a[1] * v;
+                right_e += slack * v;
+            }
+            if ELASTIC {
+                let excess = &mut self.excess[k];
+                excess.de = right_e;
+                right[0] += excess.mean[0] * right_e;
+                right[1] += excess.mean[1] * right_e;
+            }
+            let node = &mut self.node[k];
+            node.dy = right[0] * node.inverse;
+            carry.right = right[1] - node.below * right[0];
+            carry.gradient = -beside * y0;
+        }
+        carry
+    }
+
+    /// The corrector back from the middle.
+    fn correct(&mut self, middle: f64, step: f64) -> Reach {
+        let mut reach = Reach::default();
+        let (mut y1, mut dy1) = (middle, step);
+        for k in (0..self.links()).rev() {
+            let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
+            let (e, de) = self.excess_of(k);
+            for j in self.rows.of(k) {
+                let (a, slack, bound) = self.row(j);
+                let Pair { s, l } = self.at[j];
+                let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
+                let ds = -primal - (a[0] * dy0 + a[1] * dy1 - slack * de);
+                // 1/s and 1/l by one division.
+                let inverse = 1.0 / (s * l);
+                let dl = self.step[j].l - l - l * (l * inverse) * ds;
+                self.step[j] = Pair { s: ds, l: dl };
+                reach.inverse = reach.inverse.max(-ds * (l * inverse)).max(-dl * (s * inverse));
+            }
+            (y1, dy1) = (y0, dy0);
+        }
+        reach
     }
 }
 
@@ -473,36 +734,59 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
+    /// `a[0] x_link + a[1] x_{link+1} - slack e_link <= bound`.
+    #[derive(Clone, Copy)]
+    struct Bound {
+        link: usize,
+        a: [f64; 2],
+        slack: f64,
+        bound: f64,
+    }
+
+    /// Program (1), its rows in any order within their links.
+    #[derive(Clone)]
+    struct Case {
+        program: Program,
+        rows: Vec<Bound>,
+    }
+
+    impl Case {
+        fn solve(&self) -> Result<Vec<f64>, Failure> {
+            solve(self.program.clone(), |link, rows| {
+                for r in self.rows.iter().filter(|r| r.link == link) {
+                    rows.add(r.a, r.slack, r.bound);
+                }
+            })
+        }
+    }
+
     /// Bounds of both signs around a known point, so that hard rows have a solution.
-    fn random(n: usize, elastic: bool, rng: &mut ChaCha8Rng) -> Program {
+    fn random(n: usize, elastic: bool, rng: &mut ChaCha8Rng) -> Case {
         let size: Vec<f64> = (0..n).map(|_| 10.0_f64.powf(rng.random_range(-1.5..1.5))).collect();
         let inside: Vec<f64> = (0..n).map(|i| rng.random_range(-1.0..1.0) / size[i]).collect();
         let free: Vec<bool> = (0..n).map(|_| rng.random_range(0.0..1.0) < 0.9).collect();
-        let mut program = Program {
-            diagonal: size.iter().map(|s| 4.0 * s * s).collect(),
-            beside: size.windows(2).map(|s| s[0] * s[1]).collect(),
-            linear: size.iter().map(|s| rng.random_range(-9.0..9.0) * s).collect(),
-            free,
-            ..Program::default()
-        };
+        let linear = size.iter().map(|s| rng.random_range(-9.0..9.0) * s).collect();
+        let mut rows = Vec::new();
         for link in 0..n - 1 {
             for _ in 0..rng.random_range(0..5) {
                 let a = [size[link], size[link + 1]].map(|s| rng.random_range(-1.0..1.0) * s);
-                let at =
-                    (0..2).map(|k| a[k] * inside[link + k] * f64::from(program.free[link + k]));
+                let at = (0..2).map(|k| a[k] * inside[link + k] * f64::from(free[link + k]));
                 let room =
                     if elastic { rng.random_range(-0.5..0.3) } else { rng.random_range(0.0..0.3) };
-                program.rows.push(Row { link, a, slack: 1.0, bound: at.sum::<f64>() + room });
+                rows.push(Bound { link, a, slack: 1.0, bound: at.sum::<f64>() + room });
             }
         }
+        let mut price = Vec::new();
         if elastic {
-            program.price = (1..n).map(|_| rng.random_range(3.0..30.0)).collect();
+            price = (1..n).map(|_| rng.random_range(3.0..30.0)).collect();
         }
-        program
+        let diagonal = size.iter().map(|s| 4.0 * s * s).collect();
+        let beside = size.windows(2).map(|s| s[0] * s[1]).collect();
+        Case { program: Program { diagonal, beside, linear, free, price }, rows }
     }
 
     /// The same by a general conic solver.
-    fn clarabel(program: &Program) -> Option<Vec<f64>> {
+    fn clarabel(Case { program, rows: bounds }: &Case) -> Option<Vec<f64>> {
         let (n, elastic) = (program.diagonal.len(), !program.price.is_empty());
         let variables = n + program.price.len();
         let mut p: Vec<(usize, usize, f64)> =
@@ -516,7 +800,7 @@ mod tests {
             b.push(0.0);
         }
         let fixed = b.len();
-        for row in &program.rows {
+        for row in bounds {
             a.push((b.len(), row.link, row.a[0]));
             a.push((b.len(), row.link + 1, row.a[1]));
             if elastic {
@@ -553,14 +837,14 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let mut compared = 0;
         for case in 0..200 {
-            let program = random(2 + case % 40, case % 2 == 1, &mut rng);
-            let Some(expected) = clarabel(&program) else { continue };
-            let found = solve(&program).unwrap();
+            let problem = random(2 + case % 40, case % 2 == 1, &mut rng);
+            let Some(expected) = clarabel(&problem) else { continue };
+            let found = problem.solve().unwrap();
             compared += 1;
             for i in 0..found.len() {
                 // Its gap of 1e-10, or 1e-12 of an objective of up to 1e3, bounds half the square
                 // of the error in units of 1 / sqrt(P_ii).
-                let error = (found[i] - expected[i]).abs() * program.diagonal[i].sqrt();
+                let error = (found[i] - expected[i]).abs() * problem.program.diagonal[i].sqrt();
                 assert!(error < 5e-5, "case {case}, variable {i}: {error}");
             }
         }
@@ -575,78 +859,97 @@ mod tests {
             beside: vec![1.0; 3],
             linear: vec![7.0, 9.0, 9.0, 7.0],
             free: vec![false, true, true, false],
-            rows: vec![Row { link: 1, a: [1.0, 1.0], slack: 0.0, bound: 5.0 }],
             price: Vec::new(),
         };
-        let x = solve(&program).unwrap();
+        let rows = vec![Bound { link: 1, a: [1.0, 1.0], slack: 0.0, bound: 5.0 }];
+        let wide = Case { program, rows };
+        let x = wide.solve().unwrap();
         assert!(x.iter().zip([0.0, 1.8, 1.8, 0.0]).all(|(x, e)| (x - e).abs() < 1e-11), "{x:?}");
         // With x1 + x2 <= 3 both lose the same.
-        let mut tight = program;
+        let mut tight = wide;
         tight.rows[0].bound = 3.0;
-        let x = solve(&tight).unwrap();
+        let x = tight.solve().unwrap();
         assert!((x[1] - 1.5).abs() < 1e-11 && (x[2] - 1.5).abs() < 1e-11, "{x:?}");
         // At a price of 1 the row x1 + x2 - e <= 3 is kept or broken as the multiplier says: it
         // is 9 - 5 * 1.5 = 1.5 at the hard bound. Above: hard. Below: 5 x = 9 - price.
         for (price, expected) in [(2.0, 1.5), (1.0, 1.6)] {
             tight.rows[0].slack = 1.0;
-            tight.price = vec![price; 3];
-            let x = solve(&tight).unwrap();
+            tight.program.price = vec![price; 3];
+            let x = tight.solve().unwrap();
             assert!((x[1] - expected).abs() < 1e-10, "{price}: {x:?}");
         }
     }
 
     #[test]
     fn contradictions_are_found() {
-        let mut program = Program {
+        let program = Program {
             diagonal: vec![1.0; 3],
             beside: vec![0.1; 2],
             linear: vec![1.0; 3],
             free: vec![true; 3],
-            rows: vec![
-                Row { link: 0, a: [1.0, 0.5], slack: 1.0, bound: -1.0 },
-                Row { link: 0, a: [-1.0, -0.5], slack: 1.0, bound: 0.99 },
-            ],
             price: Vec::new(),
         };
-        assert_eq!(solve(&program), Err(Failure::Infeasible));
-        program.rows[1].bound = 1.01;
-        assert!(solve(&program).is_ok());
-        program.rows[1] = Row { link: 1, a: [0.0; 2], slack: 1.0, bound: -1e-3 };
-        assert_eq!(solve(&program), Err(Failure::Infeasible));
-        program.price = vec![1.0; 2];
-        assert!(solve(&program).is_ok());
+        let rows = vec![
+            Bound { link: 0, a: [1.0, 0.5], slack: 1.0, bound: -1.0 },
+            Bound { link: 0, a: [-1.0, -0.5], slack: 1.0, bound: 0.99 },
+        ];
+        let mut case = Case { program, rows };
+        assert_eq!(case.solve(), Err(Failure::Infeasible));
+        case.rows[1].bound = 1.01;
+        assert!(case.solve().is_ok());
+        case.rows[1] = Bound { link: 1, a: [0.0; 2], slack: 1.0, bound: -1e-3 };
+        assert_eq!(case.solve(), Err(Failure::Infeasible));
+        case.program.price = vec![1.0; 2];
+        assert!(case.solve().is_ok());
+    }
+
+    #[test]
+    fn a_long_chain_is_the_same_on_one_thread_and_two() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for elastic in [false, true] {
+            let long = random(2 * WORTH_A_THREAD, elastic, &mut rng);
+            let [one, two] = [1, 2].map(|threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                pool.install(|| long.solve().unwrap())
+            });
+            assert!(one.iter().zip(&two).all(|(a, b)| a.to_bits() == b.to_bits()));
+        }
     }
 
     #[test]
     fn the_solution_does_not_depend_on_units_or_direction() {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         for case in 0..20 {
-            let program = random(30, case % 2 == 1, &mut rng);
-            let x = solve(&program).unwrap();
-            let mut other = program.clone();
+            let problem = random(30, case % 2 == 1, &mut rng);
+            let Case { program, .. } = &problem;
+            let x = problem.solve().unwrap();
+            let mut other = problem.clone();
+            let scaled = &mut other.program;
             // x in other units: P / 64, c / 8, a / 8; the objective a thousand times as large.
-            other.diagonal.iter_mut().chain(&mut other.beside).for_each(|v| *v *= 1000.0 / 64.0);
-            other.linear.iter_mut().for_each(|v| *v *= 1000.0 / 8.0);
-            other.price.iter_mut().for_each(|v| *v *= 1000.0);
+            scaled.diagonal.iter_mut().chain(&mut scaled.beside).for_each(|v| *v *= 1000.0 / 64.0);
+            scaled.linear.iter_mut().for_each(|v| *v *= 1000.0 / 8.0);
+            scaled.price.iter_mut().for_each(|v| *v *= 1000.0);
             other.rows.iter_mut().for_each(|r| r.a = r.a.map(|a| a / 8.0));
-            let y = solve(&other).unwrap();
+            let y = other.solve().unwrap();
             for i in 0..30 {
                 let (d, x) = (program.diagonal[i].sqrt(), x[i]);
                 // The stop is at 1e-12 of the complementarity; its root in x where a row is only
                 // just active.
                 assert!((y[i] / 8.0 - x).abs() * d < 1e-5, "{} {x}", y[i] / 8.0);
             }
-            other = program.clone();
-            for v in [&mut other.diagonal, &mut other.beside, &mut other.linear, &mut other.price] {
+            other = problem.clone();
+            let turned = &mut other.program;
+            let Program { diagonal, beside, linear, price, .. } = turned;
+            for v in [diagonal, beside, linear, price] {
                 v.reverse();
             }
-            other.free.reverse();
+            turned.free.reverse();
             other.rows.reverse();
             other.rows.iter_mut().for_each(|r| {
                 r.link = 28 - r.link;
                 r.a.reverse();
             });
-            let y = solve(&other).unwrap();
+            let y = other.solve().unwrap();
             for i in 0..30 {
                 let error = (y[29 - i] - x[i]).abs() * program.diagonal[i].sqrt();
                 assert!(error < 1e-5, "{case} {i} {error}");

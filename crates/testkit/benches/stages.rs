@@ -19,10 +19,11 @@ use planish_schedule::{
     trig_spline,
 };
 use planish_simulate::{Plan, Settings, simulate};
-use planish_testkit::{ion_beam, workspace};
+use planish_testkit::{case_generator, ion_beam, workspace};
 use planish_toolpath::{LineOrder, MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
+use rand::RngExt;
 
 struct Case {
     surface: Surface,
@@ -228,6 +229,35 @@ fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
     let (path, dwell) = long_path(segments);
     let mode = if MONOTONE { Mode::Monotone } else { Mode::Smooth };
     let how = pvt::Settings { mode, stretch: true };
+    bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
+}
+
+/// Lines at a distance of 0.5 mm with a point every 0.4 mm, to and fro, 0.04 to 0.06 s per point, but
+/// one point in twenty has 0.002 to 0.004 s: the limits stretch it and its neighbours.
+fn short_times(segments: usize) -> (ToolPath, DwellTime) {
+    let per_line = segments.isqrt();
+    let points = (0..=segments)
+        .map(|i| {
+            let (line, k) = (i / per_line, i % per_line);
+            [0.4 * (if line % 2 == 0 { k } else { per_line - 1 - k }) as f64, 0.5 * line as f64]
+        })
+        .collect();
+    let path = ToolPath::through(points, vec![true; segments], vec![0; segments]).unwrap();
+    let mut generator = case_generator(1, 0, 0);
+    let mut time = || {
+        let is_short = generator.random_range(0.0..1.0) < 0.05;
+        let part: f64 = generator.random_range(0.0..1.0);
+        if is_short { 0.002 + 0.002 * part } else { 0.04 + 0.02 * part }
+    };
+    let dwell = (0..segments).map(|_| time()).collect();
+    (path, DwellTime::new(dwell).unwrap())
+}
+
+/// Several rounds of stretching.
+#[divan::bench(args = [3000, 50_000], sample_count = 3)]
+fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
+    let (path, dwell) = short_times(segments);
+    let how = pvt::Settings { mode: Mode::Monotone, stretch: true };
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 
