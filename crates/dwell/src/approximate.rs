@@ -35,6 +35,10 @@ pub const LOSS_GRADIENT: f64 = 2e-2;
 /// of a Gaussian). By the time that problems took.
 const SPLINE_PITCH: f64 = 0.7;
 
+/// Least pitch over the mean spacing of the columns: many more splines than columns are dependent, and
+/// their matrix is singular to rounding.
+const SPACINGS: f64 = 1.5;
+
 /// Most elements of the matrix of the splines (three copies of 120 MB), and of their patches (200 MB).
 const MOST_ELEMENTS: f64 = 1.5e7;
 const MOST_PATCHED: f64 = 2.5e7;
@@ -93,7 +97,11 @@ fn length(places: &[Place]) -> f64 {
 
 /// Live columns that a spline of this pitch can be made of.
 fn are_short(places: &[Vec<Place>], live: &[bool], pitch_mm: f64) -> Vec<bool> {
-    places.iter().zip(live).map(|(places, live)| *live && length(places) <= pitch_mm).collect()
+    places
+        .iter()
+        .zip(live)
+        .map(|(places, live)| *live && length(places) <= 2.0 * pitch_mm)
+        .collect()
 }
 
 /// Pitch of splines that can say what the TIF resolves, mm; none where most columns are longer, or
@@ -107,15 +115,17 @@ pub fn spline_pitch(
     cell: usize,
 ) -> Option<f64> {
     let [along_x, along_y] = slopes(tif);
-    let pitch = SPLINE_PITCH / (along_x + along_y).sqrt();
     let of_live = places.iter().zip(live).filter(|(_, live)| **live).flat_map(|(p, _)| p);
     let (low, high) = two_level::extent(of_live.map(|p| &p.position_mm));
+    let size_mm = [high[0] - low[0], high[1] - low[1]];
+    let count = |of: &[bool]| of.iter().filter(|of| **of).count();
+    let spacing = (size_mm[0] * size_mm[1] / count(live) as f64).sqrt();
+    let pitch = (SPLINE_PITCH / (along_x + along_y).sqrt()).max(SPACINGS * spacing);
     let wide = |axis: &Axis| axis.end_mm() - axis.start_mm();
     let reach = [&tif.grid().x, &tif.grid().y].map(|axis| wide(axis) + 4.0 * pitch);
-    let (nodes, row) = Nodes::size([high[0] - low[0], high[1] - low[1]], reach, pitch);
+    let (nodes, row) = Nodes::size(size_mm, reach, pitch);
     let cells = |k: usize, step: f64| reach[k] / (cell as f64 * step) + 4.0;
     let patched = nodes * cells(0, map.x.step_mm()) * cells(1, map.y.step_mm());
-    let count = |of: &[bool]| of.iter().filter(|of| **of).count();
     let dense = count(&are_short(places, live, pitch)) * 2 > count(live);
     (dense && nodes * row <= MOST_ELEMENTS && patched <= MOST_PATCHED).then_some(pitch)
 }

@@ -65,7 +65,8 @@ impl Weights {
 /// Cells between two columns whose difference the lattice has; farther apart it has a bound of it.
 const NEAR: u32 = 1;
 
-/// Part of its penalty by which a node is made stiffer: splines may differ on no column.
+/// Part of `alpha D V' V` by which the diagonal is raised: splines may differ on no column. That it
+/// is small beside alpha keeps Q as good as exact.
 const RIDGE: f64 = 1e-3;
 
 /// The four cubic B-splines on a cell.
@@ -342,9 +343,15 @@ impl<'a> TwoLevel<'a> {
         coarse.update(nodes, sums, weight, free);
         let mut h = coarse.matrix.clone();
         nodes.add_penalty(penalty, free, &mut h);
-        for i in 0..h.len() {
-            let own = h.diagonal(i) - coarse.matrix.diagonal(i);
-            h.add(i, i, if h.diagonal(i) > 0.0 { RIDGE * own } else { 1.0 });
+        let mut squares = vec![0.0; nodes.len()];
+        for (w, _) in nodes.at.iter().zip(free).filter(|(_, free)| **free) {
+            if let Some(w) = w {
+                nodes.over(w).zip(w.products()).for_each(|(i, v)| squares[i] += v * v);
+            }
+        }
+        for (i, square) in squares.iter().enumerate() {
+            let stands_alone = *square == 0.0;
+            h.add(i, i, if stands_alone { 1.0 } else { RIDGE * penalty.alpha() * square });
         }
         let factor = h.factorise();
         let u: Vec<Vec<f64>> = u.iter().map(|u| nodes.restrict(u, free)).collect();

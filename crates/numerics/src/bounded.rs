@@ -557,6 +557,61 @@ mod tests {
         [Quadratic { k, u: Vec::new() }, Quadratic { k: fuller, u }]
     }
 
+    /// A coarse space of some sines on the free components, and the diagonal for the rest.
+    struct OfSines {
+        v: Vec<Vec<f64>>,
+        factor: crate::envelope::Factor,
+        diagonal: Vec<f64>,
+    }
+
+    impl OfSines {
+        fn new(h: &Array2<f64>, free: &[bool], count: u32) -> Self {
+            let masked = |j: usize, v: f64| if free[j] { v } else { 0.0 };
+            let v: Vec<Vec<f64>> = (0..count)
+                .map(|k| {
+                    (0..free.len())
+                        .map(|j| masked(j, (f64::from(k + 1) * j as f64 + 1.0).sin()))
+                        .collect()
+                })
+                .collect();
+            let h_v: Vec<_> = v.iter().map(|v| h.dot(&ArrayView1::from(v)).to_vec()).collect();
+            // 1e-12: more sines than free components.
+            let matrix = Array2::from_shape_fn((v.len(), v.len()), |(i, k)| {
+                dot(&v[i], &h_v[k]) + if i == k { 1e-12 } else { 0.0 }
+            });
+            let factor = Envelope::from_dense(&matrix).factorise().unwrap();
+            let diagonal = (0..free.len()).map(|j| masked(j, 1.0 / h[[j, j]])).collect();
+            Self { v, factor, diagonal }
+        }
+    }
+
+    impl Deflation for OfSines {
+        fn coarse(&self, r: &[f64]) -> Vec<f64> {
+            let mut c: Vec<f64> = self.v.iter().map(|v| dot(v, r)).collect();
+            self.factor.solve(&mut c);
+            (0..r.len()).map(|j| self.v.iter().zip(&c).map(|(v, c)| v[j] * c).sum()).collect()
+        }
+
+        fn smooth(&self, r: &[f64]) -> Vec<f64> {
+            r.iter().zip(&self.diagonal).map(|(r, d)| r * d).collect()
+        }
+    }
+
+    #[test]
+    fn an_exact_coarse_space_ends_conjugate_gradients_at_once() {
+        // All of the space: one solve, and one product to see that nothing is left.
+        let (h, g) = random_problem(12, 0.3, 5);
+        let apply = |t: &[f64]| h.dot(&ArrayView1::from(t)).to_vec();
+        let free = [true; 12];
+        let mut t = vec![0.0; 12];
+        let mut q: Vec<f64> = g.iter().map(|g| -g).collect();
+        let all = OfSines::new(&h, &free, 12);
+        let products = conjugate_gradients(&apply, &all, &free, &mut t, &mut q, 1e-3, 100);
+        assert!(products <= 2, "{products}");
+        // The condition number of the sines squared costs about eight digits.
+        assert!(q.iter().all(|q| q.abs() < 1e-6), "{q:?}");
+    }
+
     const SETTINGS: GradientSettings =
         GradientSettings { tolerance: 1e-9, max_iterations: 100_000, stagnation: 0.0, offset: 0.0 };
 
@@ -609,9 +664,20 @@ mod tests {
             let apply = |t: &[f64]| h.dot(&ArrayView1::from(t)).to_vec();
             let b = projected_gradient(apply, &diagonal, &g, &lo, &hi, &lo, &SETTINGS);
             prop_assert_eq!(b.end, End::Optimal);
-            for j in 0..n {
-                // Natural residual 1e-9 with a condition number below about 1e3.
-                prop_assert!((a.value[j] - b.value[j]).abs() < 1e-6, "{} {}", a.value[j], b.value[j]);
+            let settings =
+                ProductSettings { enough: 1e-10, inexact: 1e-9, max_sets: 200, max_products: 100_000 };
+            for coarse in [0, 3] {
+                let deflation = |free: &[bool]| OfSines::new(&h, free, coarse);
+                let d = active_set_by_products(
+                    apply, deflation, &diagonal, &g, (&lo, &hi), &lo, &settings,
+                );
+                prop_assert_eq!(d.end, End::Optimal);
+                for j in 0..n {
+                    // Natural residuals of 1e-9 with a condition number below about 1e3.
+                    for value in [b.value[j], d.value[j]] {
+                        prop_assert!((a.value[j] - value).abs() < 1e-6, "{} {value}", a.value[j]);
+                    }
+                }
             }
         }
     }
