@@ -507,7 +507,13 @@ pub(crate) struct Penalty {
 }
 
 impl Penalty {
-    fn new(path: &ToolPath, lo: &[f64], d: f64, weight: f64, settings: &Settings) -> Self {
+    pub(crate) fn new(
+        path: &ToolPath,
+        lo: &[f64],
+        d: f64,
+        weight: f64,
+        settings: &Settings,
+    ) -> Self {
         let mut steps = Vec::new();
         let lengths: Vec<f64> = (0..lo.len()).map(|j| path.segment_length_mm(j)).collect();
         let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();

@@ -765,6 +765,28 @@ mod tests {
     }
 
     #[test]
+    fn sums_of_few_columns_are_those_of_the_operator() {
+        let (path, tif, map) = case(0.3);
+        let places = [Columns::Segment.places(&path), places(&map)].concat();
+        let operator = FftOperator::without_border(&places, &tif, &map);
+        let sums = Sums::new(&places, &tif, &map, 20.0);
+        for columns in [0..3, 17..18, 40..200, 0..places.len()] {
+            let t: Vec<(usize, f64)> = columns.map(|j| (j, 1.0 + (j as f64).cos())).collect();
+            let mut all = vec![0.0; places.len()];
+            t.iter().for_each(|(j, t)| all[*j] = *t);
+            let expected = operator.apply(&all);
+            let patch = sums.patch(&t);
+            let (rows, columns) = sums.extent(t.iter().map(|t| t.0));
+            assert_eq!(patch.origin, (rows.start, columns.start));
+            let mut found = Array2::zeros(map.shape());
+            found.slice_mut(s![rows, columns]).assign(&patch.rate_nm_per_s);
+            // The two round differently.
+            let error = largest(&(&found - &expected)) / largest(&expected).max(1e-300);
+            assert!(error < 1e-12, "{} columns: {error}", t.len());
+        }
+    }
+
+    #[test]
     fn the_adjoint_is_the_adjoint() {
         let (path, tif, map) = case(0.3);
         let places = [Columns::Segment.places(&path), places(&map)].concat();

@@ -436,3 +436,75 @@ impl Chain {
         x
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        bounded_least_squares::{Bound, Settings},
+        columns::Columns,
+        fft_operator::FftOperator,
+    };
+    use planish_types::{Axis, Grid, Tif, ToolPath};
+
+    #[test]
+    fn what_the_splines_say_is_solved_exactly_whatever_is_free() {
+        let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
+        let map = Grid { x: axis(0.0, 37), y: axis(0.0, 23) };
+        let own = Grid { x: axis(-2.0, 17), y: axis(-2.0, 17) };
+        let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
+            (-(own.x.at(c).powi(2) + 1.3 * own.y.at(r).powi(2)) / 2.0).exp()
+        });
+        let tif = Tif::new(own, rate).unwrap();
+        let points: Vec<[f64; 2]> = (0..1200)
+            .map(|j| {
+                let (line, k) = (j / 40, j % 40);
+                let k = if line % 2 == 0 { k } else { 39 - k };
+                [0.25 * f64::from(k) - 0.4, 0.2 * f64::from(line) - 0.3]
+            })
+            .collect();
+        let n = points.len() - 1;
+        let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
+        let places = Columns::Segment.places(&path);
+        let b = FftOperator::without_border(&places, &tif, &map);
+        let weight =
+            Array2::from_shape_fn(map.shape(), |(r, c)| if r < 5 && c > 20 { 0.0 } else { 1.0 });
+        let settings = Settings { min_dwell: Bound::Seconds(0.0), ..Settings::default() };
+        let penalty = Penalty::new(&path, &vec![0.0; n], 12.0, 1.0, &settings);
+        let u =
+            vec![b.adjoint(&weight).iter().map(|v| v / weight.sum().sqrt()).collect::<Vec<_>>()];
+        let h = |t: &[f64]| {
+            let mut h_t = b.adjoint(&(b.apply(t) * &weight));
+            let c = dot(&u[0], t);
+            h_t.iter_mut().zip(&u[0]).for_each(|(h, u)| *h -= u * c);
+            penalty.add_product(t, &mut h_t);
+            h_t
+        };
+        let sums = Sums::new(&places, &tif, &map, 5.0);
+        let nodes = Nodes::new(&places, &vec![true; n], 1.0);
+        let mut coarse = Coarse::new(&nodes, &sums, &vec![true; n]);
+        // From one to the other only what changed is computed.
+        let frees: [&dyn Fn(usize) -> bool; 4] =
+            [&|_| true, &|j| j % 97 > 3, &|j| j % 97 > 3 && j > 300, &|j| j < 700];
+        for free in frees {
+            let free: Vec<bool> = (0..n).map(free).collect();
+            let two = TwoLevel::new(&nodes, &mut coarse, (&sums, &weight), &penalty, &u, &free);
+            let c: Vec<f64> = (0..nodes.len()).map(|i| (1.7 * i as f64).sin()).collect();
+            // Q H V c = V c
+            let v_c = nodes.prolong(&c, &free);
+            let found = two.coarse(&h(&v_c));
+            let size = v_c.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+            let error = found.iter().zip(&v_c).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            // The ridge is 1e-3 of the least that (1) costs.
+            assert!(error < 1e-2 * size, "{error} of {size}");
+            // L L^-1 = 1 on what is free.
+            let r: Vec<f64> =
+                (0..n).map(|j| if free[j] { (j as f64).cos() } else { 0.0 }).collect();
+            let mut back = vec![0.0; n];
+            penalty.add_product(&two.smooth(&r), &mut back);
+            let error = (0..n).filter(|j| free[*j]).map(|j| (back[j] - r[j]).abs());
+            // Condition number 4 beta / alpha = 4e3.
+            assert!(error.fold(0.0, f64::max) < 1e-11);
+        }
+    }
+}
