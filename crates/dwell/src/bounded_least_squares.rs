@@ -125,7 +125,7 @@ impl Default for Settings {
             tolerance_s: 1e-6,
             // RMS within 5e-5 of the least.
             relative_gap: 1e-4,
-            max_iterations: 3000,
+            max_iterations: 10_000,
         }
     }
 }
@@ -1095,10 +1095,9 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
 /// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - alpha D (t_j - s)^2 / 2
 /// ```
 ///
-/// which is what Fenchel's dual says with the residual at t as its variable,
-/// `f(t) - f*(r) = h(t) + h*(B' W r) - t' B' W r`, h being the penalty and the bounds, but for the roughness,
-/// whose conjugate is bounded by that of its gradient. The bounds are exact in it: at a finite
-/// one the sum is no more than `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever alpha.
+/// It is the gap of Fenchel's dual at the residual of t, with the alpha D alone of the penalty's
+/// curvature: the bounds are exact in it, and where they are finite a component adds at most
+/// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever alpha.
 ///
 /// `None` without alpha.
 fn gap(t: &[f64], q: &[f64], lo: &[f64], hi: &[f64], alpha: f64, live: &[bool]) -> Option<f64> {
