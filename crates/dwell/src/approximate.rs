@@ -12,7 +12,7 @@
 
 use ndarray::{Array2, Zip};
 use planish_numerics::{
-    bounded::{self, End, GradientSettings, Quadratic},
+    bounded::{self, End, GradientSettings, ProductSettings, Quadratic},
     envelope::Envelope,
 };
 use planish_types::{Axis, Grid, Invalid, Tif};
@@ -20,13 +20,33 @@ use planish_types::{Axis, Grid, Invalid, Tif};
 use crate::{
     bounded_least_squares::{Basis, Free, Penalty},
     columns::{Patch, Place},
-    fft_operator::FftOperator,
+    fft_operator::{FftOperator, Sums},
+    two_level::{self, Coarse, Nodes, TwoLevel},
 };
 
-/// Part of the energy of the TIF that (1) may lose: where H~ is factorised, and where products
+/// Part of the energy of the TIF that (1) may lose: where H~ is factorised, where it is solved by
+/// [`TwoLevel`] for dwell points so dense that what they cannot remove decides, and where products
 /// with it are what costs.
 pub const LOSS: f64 = 5e-3;
-pub const LOSS_CONVOLVED: f64 = 2e-2;
+pub const LOSS_TWO_LEVEL: f64 = 1.3e-3;
+pub const LOSS_GRADIENT: f64 = 2e-2;
+
+/// Pitch of the splines of [`two_level`], over the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma
+/// of a Gaussian). By the time that problems took.
+const SPLINE_PITCH: f64 = 0.7;
+
+/// Least pitch over the mean spacing of the columns: many more splines than columns are dependent, and
+/// their matrix is singular to rounding.
+const SPACINGS: f64 = 1.5;
+
+/// Most elements of the matrix of the splines (three copies of 120 MB), and of their patches (200 MB).
+const MOST_ELEMENTS: f64 = 1.5e7;
+const MOST_PATCHED: f64 = 2.5e7;
+
+/// A step takes 2 to 12 sets of free dwell times on measured problems, and conjugate gradients end
+/// when they would gain this part of what they gained, in the norm of H~.
+const SETS: usize = 30;
+const INEXACT: f64 = 0.03;
 
 /// The active set method takes 10 to 20 factorisations on measured problems. More means that it
 /// cycles: [`SOME`] from any start, [`MOST`] from a good one.
@@ -42,6 +62,14 @@ const LARGEST: usize = 16;
 
 /// Pixels of the map along the side of a cell.
 pub fn cell_size(tif: &Tif, map: &Grid, most: f64) -> usize {
+    let [along_x, along_y] = slopes(tif);
+    let (hx, hy) = (map.x.step_mm(), map.y.step_mm());
+    let loss = |s: usize| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / 12.0;
+    (2..=LARGEST).rev().find(|s| loss(*s) <= most).unwrap_or(1)
+}
+
+/// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>`, 1/mm^2.
+fn slopes(tif: &Tif) -> [f64; 2] {
     let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
     let energy: f64 = rate.iter().map(|r| r * r).sum();
     // sum of (difference / step)^2 along both axes
@@ -58,10 +86,48 @@ pub fn cell_size(tif: &Tif, map: &Grid, most: f64) -> usize {
             .map(|w| slope(&w[0], &w[1], grid.y.step_mm()))
             .sum::<f64>();
     }
-    let (hx, hy) = (map.x.step_mm(), map.y.step_mm());
-    let loss =
-        |s: usize| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / (12.0 * energy);
-    (2..=LARGEST).rev().find(|s| loss(*s) <= most).unwrap_or(1)
+    [along_x, along_y].map(|slope| slope / energy)
+}
+
+/// Largest extent of the places of a column along an axis, mm.
+fn length(places: &[Place]) -> f64 {
+    let (low, high) = two_level::extent(places.iter().map(|p| &p.position_mm));
+    (high[0] - low[0]).max(high[1] - low[1]).max(0.0)
+}
+
+/// Live columns that a spline of this pitch can be made of.
+fn are_short(places: &[Vec<Place>], live: &[bool], pitch_mm: f64) -> Vec<bool> {
+    places
+        .iter()
+        .zip(live)
+        .map(|(places, live)| *live && length(places) <= 2.0 * pitch_mm)
+        .collect()
+}
+
+/// Pitch of splines that can say what the TIF resolves, mm; none where most columns are longer, or
+/// where their matrix would be too large, which depends on the area under the live columns, not on
+/// their number.
+pub fn spline_pitch(
+    places: &[Vec<Place>],
+    live: &[bool],
+    tif: &Tif,
+    map: &Grid,
+    cell: usize,
+) -> Option<f64> {
+    let [along_x, along_y] = slopes(tif);
+    let of_live = places.iter().zip(live).filter(|(_, live)| **live).flat_map(|(p, _)| p);
+    let (low, high) = two_level::extent(of_live.map(|p| &p.position_mm));
+    let size_mm = [high[0] - low[0], high[1] - low[1]];
+    let count = |of: &[bool]| of.iter().filter(|of| **of).count();
+    let spacing = (size_mm[0] * size_mm[1] / count(live) as f64).sqrt();
+    let pitch = (SPLINE_PITCH / (along_x + along_y).sqrt()).max(SPACINGS * spacing);
+    let wide = |axis: &Axis| axis.end_mm() - axis.start_mm();
+    let reach = [&tif.grid().x, &tif.grid().y].map(|axis| wide(axis) + 4.0 * pitch);
+    let (nodes, row) = Nodes::size(size_mm, reach, pitch);
+    let cells = |k: usize, step: f64| reach[k] / (cell as f64 * step) + 4.0;
+    let patched = nodes * cells(0, map.x.step_mm()) * cells(1, map.y.step_mm());
+    let dense = count(&are_short(places, live, pitch)) * 2 > count(live);
+    (dense && nodes * row <= MOST_ELEMENTS && patched <= MOST_PATCHED).then_some(pitch)
 }
 
 /// The columns in an order in which H~ has a small envelope.
@@ -197,17 +263,27 @@ pub struct Convolved {
     weight: Array2<f64>,
     u: Vec<Vec<f64>>,
     diagonal: Vec<f64>,
+    splines: Option<Splines>,
+}
+
+/// What [`TwoLevel`] needs.
+struct Splines {
+    sums: Sums,
+    nodes: Nodes,
+    coarse: Coarse,
 }
 
 impl Convolved {
-    /// (1) for cells of `size` x `size` pixels; size 1 is exact.
+    /// (1) for cells of `size` x `size` pixels; size 1 is exact. With a pitch of splines its minimum
+    /// is found by them and an active set, without by gradient steps.
     pub fn new(
         places: &[Vec<Place>],
+        live: &[bool],
         tif: &Tif,
         map: &Grid,
         weight: &Array2<f64>,
         free: Free,
-        size: usize,
+        (size, spline_pitch_mm): (usize, Option<f64>),
     ) -> Result<Self, Invalid> {
         let axis = |a: &Axis| {
             let s = size as f64;
@@ -227,13 +303,23 @@ impl Convolved {
         for u in &u {
             diagonal.iter_mut().zip(u).for_each(|(d, u)| *d -= u * u);
         }
-        Ok(Self { b, weight: cells, u, diagonal })
+        let splines = spline_pitch_mm.map(|pitch| {
+            let short = are_short(places, live, pitch);
+            let lengths = places.iter().zip(&short).filter(|(_, short)| **short);
+            let longest = lengths.map(|(places, _)| length(places)).fold(0.0, f64::max);
+            // What is under a spline has its centre there.
+            let sums = Sums::new(places, &tif, &grid, 4.0 * pitch + 2.0 * longest);
+            let nodes = Nodes::new(places, &short, pitch);
+            let coarse = Coarse::new(&nodes, &sums, &short);
+            Splines { sums, nodes, coarse }
+        });
+        Ok(Self { b, weight: cells, u, diagonal, splines })
     }
 
-    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the gradient steps.
-    /// Components that are not live stay.
+    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the products or
+    /// gradient steps. Components that are not live stay.
     pub fn minimum(
-        &self,
+        &mut self,
         penalty: &Penalty,
         t: &[f64],
         q: &[f64],
@@ -241,9 +327,11 @@ impl Convolved {
         bounds: (&[f64], &[f64]),
         settings: &GradientSettings,
     ) -> (Vec<f64>, usize) {
+        let Self { b, weight, u: free_part, diagonal: data, splines } = self;
+        let (weight, free_part) = (&*weight, &*free_part);
         let apply = |t: &[f64]| {
-            let mut h_t = self.b.adjoint(&(self.b.apply(t) * &self.weight));
-            for u in &self.u {
+            let mut h_t = b.adjoint(&(b.apply(t) * weight));
+            for u in free_part {
                 let c: f64 = u.iter().zip(t).map(|(u, t)| u * t).sum();
                 h_t.iter_mut().zip(u).for_each(|(h, u)| *h -= u * c);
             }
@@ -251,17 +339,37 @@ impl Convolved {
             h_t
         };
         let own = penalty.diagonal();
-        let diagonal: Vec<f64> = (0..t.len())
-            .map(|j| if live[j] { self.diagonal[j].max(0.0) + own[j] } else { 0.0 })
-            .collect();
+        let diagonal: Vec<f64> =
+            (0..t.len()).map(|j| if live[j] { data[j].max(0.0) + own[j] } else { 0.0 }).collect();
         // A component that does not move keeps its lower bound: that of t.
         let lo: Vec<f64> =
             (0..t.len()).map(|j| if diagonal[j] > 0.0 { bounds.0[j] } else { t[j] }).collect();
         let h_t = apply(t);
         let g: Vec<f64> = h_t.iter().zip(q).map(|(h, q)| h - q).collect();
+        let mut settings = *settings;
+        if let Some(Splines { sums, nodes, coarse }) = splines {
+            let deflation = |free: &[bool]| {
+                TwoLevel::new(nodes, coarse, (sums, weight), penalty, free_part, free)
+            };
+            let products = ProductSettings {
+                enough: settings.tolerance,
+                inexact: INEXACT,
+                max_sets: SETS,
+                max_products: settings.max_iterations,
+            };
+            let bounds = (lo.as_slice(), bounds.1);
+            let found = bounded::active_set_by_products(
+                apply, deflation, &diagonal, &g, bounds, t, &products,
+            );
+            if found.value != t {
+                return (found.value, found.iterations);
+            }
+            // No set was better: gradient steps descend at least.
+            settings = GradientSettings { max_iterations: 300, stagnation: 0.0, ..settings };
+        }
         // The offset is that of the objective at t.
         let own: f64 = (0..t.len()).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum();
-        let settings = GradientSettings { offset: settings.offset - own, ..*settings };
+        let settings = GradientSettings { offset: settings.offset - own, ..settings };
         let found = bounded::projected_gradient(apply, &diagonal, &g, &lo, bounds.1, t, &settings);
         (found.value, found.iterations)
     }

@@ -22,9 +22,10 @@
 //! g = B' W (z - its part in f) + alpha D lo
 //! ```
 //!
-//! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels, an
-//! envelope matrix and the primal-dual active set method; for many points the FFT and the projected
-//! gradient), and each is corrected by the gradient of (1) itself, which also certifies the
+//! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels and the
+//! primal-dual active set method, by an envelope matrix or, for many points, by the FFT and
+//! conjugate gradients with a spline lattice; where the lattice would be too large, projected
+//! gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
 //! result. B is applied by FFT, which is exact where the TIF has the pitch of the map; otherwise its
 //! columns are stored, unless they are too many.
 //! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound.
@@ -97,13 +98,13 @@ pub struct Settings {
     pub huber_nm: Option<f64>,
     /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
     pub noise_rms_nm: Option<f64>,
-    /// Dwell points up to which the stand-in for H is factorised; above, gradient steps.
+    /// Dwell points up to which the stand-in for H is factorised.
     pub max_factorised_points: usize,
     /// Natural residual that is enough, s.
     pub tolerance_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it, that is enough.
     pub relative_gap: f64,
-    /// Most steps of the gradient method.
+    /// Most products with the stand-in for H where it is not factorised.
     pub max_iterations: usize,
 }
 
@@ -124,7 +125,7 @@ impl Default for Settings {
             tolerance_s: 1e-6,
             // RMS within 5e-5 of the least.
             relative_gap: 1e-4,
-            max_iterations: 3000,
+            max_iterations: 10_000,
         }
     }
 }
@@ -132,9 +133,9 @@ impl Default for Settings {
 /// What was reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// `active-set` or `projected-gradient`.
+    /// `active-set`, `two-level` or `projected-gradient`.
     pub algorithm: &'static str,
-    /// Factorisations, or gradient steps.
+    /// Factorisations, or products with the stand-in for H.
     pub iterations: usize,
     /// Steps of the approximation, each corrected by the exact gradient.
     pub corrections: usize,
@@ -350,13 +351,14 @@ enum Approximate {
 
 fn convolved(
     places: &[Vec<Place>],
+    live: &[bool],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
     free: Free,
-    cell: usize,
+    cells: (usize, Option<f64>),
 ) -> Result<Approximate, Invalid> {
-    let h = Convolved::new(places, tif, grid, weight, free, cell)?;
+    let h = Convolved::new(places, live, tif, grid, weight, free, cells)?;
     Ok(Approximate::Convolved(Box::new(h)))
 }
 
@@ -505,7 +507,13 @@ pub(crate) struct Penalty {
 }
 
 impl Penalty {
-    fn new(path: &ToolPath, lo: &[f64], d: f64, weight: f64, settings: &Settings) -> Self {
+    pub(crate) fn new(
+        path: &ToolPath,
+        lo: &[f64],
+        d: f64,
+        weight: f64,
+        settings: &Settings,
+    ) -> Self {
         let mut steps = Vec::new();
         let lengths: Vec<f64> = (0..lo.len()).map(|j| path.segment_length_mm(j)).collect();
         let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();
@@ -526,6 +534,21 @@ impl Penalty {
 
     pub(crate) fn len(&self) -> usize {
         self.lo.len()
+    }
+
+    /// alpha D
+    pub(crate) fn alpha(&self) -> f64 {
+        self.alpha
+    }
+
+    /// beta D
+    pub(crate) fn beta(&self) -> f64 {
+        self.beta
+    }
+
+    /// k and the factors u, v of `(v t_k - u t_{k-1})^2`.
+    pub(crate) fn steps(&self) -> &[(usize, f64, f64)] {
+        &self.steps
     }
 
     /// Elements (j, k), k <= j, of the matrix.
@@ -599,6 +622,8 @@ struct Problem<'a> {
     approximate: Approximate,
     /// Pixels along the side of a cell of `approximate`.
     cell: usize,
+    /// Pitch of its splines, mm.
+    splines_mm: Option<f64>,
     start: Vec<f64>,
 }
 
@@ -612,7 +637,7 @@ const WEAK: f64 = 1e-3;
 struct Iterate {
     t: Vec<f64>,
     removal_nm: Array2<f64>,
-    /// Factorisations, or gradient steps.
+    /// Factorisations, or products with H~.
     iterations: usize,
     corrections: usize,
     natural_residual: f64,
@@ -633,17 +658,11 @@ impl<'a> Problem<'a> {
         let (n, grid) = (path.len(), desired.grid());
         let basis = Basis::new(grid, &weight, settings.free);
         let u = basis.columns(&weight, |m| columns.adjoint(m));
-        let cell = approximate::cell_size(
-            tif,
-            grid,
-            if n <= settings.max_factorised_points {
-                approximate::LOSS
-            } else {
-                approximate::LOSS_CONVOLVED
-            },
-        );
+        let factorised = n <= settings.max_factorised_points;
+        let loss = if factorised { approximate::LOSS } else { approximate::LOSS_TWO_LEVEL };
+        let mut cell = approximate::cell_size(tif, grid, loss);
         // diag H = sum of w B^2 less U^2
-        let (cells, energy) = if n <= settings.max_factorised_points {
+        let (cells, energy) = if factorised {
             let (cells, energy) = columns::on_cells(program.places, tif, grid, &weight, cell);
             (Some(cells), energy)
         } else {
@@ -676,11 +695,21 @@ impl<'a> Problem<'a> {
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
         let penalty = Penalty::new(path, &program.lo, strongest, weight.sum(), settings);
+        let mut splines_mm = None;
         let approximate = match &cells {
             Some(cells) => {
                 Approximate::Ordered(Ordered::new(cells, &u, &live, &penalty, cell == 1))
             }
-            None => convolved(program.places, tif, grid, &weight, settings.free, cell)?,
+            None => {
+                if settings.tikhonov >= LEAST_TIKHONOV {
+                    splines_mm = approximate::spline_pitch(program.places, &live, tif, grid, cell);
+                }
+                if splines_mm.is_none() {
+                    cell = approximate::cell_size(tif, grid, approximate::LOSS_GRADIENT);
+                }
+                let cells = (cell, splines_mm);
+                convolved(program.places, &live, tif, grid, &weight, settings.free, cells)?
+            }
         };
         Ok(Self {
             z: centred(desired.height_nm(), &weight),
@@ -699,6 +728,7 @@ impl<'a> Problem<'a> {
             u,
             approximate,
             cell,
+            splines_mm,
             start,
         })
     }
@@ -768,7 +798,8 @@ impl<'a> Problem<'a> {
                 ))
             }
             Approximate::Convolved(_) => {
-                convolved(self.places, tif, grid, weight, self.settings.free, self.cell)?
+                let cells = (self.cell, self.splines_mm);
+                convolved(self.places, &self.live, tif, grid, weight, self.settings.free, cells)?
             }
         };
         Ok(true)
@@ -835,6 +866,7 @@ impl<'a> Problem<'a> {
             slow = if natural_residual > 0.5 * residual_before { slow + 1 } else { 0 };
             residual_before = natural_residual;
             let factorised = matches!(self.approximate, Approximate::Ordered(_));
+            let by_gradient = !factorised && self.splines_mm.is_none();
             if slow >= 2 && factorised && end.is_none() {
                 slow = 0;
                 self.sharpen(&penalty)?;
@@ -842,7 +874,7 @@ impl<'a> Problem<'a> {
             // d by H~; where that is singular, by smaller cells
             let mut to = t.clone();
             while end.is_none() {
-                match &self.approximate {
+                match &mut self.approximate {
                     Approximate::Ordered(h) => {
                         let h = h.penalised(&penalty);
                         if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
@@ -855,7 +887,11 @@ impl<'a> Problem<'a> {
                     }
                     Approximate::Convolved(h) => {
                         let steps = GradientSettings {
-                            tolerance: (0.01 * natural_residual).max(0.5 * settings.tolerance_s),
+                            tolerance: if by_gradient {
+                                (0.01 * natural_residual).max(0.5 * settings.tolerance_s)
+                            } else {
+                                ENOUGH * natural_residual
+                            },
                             max_iterations: settings.max_iterations.saturating_sub(iterations),
                             stagnation: STAGNATION,
                             offset: objective,
@@ -913,7 +949,7 @@ impl<'a> Problem<'a> {
                 }
             }
             // The exact step of a descent direction falls but for rounding.
-            let enough = if factorised { 0.0 } else { STAGNATION * objective };
+            let enough = if by_gradient { STAGNATION * objective } else { 0.0 };
             if fall <= enough {
                 settled = Some(End::Stagnated);
             }
@@ -952,8 +988,9 @@ impl<'a> Problem<'a> {
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let report = Report {
-            algorithm: match self.approximate {
+            algorithm: match &self.approximate {
                 Approximate::Ordered(_) => "active-set",
+                Approximate::Convolved(_) if self.splines_mm.is_some() => "two-level",
                 Approximate::Convolved(_) => "projected-gradient",
             },
             iterations: iterate.iterations,
@@ -1052,11 +1089,15 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     centred
 }
 
-/// By how much (1) can still fall, at most: H is at least `alpha D`, so
+/// By how much (1) can still fall, at most. H is at least `alpha D`, so
 ///
 /// ```text
 /// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - alpha D (t_j - s)^2 / 2
 /// ```
+///
+/// It is the gap of Fenchel's dual at the residual of t, with the alpha D alone of the penalty's
+/// curvature: the bounds are exact in it, and where they are finite a component adds at most
+/// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever alpha.
 ///
 /// `None` without alpha.
 fn gap(t: &[f64], q: &[f64], lo: &[f64], hi: &[f64], alpha: f64, live: &[bool]) -> Option<f64> {
@@ -1083,6 +1124,12 @@ const STAGNATION: f64 = 2e-4;
 
 /// Steps of H~; measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
+
+/// Part of the natural residual that a step of the two-level method may leave.
+const ENOUGH: f64 = 0.1;
+
+/// Below this alpha the rounding of the two-level method is larger.
+const LEAST_TIKHONOV: f64 = 1e-7;
 
 /// A step that promises to lower (1) by less than this part of it is rounding.
 const ROUNDING: f64 = 1e-15;

@@ -79,7 +79,7 @@ pub fn executed(trajectory: &Trajectory, columns: usize) -> Vec<Vec<Place>> {
 }
 
 /// One column of B: a rectangle of pixels, zero elsewhere.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Patch {
     /// First pixel row and column.
     pub origin: (usize, usize),

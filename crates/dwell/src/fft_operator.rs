@@ -30,7 +30,7 @@ use planish_numerics::{
 use planish_types::{Axis, Grid, Tif};
 use rayon::prelude::*;
 
-use crate::columns::Place;
+use crate::columns::{Patch, Place};
 
 /// B of [`crate::columns`] as an operator.
 pub struct FftOperator {
@@ -95,9 +95,7 @@ impl FftOperator {
         let y = Lattice::new(&grid.y, &tif.grid().y);
         let mut samples = samples(tif, &x, &y);
         if !border {
-            let (my, mx) = samples.dim();
-            samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
-            samples.slice_mut(s![.., ..;mx - 1]).fill(0.0);
+            samples = without_ghosts(samples);
         }
         let convolution = Convolution::new(samples.view(), (y.sources(), x.sources()));
         let placed: Vec<Placed> = places
@@ -170,6 +168,111 @@ impl FftOperator {
         let field = Convolution::new(squared.view(), shape).adjoint(map.view());
         self.rows.gather(&field, self.columns)
     }
+}
+
+/// Sums of a few columns of [`FftOperator::without_border`], on the pixels that they reach.
+pub struct Sums {
+    x: Lattice,
+    y: Lattice,
+    placed: Vec<Placed>,
+    /// The places of column j are `first[j] .. first[j + 1]`.
+    first: Vec<u32>,
+    /// Nodes (y, x) under which `correlation` is planned.
+    room: (usize, usize),
+    correlation: Convolution,
+}
+
+impl Sums {
+    /// For columns whose places are within a square of `size_mm`.
+    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64) -> Self {
+        let x = Lattice::new(&grid.x, &tif.grid().x);
+        let y = Lattice::new(&grid.y, &tif.grid().y);
+        let (mut placed, mut first) = (Vec::new(), vec![0]);
+        for (j, places) in places.iter().enumerate() {
+            for Place { position_mm: p, part } in places {
+                if let (Some((cy, fy)), Some((cx, fx))) = (y.place(p[1]), x.place(p[0])) {
+                    let (cell, offset) = ([cy, cx], [fy, fx]);
+                    placed.push(Placed { cell, offset, part: *part, column: j as u32 });
+                }
+            }
+            first.push(placed.len() as u32);
+        }
+        let nodes = |l: &Lattice| (size_mm / l.step_mm).ceil() as usize + 5;
+        let room = (nodes(&y), nodes(&x));
+        let correlation = full_correlation(&without_ghosts(samples(tif, &x, &y)), room);
+        Self { x, y, placed, first, room, correlation }
+    }
+
+    fn places(&self, column: usize) -> &[Placed] {
+        &self.placed[self.first[column] as usize..self.first[column + 1] as usize]
+    }
+
+    /// First and last nodes [y, x] that the columns are spread on.
+    fn nodes(&self, columns: impl Iterator<Item = usize>) -> Option<[[isize; 2]; 2]> {
+        let cells = columns.flat_map(|j| self.places(j)).map(|p| p.cell.map(|c| c as isize));
+        let ends = cells.map(|c| [c.map(|c| c - 1), c.map(|c| c + 2)]);
+        ends.reduce(|[a, b], [c, d]| {
+            [[a[0].min(c[0]), a[1].min(c[1])], [b[0].max(d[0]), b[1].max(d[1])]]
+        })
+    }
+
+    /// Pixels (y, x) that nodes reach.
+    fn pixels(&self, [low, high]: [[isize; 2]; 2]) -> (Range<usize>, Range<usize>) {
+        let range = |axis: usize, l: &Lattice| {
+            let to = (high[axis] + l.last + 1).clamp(0, l.pixels as isize) as usize;
+            ((low[axis] - 1).max(0) as usize).min(to)..to
+        };
+        (range(0, &self.y), range(1, &self.x))
+    }
+
+    /// Pixels (y, x) that the columns reach.
+    pub fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
+        self.nodes(columns).map_or((0..0, 0..0), |nodes| self.pixels(nodes))
+    }
+
+    /// `sum_j t_j B_j` for columns j and their t_j.
+    pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
+        let Some(nodes) = self.nodes(t.iter().map(|(j, _)| *j)) else { return Patch::default() };
+        let (rows, columns) = self.pixels(nodes);
+        if rows.is_empty() || columns.is_empty() {
+            return Patch::default();
+        }
+        let [low, high] = nodes;
+        let shape = |axis: usize| (high[axis] - low[axis] + 1) as usize;
+        let fits = shape(0) <= self.room.0 && shape(1) <= self.room.1;
+        assert!(fits, "columns within the planned square");
+        let mut seconds = Array2::zeros(self.room);
+        for (p, t) in t.iter().flat_map(|(j, t)| self.places(*j).iter().map(move |p| (p, t))) {
+            let (wy, wx) = (keys::weights(p.offset[0]), keys::weights(p.offset[1]));
+            let at = |axis: usize| (p.cell[axis] as isize - 1 - low[axis]) as usize;
+            for (r, wy) in wy.iter().enumerate() {
+                for (c, wx) in wx.iter().enumerate() {
+                    seconds[[at(0) + r, at(1) + c]] += t * p.part * wy * wx;
+                }
+            }
+        }
+        // From the pixel before the first node on.
+        let all = self.correlation.adjoint(seconds.view());
+        let from = |axis: usize, first: usize| (first as isize - low[axis] + 1) as usize;
+        let (r, c) = (from(0, rows.start), from(1, columns.start));
+        let rate = all.slice(s![r..r + rows.len(), c..c + columns.len()]).to_owned();
+        Patch { origin: (rows.start, columns.start), rate_nm_per_s: rate }
+    }
+}
+
+/// The convolution of `samples` with all of a source of shape `room`, as an adjoint.
+fn full_correlation(samples: &Array2<f64>, room: (usize, usize)) -> Convolution {
+    let (my, mx) = samples.dim();
+    let reversed = samples.slice(s![..;-1, ..;-1]);
+    Convolution::new(reversed, (room.0 + my - 1, room.1 + mx - 1))
+}
+
+/// Zeros in place of the ghost nodes.
+fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
+    let (my, mx) = samples.dim();
+    samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
+    samples.slice_mut(s![.., ..;mx - 1]).fill(0.0);
+    samples
 }
 
 /// R at the pixels of the map, with a ghost node before its lower edge and up to two beyond its upper
@@ -664,6 +767,28 @@ mod tests {
         let leak = largest(&(leaking.apply(&t) - &expected)) / largest(&expected);
         // Keys' interpolation of samples at 0.13 mm of a bell of 0.7 mm; the border is 0.3 of 1.3.
         assert!(error < 5e-3 && leak > 10.0 * error, "{error} {leak}");
+    }
+
+    #[test]
+    fn sums_of_few_columns_are_those_of_the_operator() {
+        let (path, tif, map) = case(0.3);
+        let places = [Columns::Segment.places(&path), places(&map)].concat();
+        let operator = FftOperator::without_border(&places, &tif, &map);
+        let sums = Sums::new(&places, &tif, &map, 20.0);
+        for columns in [0..3, 17..18, 40..200, 0..places.len()] {
+            let t: Vec<(usize, f64)> = columns.map(|j| (j, 1.0 + (j as f64).cos())).collect();
+            let mut all = vec![0.0; places.len()];
+            t.iter().for_each(|(j, t)| all[*j] = *t);
+            let expected = operator.apply(&all);
+            let patch = sums.patch(&t);
+            let (rows, columns) = sums.extent(t.iter().map(|t| t.0));
+            assert_eq!(patch.origin, (rows.start, columns.start));
+            let mut found = Array2::zeros(map.shape());
+            found.slice_mut(s![rows, columns]).assign(&patch.rate_nm_per_s);
+            // The two round differently.
+            let error = largest(&(&found - &expected)) / largest(&expected).max(1e-300);
+            assert!(error < 1e-12, "{} columns: {error}", t.len());
+        }
     }
 
     #[test]

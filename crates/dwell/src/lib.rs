@@ -33,6 +33,7 @@ pub mod problem;
 pub mod rifta;
 pub mod tikhonov_lsqr;
 pub mod truncated_svd;
+mod two_level;
 pub mod udo;
 
 use planish_types::Invalid;

@@ -77,7 +77,7 @@ fn dwell_bounded_least_squares() {
 }
 
 /// A raster on the same mirror: 1, 4 and 16 x the points, the same least time for an area; above
-/// 6000 points by gradient steps.
+/// 6000 points by the two-level method.
 #[divan::bench(args = [1.0, 0.5, 0.25], sample_count = 1)]
 fn dwell_bounded_least_squares_by_pitch(bencher: Bencher, pitch_mm: f64) {
     let c = &*CASE;
@@ -127,9 +127,9 @@ fn dwell_lucy_richardson_large<const ACCELERATED: bool>(bencher: Bencher) {
     bencher.bench_local(|| black_box(lucy_richardson::solve(&problem, &settings).unwrap()));
 }
 
-/// Gradient steps on 1641 x 1641 pixels, 2.8e4 points.
+/// 1641 x 1641 pixels, 3.1e4 points: by gradient steps.
 #[divan::bench(sample_count = 1)]
-fn dwell_gradient_large_map(bencher: Bencher) {
+fn dwell_large_map(bencher: Bencher) {
     let (surface, tif, path) = large_map(1641, 1.0);
     bencher.bench_local(|| {
         black_box(bounded_least_squares::solve(&surface, &tif, &path, None, &solver()).unwrap())
