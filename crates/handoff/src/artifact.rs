@@ -5,6 +5,7 @@ use std::{
     fs,
     io::ErrorKind,
     path::{Path, PathBuf},
+    thread,
 };
 
 use ndarray::{ArrayD, Dimension};
@@ -401,21 +402,31 @@ pub(crate) fn write_arrays(
     arrays: &[ArrayData],
 ) -> Result<BTreeMap<String, ArrayRecord>, HandoffError> {
     assert_eq!(arrays.len(), kind.arrays.len(), "{}: arrays of the kind", kind.name);
-    let mut records = BTreeMap::new();
-    for (def, array) in kind.arrays.iter().zip(arrays) {
+    let each = || kind.arrays.iter().zip(arrays);
+    let file = |def: &ArrayDef| format!("{}.npy", def.name);
+    // Each by a thread of its own: what takes time is hashing and copying.
+    let hashes = thread::scope(|scope| {
+        let write = |(def, array)| {
+            let path = dir.join(file(def));
+            scope.spawn(move || npy::write(&path, array))
+        };
+        let threads: Vec<_> = each().map(write).collect();
+        let joined = threads.into_iter().map(|t| t.join().expect("writing does not panic"));
+        joined.collect::<Result<Vec<_>, _>>()
+    })?;
+    let record = |((def, array), blake3): ((&ArrayDef, &ArrayData), String)| {
         assert_eq!(array.dtype(), def.dtype, "{}/{}", kind.name, def.name);
-        let file = format!("{}.npy", def.name);
         let record = ArrayRecord {
+            file: file(def),
             dtype: def.dtype.numpy().into(),
             shape: array.shape().to_vec(),
             axes: def.axes.iter().map(|a| a.to_string()).collect(),
             unit: def.unit.into(),
-            blake3: npy::write(&dir.join(&file), array)?,
-            file,
+            blake3,
         };
-        records.insert(def.name.to_string(), record);
-    }
-    Ok(records)
+        (def.name.to_string(), record)
+    };
+    Ok(each().zip(hashes).map(record).collect())
 }
 
 /// Writes `bytes` as the file `path`.
