@@ -200,6 +200,7 @@ def main():
         ],
     ))
     put("growth", growth(disks))
+    put("ratios", ratios({name: median for name, _, _, median in kernels}))
     put("residual", residuals(whole, stages))
     put("peers", table(head, in_ms(peers.measure())))
 
@@ -215,12 +216,27 @@ def limits(seconds):
         ("simulate_large (8192, 10000)", "one `convolution 8192`", seconds["convolution 8192"]),
         ("simulate_large (8192, 1000000)", "one `convolution 8192`", seconds["convolution 8192"]),
         ("simulate_large (1641, 10000)", "one `convolution 1641`", seconds["convolution 1641"]),
+        ("schedule_pvt_long false 1000000", "memory: 400 bytes a segment, counted in the loops", 4e8 / bytes_per_s),
         ("dwell_lucy_richardson_large true", "two `convolution 1641`: what the points reach, and what is left", 2 * seconds["convolution 1641"]),
     ]
     return table(
         ["work", "limit", "limit, ms", "median, ms", "ratio"],
         [(f"`{n}`", what, figures(1e3 * least), figures(1e3 * seconds[n]), figures(seconds[n] / least)) for n, what, least in rows],
     )
+
+
+def ratios(seconds):
+    """16 times the work in process."""
+    rows = []
+    for kernel, small, large, what in (
+        ("schedule_pvt_long false", "62500", "1000000", "segments"),
+        ("schedule_pvt_long true", "62500", "1000000", "segments"),
+        ("schedule_trig_spline_long", "42848", "685568", "segments"),
+        ("dwell_bounded_least_squares_by_pitch", "1", "0.25", "mm between the points, 16 times as many"),
+    ):
+        ratio = seconds[f"{kernel} {large}"] / seconds[f"{kernel} {small}"]
+        rows.append((f"`{kernel}`", f"{small} to {large} {what}", figures(ratio)))
+    return table(["work", "from and to", "times"], rows)
 
 
 def residuals(whole, stages):
