@@ -79,7 +79,10 @@ reproduce paper="all":
     @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ paper }}
 
 # Everything that must pass before a change lands
-ci: test
+ci: test checks
+
+# What is checked beside the tests
+checks:
     cargo fmt --all --check
     cargo clippy --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --quiet
