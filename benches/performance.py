@@ -164,8 +164,9 @@ def main():
     head = ["work", "runs", "least, ms", "median, ms"]
     in_ms = lambda rows: [(n, r, figures(1e3 * a), figures(1e3 * b)) for n, r, a, b in rows]
     kernels = divan(bench)
+    medians = {name: median for name, _, _, median in kernels}
     put("kernels", table(head, in_ms([(f"`{n}`", *rest) for n, *rest in kernels])))
-    put("limits", limits({name: median for name, _, _, median in kernels}))
+    put("limits", limits(medians))
 
     whole = Whole(stages, out)
     flat = json.loads(Path("fixtures/flat-92x16.json").read_text())
@@ -200,7 +201,7 @@ def main():
         ],
     ))
     put("growth", growth(disks))
-    put("ratios", ratios({name: median for name, _, _, median in kernels}))
+    put("ratios", ratios(medians))
     put("residual", residuals(whole, stages))
     put("peers", table(head, in_ms(peers.measure())))
 

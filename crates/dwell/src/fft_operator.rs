@@ -98,16 +98,7 @@ impl FftOperator {
             samples = without_ghosts(samples);
         }
         let convolution = Convolution::new(samples.view(), (y.sources(), x.sources()));
-        let placed: Vec<Placed> = places
-            .iter()
-            .enumerate()
-            .flat_map(|(j, places)| places.iter().map(move |p| (j, p)))
-            .filter_map(|(j, Place { position_mm: p, part })| {
-                let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
-                let (cell, offset) = ([cy, cx], [fy, fx]);
-                Some(Placed { cell, offset, part: *part, column: j as u32 })
-            })
-            .collect();
+        let placed = placed(places, &x, &y);
         let swap = |p: &Placed| Placed {
             cell: [p.cell[1], p.cell[0]],
             offset: [p.offset[1], p.offset[0]],
@@ -187,16 +178,10 @@ impl Sums {
     pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64) -> Self {
         let x = Lattice::new(&grid.x, &tif.grid().x);
         let y = Lattice::new(&grid.y, &tif.grid().y);
-        let (mut placed, mut first) = (Vec::new(), vec![0]);
-        for (j, places) in places.iter().enumerate() {
-            for Place { position_mm: p, part } in places {
-                if let (Some((cy, fy)), Some((cx, fx))) = (y.place(p[1]), x.place(p[0])) {
-                    let (cell, offset) = ([cy, cx], [fy, fx]);
-                    placed.push(Placed { cell, offset, part: *part, column: j as u32 });
-                }
-            }
-            first.push(placed.len() as u32);
-        }
+        // In the order of the columns.
+        let placed = placed(places, &x, &y);
+        let before = |j: usize| placed.partition_point(|p| (p.column as usize) < j) as u32;
+        let first = (0..=places.len()).map(before).collect();
         let nodes = |l: &Lattice| (size_mm / l.step_mm).ceil() as usize + 5;
         let room = (nodes(&y), nodes(&x));
         let correlation = full_correlation(&without_ghosts(samples(tif, &x, &y)), room);
@@ -258,6 +243,17 @@ impl Sums {
         let rate = all.slice(s![r..r + rows.len(), c..c + columns.len()]).to_owned();
         Patch { origin: (rows.start, columns.start), rate_nm_per_s: rate }
     }
+}
+
+/// The tools of all columns that reach the map, in the order of the columns.
+fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
+    let each = places.iter().enumerate().flat_map(|(j, places)| places.iter().map(move |p| (j, p)));
+    each.filter_map(|(j, Place { position_mm: p, part })| {
+        let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
+        let (cell, offset) = ([cy, cx], [fy, fx]);
+        Some(Placed { cell, offset, part: *part, column: j as u32 })
+    })
+    .collect()
 }
 
 /// The convolution of `samples` with all of a source of shape `room`, as an adjoint.

@@ -156,16 +156,7 @@ pub fn active_set(
         let wanted: Vec<Place> = (0..n)
             .map(|j| {
                 let multiplier = if state[j] == Place::Free { 0.0 } else { gradient_at_t[j] };
-                let aim = t[j] - multiplier / c;
-                if aim < lo[j] {
-                    Place::Low
-                } else if aim > hi[j] {
-                    Place::High
-                } else if lo[j] == hi[j] {
-                    Place::Low
-                } else {
-                    Place::Free
-                }
+                Place::of(t[j] - multiplier / c, lo[j], hi[j])
             })
             .collect();
         let better = best.as_ref().is_none_or(|b| residual < b.natural_residual);
@@ -200,6 +191,18 @@ enum Place {
     Free,
     Low,
     High,
+}
+
+impl Place {
+    /// Where a component goes that aims at a value.
+    fn of(aim: f64, lo: f64, hi: f64) -> Self {
+        match aim {
+            aim if aim < lo => Self::Low,
+            aim if aim > hi => Self::High,
+            _ if lo == hi => Self::Low,
+            _ => Self::Free,
+        }
+    }
 }
 
 fn clip(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
@@ -339,11 +342,9 @@ pub fn active_set_by_products<D: Deflation>(
             residual = natural_residual(&t, &q, diagonal, lo, hi);
         }
         wanted = (0..n)
-            .map(|j| match x[j] - if free[j] { 0.0 } else { q_x[j] / c } {
-                _ if !moves[j] => Place::Low,
-                aim if aim < lo[j] => Place::Low,
-                aim if aim > hi[j] => Place::High,
-                _ => Place::Free,
+            .map(|j| match moves[j] {
+                false => Place::Low,
+                true => Place::of(x[j] - if free[j] { 0.0 } else { q_x[j] / c }, lo[j], hi[j]),
             })
             .collect();
         if wanted == state {

@@ -202,6 +202,17 @@ struct Pair {
     l: f64,
 }
 
+/// A row on the way of a step.
+struct RowStep {
+    a: [f64; 2],
+    slack: f64,
+    s: f64,
+    l: f64,
+    /// Of r_p.
+    primal: f64,
+    ds: f64,
+}
+
 /// The e of a link.
 #[derive(Clone, Copy, Default)]
 struct Excess {
@@ -634,18 +645,26 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
     }
 
+    /// Coefficients of row j, its s and l, r_p, and ds of a step; y, e and their steps are those of its
+    /// link.
+    #[inline(always)]
+    fn step_of(&self, j: usize, y: [f64; 2], dy: [f64; 2], (e, de): (f64, f64)) -> RowStep {
+        let (a, slack, bound) = self.row(j);
+        let Pair { s, l } = self.at[j];
+        let primal = a[0] * y[0] + a[1] * y[1] - slack * e + (s - bound);
+        let ds = -primal - (a[0] * dy[0] + a[1] * dy[1] - slack * de);
+        RowStep { a, slack, s, l, primal, ds }
+    }
+
     /// The predictor back from the middle.
     fn predict(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let (mut y1, mut dy1) = (middle, step);
         for k in (0..self.links()).rev() {
             let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
-            let (e, de) = self.excess_of(k);
+            let excess = self.excess_of(k);
             for j in self.rows.of(k) {
-                let (a, slack, bound) = self.row(j);
-                let Pair { s, l } = self.at[j];
-                let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
-                let ds = -primal - (a[0] * dy0 + a[1] * dy1 - slack * de);
+                let RowStep { s, l, ds, .. } = self.step_of(j, [y0, y1], [dy0, dy1], excess);
                 // dl = -l - D ds = -l (1 + ds/s)
                 let ratio = ds / s;
                 reach.inverse = reach.inverse.max(-ratio).max(1.0 + ratio);
@@ -669,13 +688,11 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
             let mut right = [gradient + carry.right, 0.0];
             let rows = self.rows.of(k);
-            let (e, de) = self.excess_of(k);
+            let excess = self.excess_of(k);
             let mut right_e = if ELASTIC && !rows.is_empty() { -self.price(k) } else { 0.0 };
             for j in rows {
-                let (a, slack, bound) = self.row(j);
-                let Pair { s, l } = self.at[j];
-                let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
-                let ds = -primal - (a[0] * dy0 + a[1] * dy1 - slack * de);
+                let RowStep { a, slack, s, l, primal, ds } =
+                    self.step_of(j, [y0, y1], [dy0, dy1], excess);
                 // t = (sigma mu - ds dl) / s,  dl = -l (1 + ds/s)
                 let inverse = 1.0 / s;
                 let ratio = ds * inverse;
@@ -706,12 +723,9 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         let (mut y1, mut dy1) = (middle, step);
         for k in (0..self.links()).rev() {
             let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
-            let (e, de) = self.excess_of(k);
+            let excess = self.excess_of(k);
             for j in self.rows.of(k) {
-                let (a, slack, bound) = self.row(j);
-                let Pair { s, l } = self.at[j];
-                let primal = a[0] * y0 + a[1] * y1 - slack * e + (s - bound);
-                let ds = -primal - (a[0] * dy0 + a[1] * dy1 - slack * de);
+                let RowStep { s, l, ds, .. } = self.step_of(j, [y0, y1], [dy0, dy1], excess);
                 // 1/s and 1/l by one division.
                 let inverse = 1.0 / (s * l);
                 let dl = self.step[j].l - l - l * (l * inverse) * ds;

@@ -216,16 +216,10 @@ fn schedule_stretched(
             return Ok(Schedule { trajectory, report: timing.report(path, dwell, solver, rounds) });
         };
         let mut excess = excess;
-        let (k, worst) = (excess.iter().copied().enumerate())
-            .fold((0, 0.0), |m, (k, e)| if e > m.1 { (k, e) } else { m });
+        let (k, worst) = worst(&excess);
         let segment = timing.kept[k];
         if !settings.stretch {
-            return Err(ScheduleError::Infeasible {
-                segment,
-                length_mm: path.segment_length_mm(segment),
-                dwell_s: dwell.dwell_s()[segment],
-                reason: format!("needs its time stretched by a factor {worst:.4} or more"),
-            });
+            return Err(too_short(path, dwell, segment, worst));
         }
         if rounds == MAX_ROUNDS {
             return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
@@ -247,6 +241,22 @@ fn schedule_stretched(
         }
     }
     unreachable!("the last round returns")
+}
+
+/// The segment that exceeds the limits most, and by how much; 1 where none does.
+fn worst(excess: &[f64]) -> (usize, f64) {
+    let each = excess.iter().copied().enumerate();
+    each.fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m })
+}
+
+/// A segment whose time may not be stretched, but would have to be.
+fn too_short(path: &ToolPath, dwell: &DwellTime, segment: usize, factor: f64) -> ScheduleError {
+    ScheduleError::Infeasible {
+        segment,
+        length_mm: path.segment_length_mm(segment),
+        dwell_s: dwell.dwell_s()[segment],
+        reason: format!("needs its time stretched by a factor {factor:.4} or more"),
+    }
 }
 
 /// The segments by all threads, where there are many: the system's work for memory that is touched
@@ -290,8 +300,7 @@ fn jerk_limited(
                 excess[*k] = excess[*k].max(e);
             }
         }
-        let (k, worst) = (excess.iter().copied().enumerate())
-            .fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m });
+        let (k, worst) = worst(&excess);
         if worst <= 1.0 {
             let mut position = path.point_mm()[0];
             let segments = (0..of.len()).map(|i| {
@@ -319,12 +328,7 @@ fn jerk_limited(
         }
         let segment = timing.kept[k];
         if !settings.stretch {
-            return Err(ScheduleError::Infeasible {
-                segment,
-                length_mm: path.segment_length_mm(segment),
-                dwell_s: dwell.dwell_s()[segment],
-                reason: format!("needs its time stretched by a factor {worst:.4} or more"),
-            });
+            return Err(too_short(path, dwell, segment, worst));
         }
         if rounds > MAX_LOCAL_ROUNDS + MAX_ROUNDS {
             return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });

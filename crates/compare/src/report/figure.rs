@@ -190,6 +190,8 @@ fn dwell(views: &[View]) -> Option<String> {
         let Some(d) = &m.dwell else { continue };
         any = true;
         let error: Vec<f64> = d.executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect();
+        let gap = |p: &[[f64; 2]]| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1]);
+        let gap_mm = quantile(&d.point_mm.windows(2).map(gap).collect::<Vec<_>>(), 0.5);
         let top = quantile(&d.planned_s, 0.99).max(1e-12);
         let reach = error.iter().fold(1e-6_f64, |m, e| m.max(e.abs()));
         let axis = |a: usize| bounds(d.point_mm.iter().map(|p| p[a]));
@@ -201,13 +203,9 @@ fn dwell(views: &[View]) -> Option<String> {
         ] {
             let mut panel = sheet.panel(x, y, ["x (mm)", "y (mm)"], &title);
             // A square as large as its share of the picture, and no gap to the next one on the path.
-            let gap = |pair: &[[f64; 2]]| {
-                let [a, b] = [pair[0], pair[1]].map(|p| panel.at(p));
-                (b[0] - a[0]).hypot(b[1] - a[1])
-            };
-            let gaps: Vec<f64> = d.point_mm.windows(2).map(gap).collect();
+            let px_per_mm = panel.at([1.0, 0.0])[0] - panel.at([0.0, 0.0])[0];
             let share = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
-            let side = share.max(1.1 * quantile(&gaps, 0.5).min(10.0));
+            let side = share.max(1.1 * (px_per_mm * gap_mm).min(10.0));
             let mut bins = vec![String::new(); BINS];
             for (p, v) in d.point_mm.iter().zip(values) {
                 let share = (v - range[0]) / (range[1] - range[0]) * BINS as f64;
