@@ -1,12 +1,17 @@
 //! The command line of every binary: its flags, and what else can be asked of them.
 //!
 //! `PROGRAM --completions SHELL` prints a completion script, `PROGRAM --man` a manual page in roff.
-//! Both are made from the same definition as `--help`, so they cannot drift from it.
+//! Both are made from the same definition as `--help`, so they cannot drift from it. Every program also
+//! has `--memory-gib`, the memory that it may take ([`planish_types::budget`]).
 
 use std::{ffi::OsString, io::Write, process::exit};
 
-use clap::{CommandFactory, Parser, ValueEnum};
+use clap::{Arg, CommandFactory, Parser, ValueEnum, error::ErrorKind, value_parser};
 use clap_complete::Shell;
+use planish_types::budget;
+
+/// Id and name of the flag that every program has.
+const MEMORY: &str = "memory-gib";
 
 /// What stands at the end of every help page.
 const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a completion script, \
@@ -29,8 +34,28 @@ pub fn parse<C: Parser>() -> C {
             }
         }
     }
-    let matches = C::command().after_help(after_help::<C>()).get_matches_from(arguments);
-    C::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut C::command()).exit())
+    let matches = command::<C>().get_matches_from(arguments);
+    let gib = matches.get_one::<f64>(MEMORY).copied().unwrap_or(budget::DEFAULT_MEMORY_GIB);
+    if let Err(invalid) = budget::set_memory_gib(gib) {
+        let message = format!("--{MEMORY} {}; {}", invalid.problem, invalid.remedy);
+        command::<C>().error(ErrorKind::ValueValidation, message).exit()
+    }
+    C::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut command::<C>()).exit())
+}
+
+/// The definition of the program, with what every program has.
+fn command<C: CommandFactory>() -> clap::Command {
+    let memory = Arg::new(MEMORY)
+        .long(MEMORY)
+        .value_name("GIB")
+        .value_parser(value_parser!(f64))
+        .allow_negative_numbers(true)
+        .global(true)
+        .help(format!(
+            "Memory that the program may take, it refuses what needs more [GiB] [default: {}]",
+            budget::DEFAULT_MEMORY_GIB
+        ));
+    C::command().arg(memory).after_help(after_help::<C>())
 }
 
 /// The value of a flag for x and y: a number for both, or two as `X,Y`.
@@ -61,13 +86,13 @@ fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>
                 let given = value.unwrap_or_default();
                 return Some(Err(format!("--completions is '{given}'; give {names}")));
             };
-            let mut command = C::command();
+            let mut command = command::<C>();
             let name = command.get_name().to_string();
             let mut bytes = Vec::new();
             clap_complete::generate(shell, &mut command, name, &mut bytes);
             Some(Ok(bytes))
         }
-        "--man" => Some(man_page(C::command().after_help(after_help::<C>()))),
+        "--man" => Some(man_page(command::<C>())),
         _ => None,
     }
 }

@@ -15,6 +15,7 @@
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
+pub mod budget;
 mod dwell_time;
 mod feed;
 mod grid;
