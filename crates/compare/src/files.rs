@@ -321,7 +321,7 @@ fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
 }
 
 fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
-    Ok(match npy::read(path, dtype_of(path)?)?.0 {
+    Ok(match npy::read(path, dtype_of(path)?)?.array {
         ArrayData::F64(a) => Elements::Float(a),
         ArrayData::I64(a) => Elements::Integer(a),
         ArrayData::U8(a) => Elements::Integer(a.mapv(i64::from)),

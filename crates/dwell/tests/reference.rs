@@ -39,7 +39,7 @@ fn mirror() -> Option<Mirror> {
 }
 
 fn load(dir: &Path, name: &str) -> ArrayD<f64> {
-    match npy::read(&dir.join(format!("{name}.npy")), Dtype::F64).unwrap().0 {
+    match npy::read(&dir.join(format!("{name}.npy")), Dtype::F64).unwrap().array {
         ArrayData::F64(a) => a,
         other => panic!("{name}: {:?}", other.dtype()),
     }

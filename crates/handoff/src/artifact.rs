@@ -1,10 +1,10 @@
 //! A directory of arrays with its manifest: read and checked, written whole or not at all.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs,
-    io::ErrorKind,
-    path::{Path, PathBuf},
+    io::{ErrorKind, Read, Write},
+    path::Path,
     thread,
 };
 
@@ -17,7 +17,12 @@ use crate::{
     HandoffError,
     kind::{ArrayDef, Dtype, Kind},
     npy::{self, ArrayData},
+    publish,
 };
+
+/// Largest manifest that is read, bytes: what a method reports grows with the segments that it
+/// stretched, some hundred bytes each.
+const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
 
 /// Name of the manifest in an artifact directory.
 pub const MANIFEST: &str = "manifest.json";
@@ -85,6 +90,9 @@ pub struct Manifest {
     pub settings: Value,
     /// Inputs with their hashes.
     pub inputs: Vec<InputRecord>,
+    /// Everything that it was made from, inputs of inputs included.
+    #[serde(default)]
+    pub lineage: BTreeSet<Ancestor>,
     /// `status` and what the method reports.
     pub outcome: Value,
     /// Arrays by name.
@@ -92,6 +100,51 @@ pub struct Manifest {
     /// BLAKE3 of the files beside the arrays, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, String>,
+}
+
+impl Manifest {
+    /// The text of the file: JSON, whose last key is the BLAKE3 of everything before it.
+    pub(crate) fn to_text(&self) -> String {
+        let text = serde_json::to_string_pretty(self).expect("a manifest serialises");
+        let body = text.strip_suffix("\n}").expect("a manifest has keys");
+        format!("{body}{SEAL}{}\"\n}}\n", blake3::hash(body.as_bytes()))
+    }
+}
+
+/// What stands between the body of a manifest and its hash.
+const SEAL: &str = ",\n  \"seal\": \"";
+
+/// Whether the seal of a manifest is that of its body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Seal {
+    /// It is.
+    Whole,
+    /// It is not: the manifest was edited or damaged.
+    Broken,
+    /// It has none: it was written by a version that knew no seal, or by another program.
+    Absent,
+}
+
+fn seal_of(text: &str) -> Seal {
+    match text.rsplit_once(SEAL) {
+        None => Seal::Absent,
+        Some((body, rest)) => {
+            let found = rest.trim_end_matches(['\n', '}', '"']);
+            match found == blake3::hash(body.as_bytes()).to_string() {
+                true => Seal::Whole,
+                false => Seal::Broken,
+            }
+        }
+    }
+}
+
+/// Something that an artifact was made from, at whatever distance.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Ancestor {
+    /// Kind of artifact, or the role of a file.
+    pub kind: String,
+    /// BLAKE3 of its content.
+    pub blake3: String,
 }
 
 /// An input of the stage that wrote an artifact.
@@ -139,6 +192,7 @@ pub struct Loaded<T> {
 
 /// Reads the artifact in `dir`; checks kind, version, dtypes, shapes, finiteness and hashes.
 pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
+    publish::finish_interrupted(&publish::parent_of(dir));
     loop {
         // A directory that is replaced meanwhile is read as a mixture of the old and the new one,
         // which the hashes reveal: then it is read again.
@@ -168,6 +222,7 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     let mut arrays = Arrays::default();
     let mut sizes = BTreeMap::new();
     let mut defaulted = Vec::new();
+    let mut converted = Vec::new();
     let mut hasher = blake3::Hasher::new();
     for def in T::KIND.arrays {
         let path = dir.join(format!("{}.npy", def.name));
@@ -186,7 +241,8 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
                 ),
             ));
         }
-        let (array, hash) = read_array(&path, def)?;
+        let npy::Loaded { array, blake3: hash, note } = read_array(&path, def)?;
+        converted.extend(note.map(|note| format!("{}.npy {note}", def.name)));
         check_shape(&path, def, array.shape(), &mut sizes)?;
         if let Some(manifest) = &manifest {
             check_record(&path, manifest.arrays.get(def.name), &array, &hash)?;
@@ -202,6 +258,9 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
             format!("{}: no {MANIFEST}, read as bare arrays of a {}", dir.display(), T::KIND.name);
         for def in &defaulted {
             text += &format!("; no {}.npy, taken as {}", def.name, def.default.unwrap_or(0));
+        }
+        for note in &converted {
+            text += &format!("; {note}");
         }
         text
     });
@@ -232,22 +291,28 @@ fn is_absent(path: &Path) -> bool {
 
 /// The manifest in `dir`, checked against `kind`; `None` when there is none.
 pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, HandoffError> {
+    Ok(read_sealed_manifest(dir, kind)?.map(|(manifest, _)| manifest))
+}
+
+/// The same, and whether it has a seal; one whose seal is broken is refused.
+pub(crate) fn read_sealed_manifest(
+    dir: &Path,
+    kind: &Kind,
+) -> Result<Option<(Manifest, Seal)>, HandoffError> {
     let path = dir.join(MANIFEST);
     if is_absent(&path) {
         return Ok(None);
     }
-    let text = fs::read_to_string(&path).map_err(|e| HandoffError::io(&path, "read", &e))?;
-    let damaged = |e: serde_json::Error| {
+    let text = read_text(&path, LARGEST_MANIFEST_BYTES)?;
+    let damaged = |what: String| {
         HandoffError::new(
             &path,
-            format!(
-                "is not a manifest ({e}); make the artifact again, or remove {MANIFEST} to use \
-                 your own arrays"
-            ),
+            format!("{what}; make the artifact again, or remove {MANIFEST} to use your own arrays"),
         )
     };
+    let unreadable = |e: serde_json::Error| damaged(format!("is not a manifest ({e})"));
     // Kind and version first: a newer manifest may look different in everything else.
-    let head: ManifestHead = serde_json::from_str(&text).map_err(damaged)?;
+    let head: ManifestHead = serde_json::from_str(&text).map_err(unreadable)?;
     if head.kind != kind.name {
         return Err(HandoffError::new(
             dir,
@@ -263,7 +328,34 @@ pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, Handof
             ),
         ));
     }
-    serde_json::from_str(&text).map(Some).map_err(damaged)
+    let seal = seal_of(&text);
+    if seal == Seal::Broken {
+        return Err(damaged("was changed after it was written".into()));
+    }
+    Ok(Some((serde_json::from_str(&text).map_err(unreadable)?, seal)))
+}
+
+/// The text of a regular file of at most `most` bytes: a pipe or a device would never end.
+pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> {
+    String::from_utf8(read_file(path, most)?).map_err(|e| {
+        let at = e.utf8_error().valid_up_to();
+        HandoffError::new(path, format!("is not text (byte {at} is not UTF-8); write it again"))
+    })
+}
+
+/// The bytes of a regular file of at most `most` bytes.
+pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError> {
+    let io = |e| HandoffError::io(path, "read", &e);
+    if !fs::metadata(path).map_err(io)?.is_file() {
+        return Err(HandoffError::new(path, "is not a file; give a regular file"));
+    }
+    let mut bytes = Vec::new();
+    fs::File::open(path).and_then(|f| f.take(most + 1).read_to_end(&mut bytes)).map_err(io)?;
+    if bytes.len() as u64 > most {
+        let problem = format!("has more than {most} bytes; give a smaller file");
+        return Err(HandoffError::new(path, problem));
+    }
+    Ok(bytes)
 }
 
 /// What every version of a manifest has.
@@ -273,9 +365,9 @@ struct ManifestHead {
     version: u32,
 }
 
-fn read_array(path: &Path, def: &ArrayDef) -> Result<(ArrayData, String), HandoffError> {
-    let (array, hash) = npy::read(path, def.dtype)?;
-    if let ArrayData::F64(a) = &array {
+fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> {
+    let loaded = npy::read(path, def.dtype)?;
+    if let ArrayData::F64(a) = &loaded.array {
         let bad = |v: f64| v.is_infinite() || (v.is_nan() && !def.nan_allowed);
         if let Some(at) = a.iter().position(|v| bad(*v)) {
             let (index, v) = a.indexed_iter().nth(at).expect("it is one of them");
@@ -285,13 +377,13 @@ fn read_array(path: &Path, def: &ArrayDef) -> Result<(ArrayData, String), Handof
             return Err(HandoffError::new(path, format!("element {index:?} is {v}; {remedy}")));
         }
     }
-    if let ArrayData::U8(a) = &array
+    if let ArrayData::U8(a) = &loaded.array
         && let Some((index, v)) = a.indexed_iter().find(|(_, v)| **v > 1)
     {
         let index = index.slice().to_vec();
         return Err(HandoffError::new(path, format!("element {index:?} is {v}; give 0 or 1")));
     }
-    Ok((array, hash))
+    Ok(loaded)
 }
 
 /// Compares `shape` with the definition; binds its symbols on first sight.
@@ -429,23 +521,45 @@ pub(crate) fn write_arrays(
     Ok(each().zip(hashes).map(record).collect())
 }
 
-/// Writes `bytes` as the file `path`.
+/// Writes `bytes` as the new file `path`, on the disk when it returns.
 pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
-    fs::write(path, bytes).map_err(|e| HandoffError::io(path, "write", &e))
+    fs::File::create_new(path)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_data()))
+        .map_err(|e| HandoffError::io(path, "write", &e))
 }
 
-/// Whether the directory holds every array of `kind` and what its manifest says, byte for byte.
-pub(crate) fn is_intact(dir: &Path, kind: &Kind, manifest: &Manifest) -> bool {
-    let complete = kind.arrays.iter().all(|a| manifest.arrays.contains_key(a.name));
-    let arrays = manifest.arrays.values().map(|r| (&r.file, &r.blake3));
-    complete
-        && arrays
-            .chain(&manifest.files)
-            .all(|(file, hash)| npy::hash(&dir.join(file)).is_ok_and(|found| found == *hash))
+/// Whether the directory holds every file that its manifest lists; refuses one that holds a file which
+/// is not what the manifest says, byte for byte: somebody changed it or put it there, and it would be
+/// lost.
+pub(crate) fn is_complete(dir: &Path, manifest: &Manifest) -> Result<bool, HandoffError> {
+    let mut known: BTreeMap<&str, &str> = BTreeMap::new();
+    known.extend(manifest.arrays.values().map(|r| (r.file.as_str(), r.blake3.as_str())));
+    known.extend(manifest.files.iter().map(|(file, hash)| (file.as_str(), hash.as_str())));
+    let mut found = 0;
+    for entry in fs::read_dir(dir).map_err(|e| HandoffError::io(dir, "read", &e))? {
+        let name = entry.map_err(|e| HandoffError::io(dir, "read", &e))?.file_name();
+        if *name == *MANIFEST {
+            continue;
+        }
+        let hash = npy::hash(&dir.join(&name)).ok();
+        if hash.is_none() || known.get(name.to_string_lossy().as_ref()).copied() != hash.as_deref()
+        {
+            return Err(HandoffError::new(
+                &dir.join(&name),
+                format!(
+                    "is not what {MANIFEST} says that Planish wrote; move it elsewhere to keep it, \
+                     or remove it to have it made again"
+                ),
+            ));
+        }
+        found += 1;
+    }
+    Ok(found == known.len())
 }
 
 /// Refuses a directory with anything in it that no artifact of `kind` has: it would be lost.
 pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
+    let is_bare = is_absent(&dir.join(MANIFEST));
     let entries = fs::read_dir(dir).map_err(|e| HandoffError::io(dir, "read", &e))?;
     for entry in entries {
         let entry = entry.map_err(|e| HandoffError::io(dir, "read", &e))?;
@@ -461,86 +575,15 @@ pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), Handof
                 ),
             ));
         }
+        if is_bare {
+            return Err(HandoffError::new(
+                dir,
+                format!(
+                    "holds {} and no {MANIFEST}, so Planish did not write it; choose another --out",
+                    name.display()
+                ),
+            ));
+        }
     }
     Ok(())
-}
-
-/// Makes the directory `dir` of what `fill` writes: first into a sibling, which then takes its place,
-/// so that a killed run leaves either the old directory or the new one.
-pub(crate) fn replace_directory(
-    dir: &Path,
-    kind: &Kind,
-    fill: impl FnOnce(&Path) -> Result<(), HandoffError>,
-) -> Result<(), HandoffError> {
-    let dir = if dir.exists() {
-        dir.canonicalize().map_err(|e| HandoffError::io(dir, "resolve", &e))?
-    } else {
-        dir.to_path_buf()
-    };
-    let parent = match dir.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
-        _ => PathBuf::from("."),
-    };
-    fs::create_dir_all(&parent).map_err(|e| HandoffError::io(&parent, "create", &e))?;
-    let sibling = create_sibling(&parent)?;
-    let write = || {
-        fill(&sibling)?;
-        if dir.exists() {
-            refuse_foreign_files(&dir, kind)?;
-        }
-        put_in_place(&sibling, &dir).map_err(|e| HandoffError::io(&dir, "write", &e))
-    };
-    let written = write();
-    // What was written in vain, or after an exchange the old directory: only files of the kind,
-    // so that one that appeared in it a moment ago is not lost.
-    for name in kind.file_names() {
-        let _ = fs::remove_file(sibling.join(name));
-    }
-    let _ = fs::remove_dir(&sibling);
-    written
-}
-
-/// A new directory in `parent`. A run that was killed may have left one of its own behind, and
-/// a container gives every run the same process id.
-fn create_sibling(parent: &Path) -> Result<PathBuf, HandoffError> {
-    let mut count = 0;
-    loop {
-        let sibling = parent.join(format!(".planish-{}-{count}.tmp", std::process::id()));
-        match fs::create_dir(&sibling) {
-            Ok(()) => return Ok(sibling),
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => count += 1,
-            Err(e) => return Err(HandoffError::io(parent, "create a directory there", &e)),
-        }
-    }
-}
-
-/// `from` becomes `to`. Where `to` exists the two are exchanged in one step.
-#[cfg(target_os = "linux")]
-fn put_in_place(from: &Path, to: &Path) -> std::io::Result<()> {
-    use rustix::fs::{CWD, RenameFlags, renameat_with};
-    if !to.exists() {
-        return fs::rename(from, to);
-    }
-    match renameat_with(CWD, from, CWD, to, RenameFlags::EXCHANGE) {
-        // A file system without the exchange.
-        Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => {
-            put_in_place_by_two_renames(from, to)
-        }
-        result => Ok(result?),
-    }
-}
-
-#[cfg(not(target_os = "linux"))]
-fn put_in_place(from: &Path, to: &Path) -> std::io::Result<()> {
-    if to.exists() { put_in_place_by_two_renames(from, to) } else { fs::rename(from, to) }
-}
-
-/// Between the first two renames the old directory stands under its temporary name.
-fn put_in_place_by_two_renames(from: &Path, to: &Path) -> std::io::Result<()> {
-    let old = from.with_extension("old");
-    fs::rename(to, &old)?;
-    match fs::rename(from, to) {
-        Ok(()) => fs::rename(&old, from),
-        Err(e) => fs::rename(&old, to).and(Err(e)),
-    }
 }

@@ -15,6 +15,14 @@ pub enum Dtype {
 }
 
 impl Dtype {
+    /// Bytes of an element.
+    pub(crate) fn bytes(self) -> usize {
+        match self {
+            Self::F64 | Self::I64 => 8,
+            Self::U8 => 1,
+        }
+    }
+
     /// The name that NumPy uses.
     pub fn numpy(self) -> &'static str {
         match self {
@@ -521,8 +529,41 @@ pub fn formats_markdown() -> String {
             page += &format!("\nBeside the manifest: `{file}`.\n");
         }
     }
+    page += MACHINE_FILE;
+    for (key, unit, doc) in MACHINE_KEYS {
+        page += &format!("| `{key}` | {unit} | {doc} |\n");
+    }
     page
 }
+
+/// Keys of a machine file, with their units; those of an axis stand under `axes`.
+const MACHINE_KEYS: [(&str, &str, &str); 7] = [
+    ("name", "-", "Name of the machine."),
+    ("axes", "-", "Exactly two objects with the keys below, x first, then y."),
+    ("axes[].name", "-", "`x` or `y`."),
+    ("axes[].max_velocity_mm_per_s", "mm/s", "Largest velocity; > 0."),
+    ("axes[].max_acceleration_mm_per_s2", "mm/s^2", "Largest acceleration; > 0."),
+    (
+        "axes[].max_jerk_mm_per_s3",
+        "mm/s^3",
+        "Largest jerk; > 0; left out where the machine does not limit it.",
+    ),
+    (
+        "min_segment_s",
+        "s",
+        "Shortest segment that the controller accepts; 0 when left out: any length.",
+    ),
+];
+
+const MACHINE_FILE: &str = "
+## Machine file
+
+The limits of a machine, given by `--machine`: one JSON object, see `fixtures/machines/`. A limit bounds
+the magnitude on its own axis. A key that is not in the table is refused.
+
+| key | unit | what |
+|---|---|---|
+";
 
 const FORMATS_INTRODUCTION: &str = "\
 # Formats
@@ -546,11 +587,24 @@ under their names and it is an artifact.
 | `frame` | what the coordinates refer to |
 | `settings` | every setting, with the defaults that were used, and the seed where there is one |
 | `inputs` | role, path, kind and BLAKE3 of every input |
+| `lineage` | kind (of a file: role) and BLAKE3 of everything that it was made from, inputs of inputs included |
 | `outcome` | `status` (`done`, or `negative` with the reason) and what the method reports |
 | `arrays` | per array: file, dtype, shape, axes, unit, BLAKE3 of the file |
 | `files` | BLAKE3 of the files beside the arrays, where there are any |
+| `seal` | the last key: BLAKE3 of the text of the manifest before it |
 
-A reader checks kind, version, dtype, shape, finiteness, axes and hash. There is no time of day in
+A reader checks kind, version, dtype, shape, finiteness, axes, hashes and seal. Arrays of another
+element type (integers, booleans, 32-bit floats), byte order or in Fortran order are converted where
+every value stays exactly what it is, which is said; complex numbers, half and extended precision are
+refused, and so is a value that would change. Two inputs that meet in a stage are refused where one was
+made from another artifact than the one beside it (dwell times along another path), and told where that
+can make sense (a plan simulated on another map).
+
+A stage replaces only what Planish wrote and nobody changed: a directory without a manifest, or with a
+file that the manifest does not know, is refused, with `--force` too. What a run writes appears whole,
+all of its artifacts together, and is on the disk when the run ends with 0 or 1.
+
+There is no time of day in
 any file: the same command on the same input gives the same bytes (a report states how long the stages
 took: that is part of its input).
 ";

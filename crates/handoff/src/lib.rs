@@ -1,30 +1,31 @@
 //! The only crate that knows files, and the shell that every binary shares.
 //!
+//! * `allocator`: mimalloc, within the memory that the run may take.
 //! * [`kind`]: what an artifact directory holds. One table; the readers, the writers and
 //!   `docs/formats.md` all follow it.
 //! * [`npy`]: one array from or to a `.npy` file.
 //! * [`artifact`]: a directory of arrays with its manifest: read, checked, hashed, written whole
 //!   or not at all.
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
+//! * `publish`: how what a run writes appears, whole and together, and survives a power failure.
 //! * [`stage`]: what the `main` of a stage does: flags, inputs, skipping what is unchanged,
 //!   progress, messages and exit codes.
 
+mod allocator;
 pub mod artifact;
 pub mod command_line;
 pub mod kind;
 mod nouns;
 pub mod npy;
+mod publish;
 pub mod stage;
 
 pub use artifact::{Arrays, Artifact, Manifest};
 pub use command_line::{pair, parse};
 pub use stage::{Begin, Failure, OutputArgs, Stage, Status, run};
 
-/// Of every binary: large arrays come on huge pages where the system grants them, and stay with the
-/// process for the next array. With the allocator of the C library the first touch of 4 KiB pages
-/// takes a third of the time of the large cases of docs/performance.md.
 #[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+static ALLOCATOR: allocator::Budgeted = allocator::Budgeted;
 
 /// A file or directory that cannot be used. The message names the file, the place, the value and
 /// what to do about it.

@@ -6,8 +6,9 @@ use std::{
     path::Path,
 };
 
-use ndarray::ArrayD;
+use ndarray::{ArrayD, ShapeBuilder};
 use ndarray_npy::{ReadNpyExt, WriteNpyError, WriteNpyExt, npy::header::Header};
+use planish_types::budget;
 
 use crate::{HandoffError, kind::Dtype};
 
@@ -109,11 +110,14 @@ impl<F: Write> Write for Hashed<F> {
     }
 }
 
-/// Writes `array` as the new file `path`; returns its BLAKE3.
+/// Writes `array` as the new file `path`, on the disk when it returns; returns its BLAKE3.
 pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffError> {
     let mut file = None;
     File::create_new(path)
-        .and_then(|new| array.write_npy(file.insert(Hashed::new(new))))
+        .and_then(|new| {
+            let file = file.insert(Hashed::new(new));
+            array.write_npy(&mut *file).and_then(|()| file.file.sync_data())
+        })
         .map_err(|e| HandoffError::io(path, "write", &e))?;
     Ok(file.expect("it was written").finish())
 }
@@ -125,10 +129,23 @@ pub(crate) fn hash(path: &Path) -> io::Result<String> {
     Ok(file.finish())
 }
 
-/// Reads `path` as an array of `dtype`; returns it with the BLAKE3 of the file.
+/// An array that has been read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loaded {
+    /// The array, in C order.
+    pub array: ArrayData,
+    /// BLAKE3 of the file.
+    pub blake3: String,
+    /// What the file holds where it is another element type or order, and was converted exactly:
+    /// "holds >f4 in Fortran order, converted exactly".
+    pub note: Option<String>,
+}
+
+/// Reads `path` as an array of `dtype`. Other element types, byte orders and Fortran order are
+/// converted where no value changes; what is not exact is refused.
 ///
-/// Nothing is allocated beyond the size of the file, whatever its header says.
-pub fn read(path: &Path, dtype: Dtype) -> Result<(ArrayData, String), HandoffError> {
+/// Nothing is allocated beyond the elements that the file has, whatever its header says.
+pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     let io = |e: io::Error| HandoffError::io(path, "read", &e);
     let invalid = |problem: String| HandoffError::new(path, problem);
     if !path.metadata().map_err(io)?.is_file() {
@@ -139,87 +156,261 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<(ArrayData, String), HandoffErr
     // The header decides before the rest is read: a file may claim any size.
     let mut prefix = Vec::new();
     (&file).take(MAX_PREFIX_BYTES).read_to_end(&mut prefix).map_err(io)?;
-    let elements = check(&prefix, file_bytes, dtype).map_err(invalid)?;
+    let stored = check(&prefix, file_bytes, dtype).map_err(invalid)?;
     let mut whole = Hashed::new(prefix.chain(file));
-    let array = array(&mut whole, dtype, elements).map_err(invalid)?;
-    Ok((array, whole.finish()))
+    let array = array(&mut whole, dtype, &stored).map_err(invalid)?;
+    Ok(Loaded { array, blake3: whole.finish(), note: stored.note(dtype) })
 }
 
 /// The array in the bytes of a `.npy` file, or what is wrong with them.
 pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData, String> {
-    let elements = check(bytes, bytes.len() as u64, dtype)?;
-    array(bytes, dtype, elements)
+    let stored = check(bytes, bytes.len() as u64, dtype)?;
+    array(bytes, dtype, &stored)
 }
 
 /// The array in a file that has been checked.
-fn array(reader: impl Read, dtype: Dtype, elements: Elements) -> Result<ArrayData, String> {
-    let broken = |e: ndarray_npy::ReadNpyError| format!("cannot be read ({e}); write it again");
-    match dtype {
-        Dtype::F64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::F64),
-        Dtype::I64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::I64),
-        Dtype::U8 if elements == Elements::Bool => {
-            ArrayD::<bool>::read_npy(reader).map(|a| ArrayData::U8(standard(a.mapv(u8::from))))
+fn array(mut reader: impl Read, dtype: Dtype, stored: &Stored) -> Result<ArrayData, String> {
+    let broken = |e: &dyn std::fmt::Display| format!("cannot be read ({e}); write it again");
+    if stored.is_as_wanted(dtype) {
+        return match dtype {
+            Dtype::F64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::F64),
+            Dtype::I64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::I64),
+            Dtype::U8 => ArrayD::read_npy(reader).map(standard).map(ArrayData::U8),
         }
-        Dtype::U8 => ArrayD::read_npy(reader).map(standard).map(ArrayData::U8),
+        .map_err(|e| broken(&e));
     }
-    .map_err(broken)
+    let mut bytes = Vec::new();
+    reader.read_to_end(&mut bytes).map_err(|e| broken(&e))?;
+    let items = bytes[stored.header_bytes..].chunks_exact(stored.element.bytes);
+    let values = items.map(|item| stored.element.value(item));
+    Ok(match dtype {
+        Dtype::F64 => ArrayData::F64(stored.converted(values, Value::to_f64, dtype)?),
+        Dtype::I64 => ArrayData::I64(stored.converted(values, Value::to_i64, dtype)?),
+        Dtype::U8 => ArrayData::U8(stored.converted(values, Value::to_u8, dtype)?),
+    })
 }
 
-/// Elements in the file.
+/// What the header of a file says.
+#[derive(Debug)]
+struct Stored {
+    descriptor: String,
+    element: Element,
+    is_fortran: bool,
+    shape: Vec<usize>,
+    header_bytes: usize,
+}
+
+impl Stored {
+    /// Whether the elements are read as they are.
+    fn is_as_wanted(&self, dtype: Dtype) -> bool {
+        self.descriptor == dtype.numpy() && (!self.is_fortran || self.is_flat())
+    }
+
+    /// At most one axis is longer than 1: both orders are the same.
+    fn is_flat(&self) -> bool {
+        self.shape.iter().filter(|n| **n > 1).count() <= 1
+    }
+
+    /// What the user should know of the conversion. NumPy's booleans are what it calls 0 and 1.
+    fn note(&self, dtype: Dtype) -> Option<String> {
+        let as_flags = dtype == Dtype::U8 && self.element.class == Class::Bool;
+        let reordered = self.is_fortran && !self.is_flat();
+        if self.is_as_wanted(dtype) || (as_flags && !reordered) {
+            return None;
+        }
+        let order = if reordered { " in Fortran order" } else { "" };
+        Some(format!("holds {}{order}, converted exactly", self.descriptor))
+    }
+
+    /// The array of `values` in C order, each by `exact`; an error that names the first one that would
+    /// change.
+    fn converted<T: Clone>(
+        &self,
+        values: impl Iterator<Item = Value>,
+        exact: impl Fn(Value) -> Option<T>,
+        dtype: Dtype,
+    ) -> Result<ArrayD<T>, String> {
+        let numbers: Vec<usize> = (0..self.shape.len()).collect();
+        let fastest_first = |at: usize, axes: &mut dyn Iterator<Item = &usize>| {
+            let (mut rest, mut index) = (at, vec![0; self.shape.len()]);
+            for &axis in axes {
+                index[axis] = rest % self.shape[axis];
+                rest /= self.shape[axis];
+            }
+            index
+        };
+        let index_of = |at: usize| match self.is_fortran {
+            true => fastest_first(at, &mut numbers.iter()),
+            false => fastest_first(at, &mut numbers.iter().rev()),
+        };
+        let numpy = dtype.numpy();
+        let each = values.enumerate().map(|(at, value)| {
+            exact(value).ok_or_else(|| {
+                let index = index_of(at);
+                format!(
+                    "element {index:?} is {value} of dtype {}, which {numpy} does not have; save \
+                     a.astype('{numpy}') if the loss is meant",
+                    self.descriptor
+                )
+            })
+        });
+        let elements = each.collect::<Result<Vec<T>, String>>()?;
+        let shape = self.shape.clone().set_f(self.is_fortran);
+        let array = ArrayD::from_shape_vec(shape, elements).map_err(|e| e.to_string())?;
+        Ok(standard(array))
+    }
+}
+
+/// An element type of NumPy that a number can be read from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Elements {
-    /// Those of the wanted element type.
-    Wanted,
-    /// NumPy's booleans where bytes are wanted.
+struct Element {
+    class: Class,
+    bytes: usize,
+    big_endian: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Class {
     Bool,
+    Signed,
+    Unsigned,
+    Float,
+}
+
+/// An element as it is stored.
+#[derive(Clone, Copy, Debug)]
+enum Value {
+    Integer(i128),
+    Float(f64),
+}
+
+impl Element {
+    /// By NumPy's name: byte order, class, bytes.
+    fn of(descriptor: &str) -> Option<Self> {
+        let (order, rest) = descriptor.split_at_checked(1)?;
+        let (class, bytes) = rest.split_at_checked(1)?;
+        let bytes: usize = bytes.parse().ok()?;
+        let class = match (class, bytes) {
+            ("b", 1) => Class::Bool,
+            ("i", 1 | 2 | 4 | 8) => Class::Signed,
+            ("u", 1 | 2 | 4 | 8) => Class::Unsigned,
+            ("f", 4 | 8) => Class::Float,
+            _ => return None,
+        };
+        matches!(order, "<" | ">" | "|").then_some(Self { class, bytes, big_endian: order == ">" })
+    }
+
+    fn value(self, item: &[u8]) -> Value {
+        let mut raw = [0; 8];
+        match self.big_endian {
+            true => item.iter().rev().zip(&mut raw).for_each(|(b, r)| *r = *b),
+            false => raw[..item.len()].copy_from_slice(item),
+        }
+        let bits = u64::from_le_bytes(raw);
+        // Up to the top of 64 bits and back keeps the sign.
+        let unused = 64 - 8 * self.bytes as u32;
+        match self.class {
+            Class::Float if self.bytes == 4 => Value::Float(f64::from(f32::from_bits(bits as u32))),
+            Class::Float => Value::Float(f64::from_bits(bits)),
+            Class::Signed => Value::Integer(i128::from((bits << unused) as i64 >> unused)),
+            Class::Unsigned | Class::Bool => Value::Integer(i128::from(bits)),
+        }
+    }
+}
+
+impl Value {
+    fn to_f64(self) -> Option<f64> {
+        match self {
+            Self::Float(v) => Some(v),
+            Self::Integer(v) => {
+                let float = v as f64;
+                (float as i128 == v).then_some(float)
+            }
+        }
+    }
+
+    fn to_i64(self) -> Option<i64> {
+        match self {
+            Self::Integer(v) => i64::try_from(v).ok(),
+            // Every float below 2^63 in magnitude that is whole is an integer of 64 bits.
+            Self::Float(v) => (v.fract() == 0.0 && v.abs() < 2f64.powi(63)).then_some(v as i64),
+        }
+    }
+
+    fn to_u8(self) -> Option<u8> {
+        self.to_i64().and_then(|v| u8::try_from(v).ok())
+    }
+}
+
+impl std::fmt::Display for Value {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Integer(v) => v.fmt(f),
+            Self::Float(v) => v.fmt(f),
+        }
+    }
 }
 
 /// Whether a file of `file_bytes` that starts with `bytes` (its whole header at least) holds
-/// exactly one array of `dtype`.
-fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Elements, String> {
-    let header_end = header_end(bytes)?;
-    let header = Header::from_reader(&mut &bytes[..header_end])
+/// exactly one array that can be one of `dtype`.
+fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> {
+    if file_bytes == 0 {
+        return Err("is empty (0 bytes); write it with numpy.save".into());
+    }
+    let header_bytes = header_end(bytes)?;
+    let header = Header::from_reader(&mut &bytes[..header_bytes])
         .map_err(|e| format!("has a broken .npy header ({e}); write it with numpy.save"))?;
 
+    let numpy = dtype.numpy();
     let descriptor = match header.type_descriptor.as_string() {
-        Some(d) => d.as_str(),
-        None => {
-            return Err(format!("holds structured records; save a plain {} array", dtype.numpy()));
-        }
+        Some(d) => d.clone(),
+        None => return Err(format!("holds structured records; save a plain {numpy} array")),
     };
-    let bool_as_u8 = dtype == Dtype::U8 && descriptor == "|b1";
-    if descriptor != dtype.numpy() && !bool_as_u8 {
-        return Err(wrong_dtype(descriptor, dtype));
-    }
-    let shape = &header.shape;
-    let flat = shape.iter().filter(|n| **n > 1).count() <= 1;
-    if header.layout.is_fortran() && !flat {
-        return Err("is in Fortran order; save numpy.ascontiguousarray(a)".into());
-    }
+    let Some(element) = Element::of(&descriptor) else {
+        let kind = descriptor.trim_start_matches(['<', '>', '=', '|']).chars().next();
+        return Err(match kind {
+            Some('c') => format!("is complex ({descriptor}), needs {numpy}; save a.real"),
+            _ => format!(
+                "has elements of dtype {descriptor}, needs {numpy}; save a.astype('{numpy}')"
+            ),
+        });
+    };
+    let shape = header.shape;
     if shape.is_empty() {
         return Err("holds a scalar; save an array".into());
     }
     if shape.contains(&0) {
         return Err(format!("is empty (shape {shape:?}); save at least one element"));
     }
-    let item: u64 = if dtype == Dtype::U8 { 1 } else { 8 };
-    let expected = shape.iter().try_fold(item, |n, s| n.checked_mul(*s as u64));
-    let found = file_bytes.saturating_sub(header_end as u64);
+    let count = shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s as u64));
+    let expected = count.and_then(|n| n.checked_mul(element.bytes as u64));
+    let found = file_bytes.saturating_sub(header_bytes as u64);
     match expected {
-        None => Err(format!("claims the impossible shape {shape:?}; write it again")),
-        Some(n) if n > found => Err(format!(
-            "is truncated: shape {shape:?} needs {n} bytes, the file has {found}; write it again"
-        )),
-        Some(n) if n < found => Err(format!(
-            "has {} bytes after the array of shape {shape:?}; write it again",
-            found - n
-        )),
-        Some(_) if bool_as_u8 => Ok(Elements::Bool),
-        Some(_) => Ok(Elements::Wanted),
+        None => return Err(format!("claims the impossible shape {shape:?}; write it again")),
+        Some(n) if n > found => {
+            return Err(format!(
+                "is truncated: shape {shape:?} needs {n} bytes, the file has {found}; write it again"
+            ));
+        }
+        Some(n) if n < found => {
+            return Err(format!(
+                "has {} bytes after the array of shape {shape:?}; write it again",
+                found - n
+            ));
+        }
+        Some(_) => {}
     }
+    let is_fortran = header.layout.is_fortran();
+    let stored = Stored { descriptor, element, is_fortran, shape, header_bytes };
+    // A conversion holds the file beside the array.
+    let conversion = if stored.is_as_wanted(dtype) { 0 } else { element.bytes };
+    let elements = count.unwrap_or(u64::MAX) as f64;
+    budget::affordable("array", elements, dtype.bytes() + conversion, "give a smaller array")
+        .map_err(|e| format!("{}; {}", e.problem, e.remedy))?;
+    Ok(stored)
 }
 
-/// C order in memory; differs from the file's only where at most one axis is longer than 1.
+/// C order in memory.
 fn standard<T: Clone>(array: ArrayD<T>) -> ArrayD<T> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
@@ -250,13 +441,6 @@ fn header_end(bytes: &[u8]) -> Result<usize, String> {
         return Err("holds structured records or has a broken header; save a plain array".into());
     }
     Ok(end)
-}
-
-fn wrong_dtype(found: &str, wanted: Dtype) -> String {
-    let numpy = wanted.numpy();
-    let big_endian = found.starts_with('>');
-    let what = if big_endian { "big-endian elements" } else { "elements" };
-    format!("has {what} of dtype {found}, needs {numpy}; save a.astype('{numpy}')")
 }
 
 #[cfg(test)]
@@ -303,12 +487,11 @@ mod tests {
     fn bad_files_get_one_clear_message() {
         let data = [0; 16];
         for (dictionary, expected) in [
-            ("{'descr': '<f4', 'fortran_order': False, 'shape': (4,), }", "astype('<f8')"),
-            ("{'descr': '<i8', 'fortran_order': False, 'shape': (2,), }", "dtype <i8, needs <f8"),
-            ("{'descr': '>f8', 'fortran_order': False, 'shape': (2,), }", "big-endian"),
+            ("{'descr': '<f2', 'fortran_order': False, 'shape': (8,), }", "astype('<f8')"),
+            ("{'descr': '<f16', 'fortran_order': False, 'shape': (1,), }", "dtype <f16, needs <f8"),
+            ("{'descr': '<c16', 'fortran_order': False, 'shape': (1,), }", "complex (<c16)"),
             ("{'descr': '|O', 'fortran_order': False, 'shape': (2,), }", "dtype |O"),
             ("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (2,), }", "records"),
-            ("{'descr': '<f8', 'fortran_order': True, 'shape': (2, 2), }", "ascontiguousarray"),
             ("{'descr': '<f8', 'fortran_order': False, 'shape': (3,), }", "truncated"),
             ("{'descr': '<f8', 'fortran_order': False, 'shape': (1,), }", "8 bytes after"),
             ("{'descr': '<f8', 'fortran_order': False, 'shape': (0,), }", "empty"),
@@ -329,13 +512,64 @@ mod tests {
             let message = error(dictionary, &data);
             assert!(message.contains(expected), "{dictionary}: {message}");
         }
-        assert!(parse(b"", Dtype::F64).unwrap_err().contains("not a .npy"));
+        assert!(parse(b"", Dtype::F64).unwrap_err().contains("is empty (0 bytes)"));
+        assert!(parse(b"text", Dtype::F64).unwrap_err().contains("not a .npy"));
         assert!(parse(b"\x93NUMPY\x01\x00\xff\xff", Dtype::F64).unwrap_err().contains("header"));
         assert!(error(&"(".repeat(2000), &data).contains("header of 2001 bytes"));
         assert!(error(&"(".repeat(1000), &data).contains("broken header"));
         assert!(
             error(&format!("{}{}", "[".repeat(500), "]".repeat(500)), &data).contains("broken")
         );
+    }
+
+    /// Every element type of NumPy that is read, with two numbers in its own bytes, in both byte orders.
+    #[test]
+    fn other_element_types_are_converted_exactly() {
+        let little: [(&str, Vec<u8>, [f64; 2]); 9] = [
+            ("i1", [-3i8, 7].map(|v| v.to_le_bytes()).concat(), [-3.0, 7.0]),
+            ("u1", vec![250, 7], [250.0, 7.0]),
+            ("i2", [-300i16, 7].map(i16::to_le_bytes).concat(), [-300.0, 7.0]),
+            ("u2", [60_000u16, 7].map(u16::to_le_bytes).concat(), [60_000.0, 7.0]),
+            ("i4", [-70_000i32, 7].map(i32::to_le_bytes).concat(), [-70_000.0, 7.0]),
+            ("u4", [4_000_000_000u32, 7].map(u32::to_le_bytes).concat(), [4e9, 7.0]),
+            (
+                "i8",
+                [-(1i64 << 53), 7].map(i64::to_le_bytes).concat(),
+                [-9_007_199_254_740_992.0, 7.0],
+            ),
+            ("u8", [1u64 << 63, 7].map(u64::to_le_bytes).concat(), [2f64.powi(63), 7.0]),
+            ("f4", [0.1f32, 7.0].map(f32::to_le_bytes).concat(), [f64::from(0.1f32), 7.0]),
+        ];
+        let dictionary = |descriptor: &str, fortran: &str, shape: &str| {
+            format!("{{'descr': '{descriptor}', 'fortran_order': {fortran}, 'shape': {shape}, }}")
+        };
+        for (name, bytes, expected) in little {
+            let size = bytes.len() / 2;
+            let big: Vec<u8> =
+                bytes.chunks(size).flat_map(|item| item.iter().rev().copied()).collect();
+            for (order, bytes) in [("<", &bytes), (">", &big)] {
+                let order = if size == 1 { "|" } else { order };
+                let header = dictionary(&format!("{order}{name}"), "False", "(2,)");
+                let read = parse(&file(&header, bytes), Dtype::F64).unwrap();
+                assert_eq!(read, ArrayData::F64(array![expected[0], expected[1]].into_dyn()));
+            }
+        }
+        // Columns first: what is stored as 1 2 3 4 5 6 are the rows 1 3 5 and 2 4 6.
+        let data = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0].map(f64::to_be_bytes).concat();
+        let read = parse(&file(&dictionary(">f8", "True", "(2, 3)"), &data), Dtype::F64).unwrap();
+        assert_eq!(read, ArrayData::F64(array![[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]].into_dyn()));
+
+        // What would change is refused with its place.
+        let data = [1i64, (1 << 53) + 1].map(i64::to_le_bytes).concat();
+        let message = parse(&file(&dictionary("<i8", "False", "(2,)"), &data), Dtype::F64);
+        let message = message.unwrap_err();
+        assert!(message.contains("element [1] is 9007199254740993 of dtype <i8"), "{message}");
+        let data = [0.0, 0.0, 0.5, 0.0f64].map(f64::to_le_bytes).concat();
+        let message = parse(&file(&dictionary("<f8", "True", "(2, 2)"), &data), Dtype::I64);
+        assert!(message.unwrap_err().contains("element [0, 1] is 0.5 of dtype <f8"));
+        let data = [0.0, -4.0f64].map(f64::to_le_bytes).concat();
+        let read = parse(&file(&dictionary("<f8", "False", "(2,)"), &data), Dtype::I64).unwrap();
+        assert_eq!(read, ArrayData::I64(array![0, -4].into_dyn()));
     }
 
     proptest! {

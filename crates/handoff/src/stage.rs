@@ -20,9 +20,11 @@
 //! ```
 
 use std::{
+    cell::RefCell,
+    collections::BTreeSet,
     fmt::Display,
-    fs,
-    io::{ErrorKind, Read, Write},
+    fs::{self, File},
+    io::{ErrorKind, Write},
     panic,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -32,15 +34,19 @@ use std::{
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ndarray::{Array2, Ix2};
 use planish_types::Limits;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::{
     HandoffError,
-    artifact::{self, Artifact, InputRecord, MANIFEST, Manifest},
+    artifact::{self, Ancestor, Artifact, InputRecord, MANIFEST, Manifest, Seal},
     kind::{Dtype, Kind},
     npy::{self, ArrayData},
+    publish::{self, Staged},
 };
+
+/// Largest JSON file that is read (a machine, a recipe, what stands beside a program), bytes.
+const LARGEST_JSON_BYTES: u64 = 1 << 24;
 
 /// How often the progress on a terminal is drawn anew: the first time after this long.
 const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
@@ -96,6 +102,7 @@ impl<E: std::error::Error> From<E> for Failure {
 /// Runs the body of a stage and turns its end into the exit code: 0 done, 1 done with a negative
 /// verdict, 2 could not run.
 pub fn run(body: impl FnOnce() -> Result<Status, Failure> + panic::UnwindSafe) -> ExitCode {
+    publish::clean_up_on_signals();
     panic::set_hook(Box::new(|info| {
         complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
     }));
@@ -141,6 +148,11 @@ pub struct Stage {
     output: OutputArgs,
     settings: Value,
     inputs: Vec<InputRecord>,
+    lineage: BTreeSet<Ancestor>,
+    /// Directories that this run is to make, and those that are made and not shown yet: they appear
+    /// together.
+    parts: RefCell<BTreeSet<PathBuf>>,
+    staged: RefCell<Vec<Staged>>,
     started: Instant,
     progress: ProgressBar,
 }
@@ -160,6 +172,9 @@ impl Stage {
             output: output.clone(),
             settings: json!({}),
             inputs: Vec::new(),
+            lineage: BTreeSet::new(),
+            parts: RefCell::default(),
+            staged: RefCell::default(),
             started: Instant::now(),
             progress: ProgressBar::hidden(),
         }
@@ -185,6 +200,7 @@ impl Stage {
         if let Some(warning) = &loaded.warning {
             complain(&format!("warning: {warning}"));
         }
+        self.lineage.extend(loaded.manifest.iter().flat_map(|m| m.lineage.clone()));
         self.record(role, dir, T::KIND.name, loaded.digest);
         Ok((loaded.value, loaded.manifest))
     }
@@ -196,10 +212,17 @@ impl Stage {
         dir: &Path,
         kind: &Kind,
     ) -> Result<Manifest, HandoffError> {
-        let manifest = artifact::read_manifest(dir, kind)?.ok_or_else(|| {
+        publish::finish_interrupted(&publish::parent_of(dir));
+        let (manifest, seal) = artifact::read_sealed_manifest(dir, kind)?.ok_or_else(|| {
             HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
         })?;
+        // Nothing but the seal says that the outcome is what the stage found.
+        if seal != Seal::Whole {
+            let problem = "has no seal: an older Planish wrote it; make it again";
+            return Err(HandoffError::new(&dir.join(MANIFEST), problem));
+        }
         let digest = blake3::hash(manifest.outcome.to_string().as_bytes()).to_string();
+        self.lineage.extend(manifest.lineage.iter().cloned());
         self.record(role, dir, kind.name, digest);
         Ok(manifest)
     }
@@ -210,7 +233,7 @@ impl Stage {
         role: &str,
         path: &Path,
     ) -> Result<T, HandoffError> {
-        let bytes = fs::read(path).map_err(|e| HandoffError::io(path, "read", &e))?;
+        let bytes = artifact::read_file(path, LARGEST_JSON_BYTES)?;
         self.record(role, path, "file", blake3::hash(&bytes).to_string());
         serde_json::from_slice(&bytes).map_err(|e| HandoffError::new(path, format!("{e}")))
     }
@@ -222,14 +245,7 @@ impl Stage {
         path: &Path,
         most: u64,
     ) -> Result<Vec<u8>, HandoffError> {
-        let io = |e| HandoffError::io(path, "read", &e);
-        let mut bytes = Vec::new();
-        let file = fs::File::open(path).map_err(io)?;
-        file.take(most + 1).read_to_end(&mut bytes).map_err(io)?;
-        if bytes.len() as u64 > most {
-            let problem = format!("has more than {most} bytes; export only the map");
-            return Err(HandoffError::new(path, problem));
-        }
+        let bytes = artifact::read_file(path, most)?;
         self.record(role, path, "file", blake3::hash(&bytes).to_string());
         Ok(bytes)
     }
@@ -242,9 +258,9 @@ impl Stage {
 
     /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.
     pub fn read_map(&mut self, role: &str, path: &Path) -> Result<Array2<f64>, HandoffError> {
-        let (array, hash) = npy::read(path, Dtype::F64)?;
-        self.record(role, path, "file", hash);
-        let ArrayData::F64(a) = array else { unreachable!("read as F64") };
+        let ArrayData::F64(a) = self.read_array(role, path, Dtype::F64)? else {
+            unreachable!("read as F64")
+        };
         a.into_dimensionality::<Ix2>().map_err(|_| {
             HandoffError::new(path, "is not a map; give an array with two axes (ny, nx)")
         })
@@ -252,15 +268,31 @@ impl Stage {
 
     /// Reads one mask (ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`.
     pub fn read_mask(&mut self, role: &str, path: &Path) -> Result<Array2<bool>, HandoffError> {
-        let (array, hash) = npy::read(path, Dtype::U8)?;
-        self.record(role, path, "file", hash);
-        let ArrayData::U8(a) = array else { unreachable!("read as U8") };
+        let ArrayData::U8(a) = self.read_array(role, path, Dtype::U8)? else {
+            unreachable!("read as U8")
+        };
         a.into_dimensionality::<Ix2>().map(|a| a.mapv(|v| v != 0)).map_err(|_| {
             HandoffError::new(path, "is not a mask; give an array with two axes (ny, nx)")
         })
     }
 
+    fn read_array(
+        &mut self,
+        role: &str,
+        path: &Path,
+        dtype: Dtype,
+    ) -> Result<ArrayData, HandoffError> {
+        let loaded = npy::read(path, dtype)?;
+        if let Some(note) = loaded.note {
+            complain(&format!("warning: {}: {note}", path.display()));
+        }
+        self.record(role, path, "file", loaded.blake3);
+        Ok(loaded.array)
+    }
+
     fn record(&mut self, role: &str, path: &Path, kind: &str, blake3: String) {
+        let kind_or_role = if kind == "file" { role } else { kind };
+        self.lineage.insert(Ancestor { kind: kind_or_role.into(), blake3: blake3.clone() });
         self.inputs.push(InputRecord {
             role: role.into(),
             path: path.display().to_string(),
@@ -269,16 +301,60 @@ impl Stage {
         });
     }
 
+    /// BLAKE3 of the input that was read as `role`.
+    pub fn digest(&self, role: &str) -> Option<&str> {
+        self.inputs.iter().find(|i| i.role == role).map(|i| i.blake3.as_str())
+    }
+
+    /// Refuses inputs that do not belong together: `made` (the manifest of the input `role`) was made
+    /// from another artifact of the kind of the input `from` than that one. Arrays without a manifest
+    /// say nothing of what they were made from, and pass.
+    pub fn refuse_unrelated(
+        &self,
+        role: &str,
+        made: Option<&Manifest>,
+        from: &str,
+    ) -> Result<(), HandoffError> {
+        let Some(problem) = self.unrelated(role, made, from) else { return Ok(()) };
+        let dir = self.inputs.iter().find(|i| i.role == role).map_or("", |i| &i.path);
+        Err(HandoffError::new(
+            Path::new(dir),
+            format!(
+                "{problem}; give the one it was made from, make it again, or remove its {MANIFEST} \
+                 to use its arrays all the same"
+            ),
+        ))
+    }
+
+    /// The same as a warning, where another input makes sense: a plan on another map.
+    pub fn warn_unrelated(&self, role: &str, made: Option<&Manifest>, from: &str) {
+        if let Some(problem) = self.unrelated(role, made, from) {
+            complain(&format!("warning: {problem}"));
+        }
+    }
+
+    fn unrelated(&self, role: &str, made: Option<&Manifest>, from: &str) -> Option<String> {
+        let from = self.inputs.iter().find(|i| i.role == from)?;
+        let mut known = made?.lineage.iter().filter(|a| a.kind == from.kind).peekable();
+        known.peek()?;
+        if known.any(|a| a.blake3 == from.blake3) {
+            return None;
+        }
+        let (kind, flag) = (&from.kind, &from.role);
+        Some(format!("--{role} was made from another {kind} than --{flag} {}", from.path))
+    }
+
     /// Call when all inputs and settings are known, before the work: refuses an output that may
     /// not be replaced, and says so when there is nothing to do. `parts` are the directories
-    /// under `--out` that the stage writes, `""` for `--out` itself.
+    /// under `--out` that the stage writes, `""` for `--out` itself; they appear together, when the
+    /// last of them has been written.
     pub fn begin(&self, parts: &[&str], kind: &Kind) -> Result<Begin, HandoffError> {
         self.begin_each(&parts.iter().map(|p| (*p, kind)).collect::<Vec<_>>())
     }
 
     /// [`Self::begin`] for parts of different kinds.
     pub fn begin_each(&self, parts: &[(&str, &Kind)]) -> Result<Begin, HandoffError> {
-        self.refuse_wall_time_in_output(parts)?;
+        self.check_wall_time(parts)?;
         let states = parts.iter().map(|(part, kind)| self.state_of(&self.directory(part), kind));
         let states = states.collect::<Result<Vec<_>, _>>()?;
         let unchanged: Option<Vec<Status>> = states.into_iter().collect();
@@ -294,6 +370,7 @@ impl Stage {
                 Begin::Unchanged(status)
             }
             None => {
+                self.parts.replace(parts.iter().map(|(part, _)| self.directory(part)).collect());
                 self.show_progress();
                 Begin::Run
             }
@@ -324,20 +401,25 @@ impl Stage {
     /// How the artifact in `dir` ended when it is what this run would make, else `None`; an error
     /// when something there may not be replaced.
     fn state_of(&self, dir: &Path, kind: &Kind) -> Result<Option<Status>, HandoffError> {
+        self.refuse_overlap("--out", dir)?;
+        publish::finish_interrupted(&publish::parent_of(dir));
         if !output_exists(dir)? {
             return Ok(None);
         }
-        self.refuse_precious(dir)?;
-        artifact::refuse_foreign_files(dir, kind)?;
-        let is_empty = fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_none());
-        if is_empty {
-            return Ok(None);
+        if is_same(dir, Path::new(".")) {
+            return Err(HandoffError::new(
+                dir,
+                "is the current directory; give a new directory in it as --out",
+            ));
         }
-        let manifest = artifact::read_manifest(dir, kind).ok().flatten();
-        if let Some(manifest) = manifest.filter(|m| m.key == self.key()) {
+        artifact::refuse_foreign_files(dir, kind)?;
+        let Some(manifest) = artifact::read_manifest(dir, kind)? else {
+            return Ok(None); // an empty directory
+        };
+        let is_complete = artifact::is_complete(dir, &manifest)?;
+        if manifest.key == self.key() {
             let fresh = !older_than_this_program(&dir.join(MANIFEST));
-            let done = fresh && artifact::is_intact(dir, kind, &manifest);
-            return Ok(done.then(|| status_of(&manifest)));
+            return Ok((fresh && is_complete).then(|| status_of(&manifest)));
         }
         if self.output.force {
             return Ok(None);
@@ -348,33 +430,79 @@ impl Stage {
         ))
     }
 
-    /// The next run would take the file for a foreign one.
-    fn refuse_wall_time_in_output(&self, parts: &[(&str, &Kind)]) -> Result<(), HandoffError> {
+    /// Refuses a file for `--wall-time` that would be lost or in the way of the output.
+    fn check_wall_time(&self, parts: &[(&str, &Kind)]) -> Result<(), HandoffError> {
         let Some(file) = &self.output.wall_time else { return Ok(()) };
-        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
-        match parts.iter().any(|(p, _)| absolute(file).starts_with(absolute(&self.directory(p)))) {
-            true => Err(HandoffError::new(file, "is in the output; give another --wall-time")),
-            false => Ok(()),
+        if parts.iter().any(|(part, _)| is_within(file, &self.directory(part))) {
+            return Err(HandoffError::new(file, "is in the output; give another --wall-time"));
+        }
+        self.refuse_overlap("--wall-time", file)?;
+        if fs::symlink_metadata(file).is_err() {
+            return Ok(());
+        }
+        let text = artifact::read_text(file, LARGEST_JSON_BYTES).unwrap_or_default();
+        match serde_json::from_str::<WallTime>(&text) {
+            Ok(_) => Ok(()),
+            Err(_) => Err(HandoffError::new(
+                file,
+                "exists and holds no wall time, so Planish did not write it; give another --wall-time",
+            )),
         }
     }
 
-    /// Refuses to replace an input, and the directory in which the user stands.
-    fn refuse_precious(&self, dir: &Path) -> Result<(), HandoffError> {
-        let same = |path: &Path| {
-            let (a, b) = (dir.canonicalize(), path.canonicalize());
-            matches!((a, b), (Ok(a), Ok(b)) if a == b)
-        };
-        if let Some(input) = self.inputs.iter().find(|i| same(Path::new(&i.path))) {
-            let problem = format!("is the input --{}; choose another --out", input.role);
-            return Err(HandoffError::new(dir, problem));
-        }
-        if same(Path::new(".")) {
-            return Err(HandoffError::new(
-                dir,
-                "is the current directory; give a new directory in it as --out",
-            ));
+    /// Refuses to write what is an input, contains one, or lies in one.
+    fn refuse_overlap(&self, flag: &str, path: &Path) -> Result<(), HandoffError> {
+        for input in &self.inputs {
+            let at = Path::new(&input.path);
+            let how = match (is_within(path, at), is_within(at, path)) {
+                (true, true) => "is",
+                (true, false) => "lies in",
+                (false, true) => "contains",
+                (false, false) => continue,
+            };
+            let problem = format!("{how} the input --{}; choose another {flag}", input.role);
+            return Err(HandoffError::new(path, problem));
         }
         Ok(())
+    }
+
+    /// Call before the work of a command that writes single files: refuses `path`, given by `flag`,
+    /// where it is an input or a directory, or exists and `force` does not say to replace it.
+    pub fn begin_file(&self, flag: &str, path: &Path, force: bool) -> Result<(), HandoffError> {
+        self.refuse_overlap(flag, path)?;
+        if path.is_dir() || path.file_name().is_none() {
+            return Err(HandoffError::new(path, format!("is a directory; give a file as {flag}")));
+        }
+        if fs::symlink_metadata(path).is_ok() && !force {
+            let problem = format!("exists; give --force to replace it, or another {flag}");
+            return Err(HandoffError::new(path, problem));
+        }
+        Ok(())
+    }
+
+    /// Writes single files, which appear together.
+    pub fn write_single_files(
+        &self,
+        files: &[(&Path, &[u8])],
+        force: bool,
+    ) -> Result<(), HandoffError> {
+        let stage = |(path, bytes): &(&Path, &[u8])| {
+            let mut staged = Staged::file(path, force)?;
+            staged.write_all(bytes).map(|()| staged)
+        };
+        publish::publish(files.iter().map(stage).collect::<Result<_, _>>()?)
+    }
+
+    /// Writes a single file that is too large to be held in memory.
+    pub fn write_single_file(
+        &self,
+        path: &Path,
+        force: bool,
+        write: impl FnOnce(&mut File) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let mut staged = Staged::file(path, force)?;
+        write(staged.open_file())?;
+        Ok(publish::publish(vec![staged])?)
     }
 
     /// Writes `value` as the artifact `part` of this stage's output.
@@ -392,39 +520,44 @@ impl Stage {
     pub fn write_files(
         &self,
         part: &str,
-        kind: &Kind,
+        kind: &'static Kind,
         arrays: &[ArrayData],
         beside: &[(&str, Vec<u8>)],
         outcome: Value,
         status: &Status,
     ) -> Result<(), HandoffError> {
-        artifact::replace_directory(&self.directory(part), kind, |dir| {
-            let records = artifact::write_arrays(dir, kind, arrays)?;
-            for (name, bytes) in beside {
-                artifact::write_file(&dir.join(name), bytes)?;
-            }
-            let hashed = |(name, bytes): &(&str, Vec<u8>)| {
-                (name.to_string(), blake3::hash(bytes).to_string())
-            };
-            let manifest = Manifest {
-                kind: kind.name.into(),
-                version: kind.version,
-                tool: self.tool.into(),
-                tool_version: self.tool_version.into(),
-                method: self.method.clone(),
-                command: command_line(self.tool),
-                key: self.key(),
-                frame: kind.frame.into(),
-                settings: self.settings.clone(),
-                inputs: self.inputs.clone(),
-                outcome: with_status(outcome, status),
-                arrays: records,
-                files: beside.iter().map(hashed).collect(),
-            };
-            let mut text = serde_json::to_string_pretty(&manifest).expect("a manifest serialises");
-            text.push('\n');
-            artifact::write_file(&dir.join(MANIFEST), text.as_bytes())
-        })?;
+        let place = self.directory(part);
+        let staged = Staged::directory(&place, kind)?;
+        let dir = staged.path();
+        let records = artifact::write_arrays(dir, kind, arrays)?;
+        for (name, bytes) in beside {
+            artifact::write_file(&dir.join(name), bytes)?;
+        }
+        let hashed =
+            |(name, bytes): &(&str, Vec<u8>)| (name.to_string(), blake3::hash(bytes).to_string());
+        let manifest = Manifest {
+            kind: kind.name.into(),
+            version: kind.version,
+            tool: self.tool.into(),
+            tool_version: self.tool_version.into(),
+            method: self.method.clone(),
+            command: command_line(self.tool),
+            key: self.key(),
+            frame: kind.frame.into(),
+            settings: self.settings.clone(),
+            inputs: self.inputs.clone(),
+            lineage: self.lineage.clone(),
+            outcome: with_status(outcome, status),
+            arrays: records,
+            files: beside.iter().map(hashed).collect(),
+        };
+        artifact::write_file(&dir.join(MANIFEST), manifest.to_text().as_bytes())?;
+        self.staged.borrow_mut().push(staged);
+        self.parts.borrow_mut().remove(&place);
+        if !self.parts.borrow().is_empty() {
+            return Ok(()); // more is to come
+        }
+        publish::publish(self.staged.take())?;
         // What is said from now on is not mixed with it.
         self.progress.finish_and_clear();
         self.write_wall_time()
@@ -444,12 +577,41 @@ impl Stage {
 
     fn write_wall_time(&self) -> Result<(), HandoffError> {
         let Some(path) = &self.output.wall_time else { return Ok(()) };
-        if let Some(parent) = path.parent() {
-            fs::create_dir_all(parent).map_err(|e| HandoffError::io(parent, "create", &e))?;
-        }
-        let wall_s = self.started.elapsed().as_secs_f64();
-        let text = format!("{}\n", json!({ "wall_s": wall_s, "peak_memory_mb": peak_memory_mb() }));
-        fs::write(path, text).map_err(|e| HandoffError::io(path, "write", &e))
+        let time = WallTime {
+            wall_s: self.started.elapsed().as_secs_f64(),
+            peak_memory_mb: peak_memory_mb(),
+        };
+        let text = serde_json::to_string(&time).expect("numbers serialise");
+        self.write_single_files(&[(path.as_path(), format!("{text}\n").as_bytes())], true)
+    }
+}
+
+/// What `--wall-time` writes.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WallTime {
+    wall_s: f64,
+    peak_memory_mb: Option<f64>,
+}
+
+/// Whether two paths lead to the same file or directory.
+fn is_same(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Whether `path` is `dir` or leads into it, links followed as far as they exist.
+fn is_within(path: &Path, dir: &Path) -> bool {
+    resolved(path).starts_with(resolved(dir))
+}
+
+/// The path without links and `..`; what does not exist yet is appended as it is.
+fn resolved(path: &Path) -> PathBuf {
+    if let Ok(whole) = path.canonicalize() {
+        return whole;
+    }
+    match path.file_name() {
+        Some(name) => resolved(&publish::parent_of(path)).join(name),
+        None => std::path::absolute(Path::new(".").join(path)).unwrap_or_else(|_| path.into()),
     }
 }
 

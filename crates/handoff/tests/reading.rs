@@ -126,29 +126,46 @@ fn the_digest_of_a_bare_directory_is_that_of_the_artifact_with_the_same_arrays()
 }
 
 #[test]
-fn foreign_layouts_and_element_types_name_the_cure() {
+fn foreign_layouts_and_element_types_are_converted_or_name_the_cure() {
     let dir = tmp();
+    let six = [1.0, -2.0, 3.0, 4.0, 5.0, 6.0];
     write_bare(dir.path(), &surface());
-    let data: Vec<f64> = vec![1.0; 6];
-    let big: Vec<u8> = data.iter().flat_map(|v| v.to_be_bytes()).collect();
-    let single: Vec<u8> = data.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect();
+    save_f8(dir.path(), "height_nm", "(2, 3)", &six);
+    let expected = artifact::read::<Surface>(dir.path()).unwrap();
+    let columns = [1.0, 4.0, -2.0, 5.0, 3.0, 6.0];
+    let big: Vec<u8> = six.iter().flat_map(|v| v.to_be_bytes()).collect();
+    let single: Vec<u8> = six.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect();
+    for (file, note) in [
+        (
+            npy("<f8", true, "(2, 3)", &doubles(&columns)),
+            "height_nm.npy holds <f8 in Fortran order",
+        ),
+        (npy(">f8", false, "(2, 3)", &big), "height_nm.npy holds >f8, converted exactly"),
+        (npy("<f4", false, "(2, 3)", &single), "height_nm.npy holds <f4, converted exactly"),
+        (npy("<i8", false, "(2, 3)", &longs(&six.map(|v| v as i64))), "holds <i8, converted"),
+    ] {
+        fs::write(dir.path().join("height_nm.npy"), file).unwrap();
+        let read = artifact::read::<Surface>(dir.path()).unwrap();
+        assert_eq!(read.value.height_nm(), expected.value.height_nm(), "{note}");
+        says(&read.warning.unwrap(), &[note]);
+    }
     for (file, expected) in [
-        (npy("<f8", true, "(2, 3)", &doubles(&data)), "Fortran order; save numpy.ascontiguous"),
-        (npy(">f8", false, "(2, 3)", &big), "big-endian elements of dtype >f8, needs <f8"),
-        (npy("<f4", false, "(2, 3)", &single), "dtype <f4, needs <f8; save a.astype('<f8')"),
-        (npy("<i8", false, "(2, 3)", &longs(&[1; 6])), "dtype <i8, needs <f8"),
-        (npy("<c16", false, "(2, 3)", &[0; 96]), "dtype <c16, needs <f8"),
+        (npy("<c16", false, "(2, 3)", &[0; 96]), "is complex (<c16), needs <f8; save a.real"),
+        (npy("<f2", false, "(2, 3)", &[0; 12]), "dtype <f2, needs <f8; save a.astype('<f8')"),
         (npy("|O", false, "(2, 3)", &[0; 48]), "dtype |O, needs <f8"),
     ] {
         fs::write(dir.path().join("height_nm.npy"), file).unwrap();
         says(&refusal::<Surface>(dir.path()), &["height_nm.npy: ", expected]);
     }
     // One long axis is the same in both orders, and NumPy says so with Fortran order at times.
-    fs::write(dir.path().join("height_nm.npy"), npy("<f8", false, "(2, 3)", &doubles(&data)))
-        .unwrap();
+    save_f8(dir.path(), "height_nm", "(2, 3)", &six);
     fs::write(dir.path().join("x_mm.npy"), npy("<f8", true, "(3,)", &doubles(&[0.0, 0.5, 1.0])))
         .unwrap();
     artifact::read::<Surface>(dir.path()).unwrap();
+    // What never ends is not read.
+    fs::remove_file(dir.path().join("height_nm.npy")).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", dir.path().join("height_nm.npy")).unwrap();
+    says(&refusal::<Surface>(dir.path()), &["height_nm.npy: is not a file"]);
 }
 
 #[test]
@@ -180,7 +197,7 @@ fn wrong_lengths_and_absurd_shapes_are_refused_without_reading_them() {
     fs::write(dir.path().join("height_nm.npy"), b"PK\x03\x04").unwrap();
     says(&refusal::<Surface>(dir.path()), &["height_nm.npy: is not a .npy file", "numpy.save"]);
     fs::write(dir.path().join("height_nm.npy"), b"").unwrap();
-    says(&refusal::<Surface>(dir.path()), &["height_nm.npy: is not a .npy file"]);
+    says(&refusal::<Surface>(dir.path()), &["height_nm.npy: is empty (0 bytes); write it with"]);
 }
 
 #[test]
@@ -234,7 +251,7 @@ fn axes_ascend_uniformly_and_times_ascend() {
     for (x, expected) in [
         ([1.0, 0.5, 0.0], "x_mm[1]: is 0.5 after 1; coordinates must ascend; flip the axis"),
         ([0.0, 0.5, 0.5], "x_mm[2]: is 0.5 after 0.5"),
-        ([0.0, 0.1, 1.0], "x_mm[1]: is 0.1 where a uniform axis has 0.5; resample"),
+        ([0.0, 0.1, 1.0], "x_mm[2]: is 1 after 0.1, a step of 0.9 mm where the median"),
     ] {
         save_f8(dir.path(), "x_mm", "(3,)", &x);
         says(&refusal::<Surface>(dir.path()), &["x_mm.npy: ", expected]);
@@ -291,8 +308,14 @@ fn a_damaged_manifest_is_refused() {
     says(&with_manifest(|_| String::new()), &["manifest.json: is not a manifest", remedy]);
     says(&with_manifest(|_| "[]".into()), &["manifest.json: is not a manifest", remedy]);
     says(&with_manifest(|_| "[".repeat(100_000)), &["manifest.json: is not a manifest", remedy]);
-    says(&with_manifest(|m| m.replace("\"blake3\"", "\"sha\"")), &["missing field", remedy]);
-    says(&with_manifest(|m| m.replace("dwell_s\": {", "x\": {")), &["is not listed", remedy]);
+    // A manifest whose seal is whole was written by Planish; one without a seal is checked key by key.
+    let edited = with_manifest(|m| m.replace("\"blake3\"", "\"sha\""));
+    says(&edited, &["manifest.json: was changed after it was written", remedy]);
+    let unsealed = |m: &str| m.replace("\"seal\"", "\"note\"");
+    let without_hash = with_manifest(|m| unsealed(&m).replace("\"blake3\"", "\"sha\""));
+    says(&without_hash, &["missing field", remedy]);
+    let other_array = with_manifest(|m| unsealed(&m).replace("dwell_s\": {", "x\": {"));
+    says(&other_array, &["is not listed", remedy]);
 }
 
 #[test]

@@ -181,30 +181,32 @@ fn a_report_with_a_reason_of_its_own_is_not_a_negative_verdict() {
 }
 
 #[test]
-fn a_damaged_output_is_made_again() {
+fn what_lacks_in_an_output_is_made_again_and_what_was_changed_is_kept() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
-    let run = Run::new(dir.path());
-    run.run().unwrap();
+    let run = || Run::new(dir.path());
+    run().run().unwrap();
     let good = snapshot(dir.path());
-    let manifest = fs::read_to_string(out.join(MANIFEST)).unwrap();
-    // The manifest still says that it was made by this run: no --force is needed.
-    save_f8(&out, "dwell_s", "(4,)", &[9.0; 4]);
-    assert_eq!(run.run().unwrap(), None);
-    assert_eq!(snapshot(dir.path()), good);
     fs::remove_file(out.join("dwell_s.npy")).unwrap();
-    assert_eq!(run.run().unwrap(), None);
+    assert_eq!(run().run().unwrap(), None);
     assert_eq!(snapshot(dir.path()), good);
-    let arrays = manifest.find("\"arrays\"").unwrap();
-    fs::write(out.join(MANIFEST), format!("{}\"arrays\": {{}}\n}}\n", &manifest[..arrays]))
-        .unwrap();
-    assert_eq!(run.run().unwrap(), None);
-    assert_eq!(snapshot(dir.path()), good);
-    // A manifest that says nothing could stand beside somebody's own arrays.
+    // Somebody's array in the place of ours, and an edited or a broken manifest: not ours to replace.
+    let kept = |expected: &str| {
+        let before = snapshot(dir.path());
+        run().refused(expected);
+        run().force().refused(expected);
+        run().setting(2.0).force().refused(expected);
+        assert_eq!(snapshot(dir.path()), before);
+    };
+    save_f8(&out, "dwell_s", "(4,)", &[9.0; 4]);
+    kept("dwell_s.npy: is not what manifest.json says that Planish wrote; move it elsewhere");
+    fs::remove_file(out.join("dwell_s.npy")).unwrap();
+    run().run().unwrap();
+    let manifest = fs::read_to_string(out.join(MANIFEST)).unwrap();
+    fs::write(out.join(MANIFEST), manifest.replace("done", "fine")).unwrap();
+    kept("manifest.json: was changed after it was written");
     fs::write(out.join(MANIFEST), &manifest[..manifest.len() / 2]).unwrap();
-    run.refused("give --force");
-    assert_eq!(Run::new(dir.path()).force().run().unwrap(), None);
-    assert_eq!(snapshot(dir.path()), good);
+    kept("manifest.json: is not a manifest");
 }
 
 #[test]
@@ -234,12 +236,137 @@ fn foreign_files_are_never_lost() {
     write(&out, &surface());
     keep("which no dwell has");
     fs::remove_dir_all(&out).unwrap();
-    // Somebody's own arrays, without a manifest, fall to --force only.
+    // Somebody's own arrays, without a manifest.
     write_bare(&out, &dwell(7.0));
-    Run::new(dir.path()).refused("give --force");
-    assert_eq!(value_in(&out), 7.0);
-    Run::new(dir.path()).force().run().unwrap();
-    assert_eq!(value_in(&out), 1.0);
+    keep("out: holds dwell_s.npy and no manifest.json, so Planish did not write it");
+    fs::remove_dir_all(&out).unwrap();
+    // A kind without arrays has the same file names as any other of its sort.
+    let stage = Stage::new("test", "0", "verify", &output(&out));
+    stage.write_files("", &kind::VERDICT, &[], &[], json!({}), &Status::Done).unwrap();
+    let before = snapshot(dir.path());
+    let report = OutputArgs { force: true, ..output(&out) };
+    let error = Stage::new("test", "0", "report", &report).begin(&[""], &kind::REPORT);
+    assert!(error.unwrap_err().to_string().contains("holds a verdict, needs a report"));
+    assert_eq!(snapshot(dir.path()), before);
+}
+
+#[test]
+fn no_output_is_contains_or_lies_in_an_input() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    fs::create_dir(at("raw")).unwrap();
+    save_f8(&at("raw"), "height_nm", "(2, 2)", &[1.0; 4]);
+    fs::write(at("machine.json"), "{}").unwrap();
+    let before = snapshot(dir.path());
+    let mut stage = Stage::new("test", "0", "import", &output(&at("raw")));
+    stage.read_map("file", &at("raw/height_nm.npy")).unwrap();
+    stage.read_json::<serde_json::Value>("machine", &at("machine.json")).unwrap();
+    let refused = |error: HandoffError, expected: &str| {
+        assert!(error.to_string().contains(expected), "no {expected:?} in: {error}");
+        assert_eq!(snapshot(dir.path()), before);
+    };
+    let error = stage.begin(&[""], &kind::SURFACE).unwrap_err();
+    refused(error, "raw: contains the input --file; choose another --out");
+    let file = |path: &str| stage.begin_file("--picture", &at(path), true).unwrap_err();
+    refused(file("raw/height_nm.npy"), "is the input --file; choose another --picture");
+    refused(file("raw"), "raw: contains the input --file");
+    refused(file("raw/../machine.json"), "is the input --machine");
+    let mut stage = Stage::new("test", "0", "scale", &output(&at("bare/inside")));
+    write_bare(&at("bare"), &dwell(1.0));
+    stage.read::<DwellTime>("input", &at("bare")).unwrap();
+    let error = stage.begin(&[""], DwellTime::KIND).unwrap_err();
+    assert!(error.to_string().contains("bare/inside: lies in the input --input"), "{error}");
+
+    // --wall-time replaces a wall time and nothing else.
+    let mut run = Run::new(dir.path());
+    run.output.wall_time = Some(at("machine.json"));
+    run.refused("machine.json: exists and holds no wall time");
+    run.output.wall_time = Some(at("input/dwell_s.npy"));
+    run.refused("lies in the input --input; choose another --wall-time");
+    run.output.wall_time = Some(at("wall/time.json"));
+    run.run().unwrap();
+    let run = Run { setting: 2.0, ..run }.force();
+    run.run().unwrap();
+    assert!(fs::read_to_string(at("wall/time.json")).unwrap().contains("wall_s"));
+    assert_eq!(fs::read_to_string(at("machine.json")).unwrap(), "{}");
+}
+
+#[test]
+fn several_parts_appear_together_or_not_at_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let stage = Run::new(dir.path()).stage().unwrap();
+    assert_eq!(stage.begin(&["a", "b"], DwellTime::KIND).unwrap(), Begin::Run);
+    stage.write("a", &dwell(1.0), json!({}), &Status::Done).unwrap();
+    let out = dir.path().join("out");
+    assert!(!out.join("a").exists(), "b is not written yet");
+    stage.write("b", &dwell(1.0), json!({}), &Status::Done).unwrap();
+    assert_eq!(names(&out), ["a", "b"]);
+    // A run that ends before its last part leaves nothing.
+    let stage = Run::new(dir.path()).setting(2.0).force().stage().unwrap();
+    stage.begin(&["a", "b"], DwellTime::KIND).unwrap();
+    stage.write("a", &dwell(2.0), json!({}), &Status::Done).unwrap();
+    drop(stage);
+    assert_eq!((value_in(&out.join("a")), names(&out)), (1.0, vec!["a".into(), "b".into()]));
+}
+
+#[test]
+fn inputs_that_do_not_belong_together_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    for (name, value) in [("one", 1.0), ("two", 2.0)] {
+        write_bare(&at(name), &dwell(value));
+    }
+    // "made" comes from "middle", which comes from "one": the lineage goes all the way back.
+    let make = |from: &str, to: &str, kind: &'static kind::Kind| {
+        let mut stage = Stage::new("test", "0", "make", &output(&at(to)));
+        match from {
+            "one" => drop(stage.read::<DwellTime>("dwell", &at(from)).unwrap()),
+            _ => drop(stage.read::<planish_types::ToolPath>("path", &at(from)).unwrap()),
+        }
+        let arrays = match kind.name {
+            "tool_path" => support::tool_path().to_arrays(),
+            _ => support::trajectory().to_arrays(),
+        };
+        stage.write_files("", kind, &arrays, &[], json!({}), &Status::Done).unwrap();
+    };
+    make("one", "middle", &kind::TOOL_PATH);
+    make("middle", "made", &kind::TRAJECTORY);
+    let check = |dwell_dir: &str| {
+        let mut stage = Stage::new("test", "0", "use", &output(&at("out")));
+        let (_, manifest) = stage
+            .read_with_manifest::<planish_types::Trajectory>("trajectory", &at("made"))
+            .unwrap();
+        stage.read::<DwellTime>("dwell", &at(dwell_dir)).unwrap();
+        stage.refuse_unrelated("trajectory", manifest.as_ref(), "dwell")
+    };
+    check("one").unwrap();
+    let message = check("two").unwrap_err().to_string();
+    assert!(message.contains("--trajectory was made from another dwell than --dwell"), "{message}");
+    fs::remove_file(at("made").join(MANIFEST)).unwrap();
+    check("two").unwrap();
+}
+
+#[test]
+fn a_verdict_that_was_edited_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("verdict");
+    let stage = Stage::new("test", "0", "verify", &output(&out));
+    let outcome = json!({ "limits_respected": false });
+    stage.write_files("", &kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
+    let read = || {
+        let mut stage = Stage::new("test", "0", "report", &output(&dir.path().join("report")));
+        stage.read_manifest("verdict", &out, &kind::VERDICT)
+    };
+    read().unwrap();
+    let text = fs::read_to_string(out.join(MANIFEST)).unwrap();
+    fs::write(out.join(MANIFEST), text.replace("false", "true")).unwrap();
+    let message = read().unwrap_err().to_string();
+    assert!(message.contains("was changed after it was written"), "{message}");
+    // Without its seal it says nothing either.
+    let (body, _) = text.rsplit_once(",\n  \"seal\"").unwrap();
+    fs::write(out.join(MANIFEST), format!("{}\n}}\n", body.replace("false", "true"))).unwrap();
+    let message = read().unwrap_err().to_string();
+    assert!(message.contains("has no seal"), "{message}");
 }
 
 #[test]
@@ -283,7 +410,7 @@ fn an_output_that_cannot_be_is_refused_before_the_work() {
         ("file/below", "cannot be written: Not a directory"),
         ("link", "link: is a link to nothing; choose another --out"),
         (&"n".repeat(256), "cannot be written: File name too long"),
-        (".", "holds "),
+        (".", "contains the input --input"),
         ("new/..", "is not the name of a directory"),
     ] {
         let run = Run::new(dir.path()).out(dir.path().join(out)).force();
@@ -341,7 +468,7 @@ fn names_up_to_the_length_of_the_file_system_are_written() {
 }
 
 #[test]
-fn what_a_killed_run_left_behind_is_not_in_the_way() {
+fn what_a_killed_run_left_behind_is_removed_by_the_next() {
     let dir = tempfile::tempdir().unwrap();
     // A container gives every run the same process id.
     let left = dir.path().join(format!(".planish-{}-0.tmp", std::process::id()));
@@ -349,19 +476,23 @@ fn what_a_killed_run_left_behind_is_not_in_the_way() {
     fs::write(left.join("dwell_s.npy"), "half").unwrap();
     Run::new(dir.path()).run().unwrap();
     assert_eq!(value_in(&dir.path().join("out")), 1.0);
-    assert!(left.join("dwell_s.npy").exists());
+    assert_eq!(names(dir.path()), ["input", "out"]);
 }
 
 #[test]
-fn beside_files_are_hashed_and_made_again_when_changed() {
+fn beside_files_are_hashed_made_again_when_missing_and_kept_when_changed() {
     let dir = tempfile::tempdir().unwrap();
     let stage = Stage::new("test", "0", "report", &output(&dir.path().join("report")));
     let beside = [("summary.json", b"{}\n".to_vec())];
     stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done).unwrap();
     let begin = || stage.begin(&[""], &kind::REPORT).unwrap();
     assert_eq!(begin(), Begin::Unchanged(Status::Done));
-    fs::write(dir.path().join("report/summary.json"), "{ }\n").unwrap();
+    let summary = dir.path().join("report/summary.json");
+    fs::remove_file(&summary).unwrap();
     assert_eq!(begin(), Begin::Run);
+    fs::write(&summary, "{ }\n").unwrap();
+    let message = stage.begin(&[""], &kind::REPORT).unwrap_err().to_string();
+    assert!(message.contains("summary.json: is not what manifest.json says"), "{message}");
 }
 
 // ---- processes of their own ------------------------------------------------------------------
@@ -509,12 +640,14 @@ fn killed_writers_leave_a_whole_artifact_at_every_moment() {
                 last = value;
             }
         });
-        for round in 0..40_u64 {
+        // Until enough has been seen; a busy machine takes more rounds.
+        let seen = || changes.load(Ordering::Relaxed);
+        for round in (0..600_u64).take_while(|round| *round < 40 || seen() <= 10) {
             // Two writers at once in every second round.
             let mut children: Vec<Child> =
                 (0..1 + round % 2).map(|_| write_forever(dir.path())).collect();
             // From before the first write to some writes later.
-            thread::sleep(Duration::from_micros(2_000 + 977 * round));
+            thread::sleep(Duration::from_micros(2_000 + 977 * (round % 80)));
             for child in &mut children {
                 child.kill().unwrap();
                 child.wait().unwrap();
@@ -532,6 +665,7 @@ fn killed_writers_leave_a_whole_artifact_at_every_moment() {
     // Nor is that in the way of the next run.
     assert!(write_once("", dir.path(), "out", 0.25).status.success());
     assert_eq!(whole(&out), 0.25);
+    assert_eq!(names(dir.path()), ["out"]);
 }
 
 #[test]

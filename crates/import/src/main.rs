@@ -268,6 +268,7 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     let format = format_of(file)?;
     stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
     let reading = open(&mut stage, "file", &file.file, format, &pick)?;
+    begin_picture(&stage, file)?;
     if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
         && file.picture.as_ref().is_none_or(|p| p.exists())
     {
@@ -275,7 +276,7 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     }
     let (map, statement) = surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
     let picture = || draw(map.grid(), map.height_nm(), Scale::HeightNm, &file.file, &statement);
-    put_picture(file, picture)?;
+    put_picture(&stage, file, picture)?;
     let statistics = map.statistics();
     let outcome = json!({
         "reading": statement,
@@ -333,6 +334,7 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         Some(path) => Some(open(&mut stage, "before", path, format, &pick)?),
         None => None,
     };
+    begin_picture(&stage, file)?;
     if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)?
         && file.picture.as_ref().is_none_or(|p| p.exists())
     {
@@ -362,7 +364,7 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     };
     let picture =
         || draw(made.grid(), made.rate_nm_per_s(), Scale::RateNmPerS, &file.file, &statement);
-    put_picture(file, picture)?;
+    put_picture(&stage, file, picture)?;
     let outcome = json!({
         "reading": statement,
         "spot": own,
@@ -588,22 +590,21 @@ fn draw(
 }
 
 /// Writes the picture that was asked for; an older one is replaced with --force.
-fn put_picture(args: &FileArgs, picture: impl Fn() -> String) -> Result<(), Failure> {
+fn put_picture(
+    stage: &Stage,
+    args: &FileArgs,
+    picture: impl Fn() -> String,
+) -> Result<(), Failure> {
     let Some(path) = &args.picture else { return Ok(()) };
-    if path.exists() && !args.output.force {
-        let problem = "exists; give --force to replace it, or another --picture";
-        return Err(Failure::new(format!("{}: {problem}", path.display())));
-    }
+    Ok(stage.write_single_files(&[(path.as_path(), picture().as_bytes())], args.output.force)?)
+}
+
+/// Refuses a picture that may not be written, before the work.
+fn begin_picture(stage: &Stage, args: &FileArgs) -> Result<(), Failure> {
+    let Some(path) = &args.picture else { return Ok(()) };
     if path.starts_with(&args.output.out) {
         let problem = "is in the output; give another --picture";
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
-    if let Some(parent) = path.parent() {
-        let _ = fs::create_dir_all(parent);
-    }
-    let mut beside = path.clone().into_os_string();
-    beside.push(".part");
-    fs::write(&beside, picture())
-        .and_then(|()| fs::rename(&beside, path))
-        .map_err(|e| Failure::new(format!("{}: cannot write: {e}", path.display())))
+    Ok(stage.begin_file("--picture", path, args.output.force)?)
 }

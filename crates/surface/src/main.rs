@@ -1,7 +1,6 @@
 //! `planish-surface`: conditions measured maps and tools, and describes them.
 
 use std::{
-    fs,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -638,16 +637,9 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
         outline: outline.transpose()?,
     };
     let out = &args.out;
-    if out.exists() && !args.force {
-        let problem = "exists; give --force to replace it, or another --out";
-        return Err(Failure::new(format!("{}: {problem}", out.display())));
-    }
-    // A killed run leaves the old file or the new one.
-    let mut beside = out.clone().into_os_string();
-    beside.push(".part");
-    let put = fs::write(&beside, maps_svg(&panels, &settings));
-    put.and_then(|()| fs::rename(&beside, out))
-        .map_err(|e| Failure::new(format!("{}: cannot write: {e}", out.display())))?;
+    stage.begin_file("--out", out, args.force)?;
+    let picture = maps_svg(&panels, &settings);
+    stage.write_single_files(&[(out.as_path(), picture.as_bytes())], args.force)?;
     say(format!("planish-surface: {} map(s) drawn to {}", panels.len(), out.display()));
     Ok(Status::Done)
 }

@@ -150,7 +150,7 @@ fn surface_command(dir: &Path, arguments: &[&str]) -> Output {
 
 fn array(dir: &Path, name: &str) -> ArrayD<f64> {
     let path = dir.join(format!("{name}.npy"));
-    match planish_handoff::npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().0 {
+    match planish_handoff::npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().array {
         ArrayData::F64(a) => a,
         other => panic!("{other:?}"),
     }

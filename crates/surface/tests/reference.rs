@@ -19,7 +19,7 @@ fn mirror() -> Option<PathBuf> {
 
 fn load(dir: &Path, name: &str) -> ndarray::ArrayD<f64> {
     let path = dir.join(format!("{name}.npy"));
-    match npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().0 {
+    match npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().array {
         ArrayData::F64(a) => a,
         other => panic!("{other:?}"),
     }

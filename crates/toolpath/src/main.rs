@@ -1,6 +1,6 @@
 //! `planish-toolpath`: tool paths over a clear aperture.
 
-use std::{fs, io::Write, path::PathBuf, process::ExitCode};
+use std::{io::Write, path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
@@ -526,16 +526,9 @@ fn draw(args: &DrawArgs) -> Result<Status, Failure> {
     let surface: Option<Surface> =
         args.surface.as_ref().map(|dir| stage.read("surface", dir)).transpose()?;
     let out = &args.out;
-    if out.exists() && !args.force {
-        let problem = "exists; give --force to replace it, or another --out";
-        return Err(Failure::new(format!("{}: {problem}", out.display())));
-    }
-    // A killed run leaves the old file or the new one.
-    let mut beside = out.clone().into_os_string();
-    beside.push(".part");
-    let put = fs::write(&beside, svg(&path, surface.as_ref()));
-    put.and_then(|()| fs::rename(&beside, out))
-        .map_err(|e| Failure::new(format!("{}: cannot write: {e}", out.display())))?;
+    stage.begin_file("--out", out, args.force)?;
+    let picture = svg(&path, surface.as_ref());
+    stage.write_single_files(&[(out.as_path(), picture.as_bytes())], args.force)?;
     say(format!("planish-toolpath: {} segments drawn to {}", path.len(), out.display()));
     Ok(Status::Done)
 }

@@ -338,7 +338,7 @@ fn a_picture_is_written_once() {
 }
 
 fn load(path: &Path) -> ArrayD<f64> {
-    match npy::read(path, Dtype::F64).unwrap().0 {
+    match npy::read(path, Dtype::F64).unwrap().array {
         ArrayData::F64(a) => a,
         other => panic!("{other:?}"),
     }

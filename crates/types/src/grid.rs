@@ -80,11 +80,24 @@ impl Axis {
             ));
         }
         let axis = Self { start_mm, step_mm, len };
-        if let Some(i) = (0..len).find(|&i| (mm[i] - axis.at(i)).abs() > UNIFORMITY * step_mm) {
+        if (0..len).any(|i| (mm[i] - axis.at(i)).abs() > UNIFORMITY * step_mm) {
+            // One jump moves every coordinate off the axis from end to end: the odd step tells where.
+            let mut steps: Vec<f64> = mm.windows(2).map(|w| w[1] - w[0]).collect();
+            let odd = |median: f64| {
+                let off = |i: &usize| (mm[*i] - mm[i - 1] - median).abs();
+                (1..len).max_by(|i, j| off(i).total_cmp(&off(j))).unwrap_or(1)
+            };
+            let (_, &mut median, _) = steps.select_nth_unstable_by(len / 2 - 1, f64::total_cmp);
+            let i = odd(median);
             return Err(Invalid::at(
                 name,
                 i,
-                format!("is {} where a uniform axis has {}", mm[i], axis.at(i)),
+                format!(
+                    "is {} after {}, a step of {} mm where the median step is {median} mm",
+                    mm[i],
+                    mm[i - 1],
+                    mm[i] - mm[i - 1]
+                ),
                 "resample the map to a uniform grid",
             ));
         }
@@ -178,7 +191,10 @@ mod tests {
         assert!(message(&[0.0, f64::NAN]).contains("x_mm[1]: is NaN"));
         assert!(message(&[0.0, 1.0, 1.0]).contains("x_mm[2]: is 1 after 1"));
         assert!(message(&[2.0, 1.0]).contains("ascend"));
-        assert!(message(&[0.0, 1.0, 2.5]).contains("x_mm[1]"));
+        // Where it jumps, not where it first departs from the axis from end to end.
+        let jump = message(&[0.0, 1.0, 2.0, 3.0, 4.5, 5.5]);
+        assert!(jump.contains("x_mm[4]: is 4.5 after 3, a step of 1.5 mm"), "{jump}");
+        assert!(jump.contains("the median step is 1 mm"), "{jump}");
         assert!(message(&[-1e308, 1e308]).contains("x_mm[0]: is -1"));
         assert!(message(&[0.0, 1e-300]).contains("has steps of"));
     }
