@@ -53,6 +53,11 @@ test-interop:
 fuzz executions="50000":
     PLANISH_FUZZ_EXECUTIONS={{ executions }} cargo test --locked -p planish-import --test files damaged -- --nocapture
 
+# Kill every stage at every call that writes, let runs race, fill the disk, cut the power: what is lost? (Linux, strace; root for the disks)
+test-faults kills="1000" races="200": build
+    @which strace > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends strace)
+    python3 crates/testkit/tests/faults.py target/release --kills {{ kills }} --races {{ races }}
+
 # Run G-code through the interpreter of LinuxCNC, where `rs274` is installed
 test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode

@@ -58,17 +58,21 @@ pub(crate) struct Staged {
 
 #[derive(Clone, Copy, Debug)]
 enum What {
-    /// An artifact; only a directory with files of its kind is replaced.
-    Directory(&'static Kind),
+    /// An artifact; only a directory with files of its kind is replaced, and only where `replace`.
+    Directory { kind: &'static Kind, replace: bool },
     /// A single file, and whether one that stands there is replaced.
     File { replace: bool },
 }
 
 impl Staged {
     /// An empty directory that is to appear as `place`, which may be a link to a directory.
-    pub(crate) fn directory(place: &Path, kind: &'static Kind) -> Result<Self, HandoffError> {
+    pub(crate) fn directory(
+        place: &Path,
+        kind: &'static Kind,
+        replace: bool,
+    ) -> Result<Self, HandoffError> {
         let create = |sibling: &Path| fs::create_dir(sibling).and_then(|()| File::open(sibling));
-        Self::new(place, What::Directory(kind), create)
+        Self::new(place, What::Directory { kind, replace }, create)
     }
 
     /// An empty file that is to appear as `place`.
@@ -111,15 +115,21 @@ impl Staged {
 
     /// Refuses a place that has been taken since the run began.
     fn check_place(&self) -> Result<(), HandoffError> {
-        match self.what {
-            What::Directory(kind) if self.place.exists() => refuse_foreign_files(&self.place, kind),
-            What::File { replace: false } if fs::symlink_metadata(&self.place).is_ok() => {
-                Err(HandoffError::new(
-                    &self.place,
-                    "exists; give --force to replace it, or another name",
-                ))
+        let taken = match (self.what, fs::symlink_metadata(&self.place).is_ok()) {
+            (_, false) | (What::File { replace: true }, _) => false,
+            (What::File { replace: false }, _) => true,
+            (What::Directory { kind, replace }, _) => {
+                refuse_foreign_files(&self.place, kind)?;
+                let is_empty = fs::read_dir(&self.place).is_ok_and(|mut e| e.next().is_none());
+                !(replace || is_empty)
             }
-            _ => Ok(()),
+        };
+        match taken {
+            true => Err(HandoffError::new(
+                &self.place,
+                "exists, made while this ran; give --force to replace it, or another name",
+            )),
+            false => Ok(()),
         }
     }
 }

@@ -21,7 +21,7 @@
 
 use std::{
     cell::RefCell,
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     fmt::Display,
     fs::{self, File},
     io::{ErrorKind, Write},
@@ -149,9 +149,9 @@ pub struct Stage {
     settings: Value,
     inputs: Vec<InputRecord>,
     lineage: BTreeSet<Ancestor>,
-    /// Directories that this run is to make, and those that are made and not shown yet: they appear
-    /// together.
-    parts: RefCell<BTreeSet<PathBuf>>,
+    /// Directories that this run is to make, each with whether it was there when the run began, and
+    /// those that are made and not shown yet: they appear together.
+    parts: RefCell<BTreeMap<PathBuf, bool>>,
     staged: RefCell<Vec<Staged>>,
     started: Instant,
     progress: ProgressBar,
@@ -370,7 +370,8 @@ impl Stage {
                 Begin::Unchanged(status)
             }
             None => {
-                self.parts.replace(parts.iter().map(|(part, _)| self.directory(part)).collect());
+                let places = parts.iter().map(|(part, _)| self.directory(part));
+                self.parts.replace(places.map(|place| (place.clone(), place.exists())).collect());
                 self.show_progress();
                 Begin::Run
             }
@@ -527,7 +528,8 @@ impl Stage {
         status: &Status,
     ) -> Result<(), HandoffError> {
         let place = self.directory(part);
-        let staged = Staged::directory(&place, kind)?;
+        let was_there = self.parts.borrow().get(&place).copied().unwrap_or(true);
+        let staged = Staged::directory(&place, kind, self.output.force || was_there)?;
         let dir = staged.path();
         let records = artifact::write_arrays(dir, kind, arrays)?;
         for (name, bytes) in beside {

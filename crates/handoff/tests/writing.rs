@@ -384,6 +384,17 @@ fn a_file_that_appears_during_the_work_is_not_lost() {
 }
 
 #[test]
+fn an_output_that_another_run_made_meanwhile_is_replaced_only_by_force() {
+    let dir = tempfile::tempdir().unwrap();
+    let slow = Run::new(dir.path()).setting(2.0).stage().unwrap();
+    assert_eq!(slow.begin(&[""], DwellTime::KIND).unwrap(), Begin::Run);
+    Run::new(dir.path()).run().unwrap();
+    let error = slow.write("", &dwell(2.0), json!({}), &Status::Done).unwrap_err().to_string();
+    assert!(error.contains("out: exists, made while this ran; give --force"), "{error}");
+    assert_eq!((value_in(&dir.path().join("out")), names(dir.path()).len()), (1.0, 2));
+}
+
+#[test]
 fn an_input_is_not_an_output() {
     let dir = tempfile::tempdir().unwrap();
     let before = {
