@@ -20,6 +20,7 @@ use std::{
     io::{self, ErrorKind, Write},
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
 };
 
 use serde::{Deserialize, Serialize};
@@ -214,6 +215,11 @@ pub(crate) fn remove_all_siblings() {
     }
 }
 
+/// Returns unless a signal is ending the process, which then ends by it.
+pub(crate) fn wait_for_signal_under_way() {
+    drop(lock(&SIBLINGS));
+}
+
 /// From now on SIGINT, SIGTERM and SIGHUP end the process as they always do, and its siblings with it.
 #[cfg(unix)]
 pub(crate) fn clean_up_on_signals() {
@@ -224,11 +230,26 @@ pub(crate) fn clean_up_on_signals() {
     std::thread::spawn(move || {
         for signal in &mut signals {
             let _appearing = lock(&APPEARING);
-            remove_all_siblings();
+            // Held to the end: from now on the other threads stage nothing more, nor end the process.
+            let siblings = lock(&SIBLINGS);
+            for sibling in siblings.iter() {
+                // The other threads may still be creating files in it.
+                for _ in 0..MOST_REMOVALS {
+                    remove_sibling(sibling);
+                    if fs::symlink_metadata(sibling).is_err() {
+                        break;
+                    }
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
             let _ = emulate_default_handler(signal);
         }
     });
 }
+
+/// How often a directory is emptied into which another thread is writing.
+#[cfg(unix)]
+const MOST_REMOVALS: usize = 100;
 
 #[cfg(not(unix))]
 pub(crate) fn clean_up_on_signals() {}
@@ -303,7 +324,7 @@ fn temporaries(parent: &Path, end: &str) -> Vec<PathBuf> {
 }
 
 /// Removes the siblings in `parent` whose process is gone: their lock is free.
-fn remove_abandoned(parent: &Path) {
+pub(crate) fn remove_abandoned(parent: &Path) {
     for sibling in temporaries(parent, TEMPORARY) {
         let Ok(file) = File::open(&sibling) else { continue };
         // A journal that its process left is finished first, by the next run: it needs the siblings.

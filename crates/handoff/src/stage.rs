@@ -106,7 +106,9 @@ pub fn run(body: impl FnOnce() -> Result<Status, Failure> + panic::UnwindSafe) -
     panic::set_hook(Box::new(|info| {
         complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
     }));
-    match panic::catch_unwind(body) {
+    let end = panic::catch_unwind(body);
+    publish::wait_for_signal_under_way();
+    match end {
         Ok(Ok(Status::Done)) => ExitCode::SUCCESS,
         Ok(Ok(Status::Negative(reason))) => {
             complain(&format!("verdict: {reason}"));
@@ -403,7 +405,9 @@ impl Stage {
     /// when something there may not be replaced.
     fn state_of(&self, dir: &Path, kind: &Kind) -> Result<Option<Status>, HandoffError> {
         self.refuse_overlap("--out", dir)?;
-        publish::finish_interrupted(&publish::parent_of(dir));
+        let parent = publish::parent_of(dir);
+        publish::finish_interrupted(&parent);
+        publish::remove_abandoned(&parent);
         if !output_exists(dir)? {
             return Ok(None);
         }

@@ -60,7 +60,7 @@ STAGES = [
     Stage("surface", "planish-surface prepare --surface in/surface --level piston --out out/a --force",
           "planish-surface prepare --surface in/surface --level plane --out out/a --force"),
     Stage("surface-psd", "planish-surface psd --surface in/surface --out out/a --force",
-          "planish-surface psd --surface in/surface --detrend none --out out/a --force"),
+          "planish-surface psd --surface in/surface --detrend mean --out out/a --force"),
     Stage("surface-draw", "planish-surface draw --surface in/surface --out out/a.svg --force",
           "planish-surface draw --surface in/surface --section-y-mm 3 --out out/a.svg --force"),
     Stage("toolpath", f"planish-toolpath raster {MAPS} --pitch-mm 2 --step-mm 2 --out out/a --force",
@@ -131,7 +131,7 @@ class Faults:
         if result.returncode not in (0, 1):
             sys.exit(f"{' '.join(command)}: exit {result.returncode}: {result.stderr}")
 
-    def prepare(self):
+    def prepare(self, stages):
         """Inputs, and the old and new result of every stage."""
         base = self.work / "base"
         inputs = base / "in"
@@ -155,7 +155,7 @@ class Faults:
         shutil.copytree(inputs / "path", inputs / "run/tool_path")
         self.base = base
         self.results = {}
-        for stage in STAGES:
+        for stage in stages:
             trees = []
             for number, command in enumerate(stage.commands):
                 where = self.work / "golden" / stage.name / str(number)
@@ -267,7 +267,7 @@ class Faults:
             file.truncate(mebibytes << 20)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
         # commit: no periodic writing in the background; what is on the disk is what was asked for.
-        for command in (["mkfs.ext4", "-q", "-F", image], ["mount", "-o", "loop,commit=600", image, mount]):
+        for command in (["mkfs.ext4", "-q", "-F", "-m", "0", image], ["mount", "-o", "loop,commit=600", image, mount]):
             try:
                 result = subprocess.run(command, **quiet)
             except FileNotFoundError as error:
@@ -325,9 +325,15 @@ class Faults:
             for kind in ("full", "read-only"):
                 filler = mount / "filler"
                 if kind == "full":
-                    room = os.statvfs(mount).f_bavail * os.statvfs(mount).f_frsize
-                    filler.write_bytes(b"x" * max(room - 4096, 0))
-                    os.sync()
+                    room = os.statvfs(mount).f_bfree * os.statvfs(mount).f_frsize
+                    with open(filler, "wb", buffering=0) as file:
+                        os.posix_fallocate(file.fileno(), 0, room - (room >> 8))
+                        try:
+                            while file.write(b"x" * 1024):
+                                pass
+                        except OSError:
+                            pass
+                    subprocess.run(["sync", "-f", mount], check=True)
                 else:
                     filler.unlink()
                     subprocess.run(["mount", "-o", "remount,ro", mount], check=True)
@@ -369,7 +375,7 @@ def main():
     stages = [s for s in STAGES if arguments.only in (None, s.name)]
     with tempfile.TemporaryDirectory(prefix="planish-faults-") as work:
         faults = Faults(arguments.binaries.resolve(), Path(work))
-        faults.prepare()
+        faults.prepare(stages)
         share = lambda total: -(-total // len(stages))
         disks = True
         for stage in stages:
