@@ -68,7 +68,8 @@ impl Default for Settings {
 /// What was reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// `threshold`, `stopped` (another round would raise the RMS) or `iteration-limit`.
+    /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
+    /// not reached), or `rounds-done` where there is no threshold: the rounds are the end asked for.
     pub end: &'static str,
     /// Rounds after the first image.
     pub iterations: usize,
@@ -99,7 +100,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let mut t: Vec<f64> = lifted.iter().map(|b| gamma * b).collect();
     let mut residual = &z - &(removal * gamma);
     let mut rms_nm = vec![rms(&residual)];
-    let mut end = "iteration-limit";
+    let mut end = if settings.threshold_nm > 0.0 { "iteration-limit" } else { "rounds-done" };
     for _ in 0..settings.max_iterations {
         let now = rms_nm[rms_nm.len() - 1];
         if now < settings.threshold_nm {
