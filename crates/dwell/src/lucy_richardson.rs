@@ -54,7 +54,7 @@ use crate::{
     DwellError,
     coarse::{self, CoarseMap, MAX_SIZE},
     dwell_map::Cells,
-    problem::{Model, Problem, Solution, check},
+    problem::{Model, Problem, Solution, check, check_steps},
 };
 
 /// What is solved for.
@@ -141,6 +141,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
     check("tolerance", settings.tolerance, |t| t >= 0.0, "give a number >= 0")?;
+    check_steps(settings.max_iterations)?;
     check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
     let problem = &Problem { tif: &tif, ..*problem };

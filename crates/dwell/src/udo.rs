@@ -31,7 +31,7 @@ use crate::{
     DwellError,
     extension::Extension,
     operator::Operator,
-    problem::{Model, Problem, Solution, check},
+    problem::{Model, Problem, Solution, check, check_steps},
     rifta::refuse_a_tif_larger_than_the_map,
 };
 
@@ -81,6 +81,7 @@ pub struct Report {
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("step", settings.step, |s| s > 0.0 && s <= 1.0, "give a number above 0 and at most 1")?;
     check("threshold", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
+    check_steps(settings.max_iterations)?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::new(problem)?;
     let image = Image::new(&model)?;

@@ -184,8 +184,8 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         Some("no round keeps the limits of the machine".into())
     } else if refined.end == "round-limit" && cli.max_rounds.is_none() {
         Some(format!(
-            "not converged: the rounds still improved when {} of them were done; the best plan is kept, \
-             and --max-rounds allows more, or says that these are enough",
+            "not converged: {} rounds were done before they ceased to improve; the best plan is kept, and \
+             --max-rounds allows more, or says that these are enough",
             refined.iterates.len()
         ))
     } else {

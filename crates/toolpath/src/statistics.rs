@@ -492,6 +492,48 @@ mod tests {
         Surface::new(grid, Array2::zeros((ny, nx))).unwrap()
     }
 
+    /// Rows at the pitch `p`, each one segment from x = 0 to 10, moved by (dx, dy).
+    fn rows(n: usize, p: f64, [dx, dy]: [f64; 2]) -> ToolPath {
+        let ends = |k: usize| if k % 2 == 0 { [0.0, 10.0] } else { [10.0, 0.0] };
+        let points = (0..n).flat_map(|k| ends(k).map(|x| [x + dx, k as f64 * p + dy]));
+        let points: Vec<[f64; 2]> = points.collect();
+        let m = points.len() - 1;
+        ToolPath::through(points, vec![true; m], vec![0; m]).unwrap()
+    }
+
+    #[test]
+    fn the_coverage_of_a_path_beside_the_map_is_that_of_its_farthest_pixel() {
+        let map = surface(41, 21, 0.25);
+        // From 10 and 1e6 mm beside the map; straight beside it and beyond its corners.
+        for away in [10.0, 1e6] {
+            for [dx, dy] in [[away, 0.0], [-away, 0.0], [0.0, away], [away, away], [-away, away]] {
+                let path = rows(6, 1.0, [dx, dy]);
+                let direct = |x: f64, y: f64| {
+                    let of = |w: &[[f64; 2]]| square_of_distance([x, y], &[w[0], w[1]]);
+                    path.point_mm().windows(2).map(of).fold(f64::INFINITY, f64::min).sqrt()
+                };
+                let pixels =
+                    (0..41).flat_map(|c| (0..21).map(move |r| [c, r].map(|i| 0.25 * f64::from(i))));
+                let farthest = pixels.map(|[x, y]| direct(x, y)).fold(0.0, f64::max);
+                let found = statistics(&path, &map).coverage_mm.unwrap();
+                // Squares of 1e6 round to 1e-4.
+                assert!((found - farthest).abs() <= 1e-9 * away, "{found} {farthest}");
+            }
+        }
+    }
+
+    #[test]
+    fn crossings_of_lines_much_denser_than_long_are_counted_in_time() {
+        // 40 000 lines of 10 mm in 40 um, each crossed by one diagonal: all pairs would be 8e8.
+        let n = 40_000;
+        let mut points = rows(n, 1e-6, [0.0; 2]).point_mm().to_vec();
+        let top = (n - 1) as f64 * 1e-6;
+        points.extend([[12.0, top + 1.0], [12.0, -1.0], [5.0, -1.0], [5.0, top + 1.0]]);
+        let m = points.len() - 1;
+        let path = ToolPath::through(points, vec![true; m], vec![0; m]).unwrap();
+        assert_eq!(crossings(&path), n);
+    }
+
     #[test]
     fn a_path_counted_by_hand() {
         // Two lines of 3 mm, 2 mm apart, a lift of sqrt(4 + 9) mm between them.

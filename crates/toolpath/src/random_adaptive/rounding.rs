@@ -249,11 +249,12 @@ mod tests {
             .map(|(s, c)| [10.0 * c, 10.0 * s])
             .collect();
         let mut loops = [circle.clone()];
-        assert_eq!(divide(&mut loops, 1.0, &|_| 10.0), 0);
+        assert_eq!(divide(&mut loops, 1.0, &|_| 10.0, 1000), Some(0));
         // 62.83 mm in 63 steps.
         assert_eq!(loops[0].len(), 63);
         let mut loops = [circle];
-        divide(&mut loops, 100.0, &|_| 1.0);
+        assert_eq!(divide(&mut loops, 100.0, &|_| 1.0, 1), None);
+        divide(&mut loops, 100.0, &|_| 1.0, 1000).unwrap();
         assert_eq!(loops[0].len(), 32);
     }
 
@@ -268,7 +269,7 @@ mod tests {
         };
         let path: Vec<Point> = half(20.0, 1.0).chain(half(0.0, -1.0)).collect();
         let mut loops = [path];
-        assert_eq!(divide(&mut loops, 5.0, &|_| 10.0), 0);
+        assert_eq!(divide(&mut loops, 5.0, &|_| 10.0, 1000), Some(0));
         let (nodes, n) = (&loops[0], loops[0].len());
         // 42 mm in steps of 5, and 360 degrees in steps of at most 90.
         assert!((9..=14).contains(&n), "{n}");
