@@ -5,6 +5,8 @@
 //! time limit; with exit code 2 it says why in one message and has written nothing; with 0 or 1 no
 //! outcome holds `null`, which is what JSON makes of NaN and infinity.
 
+#![allow(dead_code)] // Not every program has a flag of every kind.
+
 use std::{
     fs,
     path::Path,
