@@ -13,7 +13,10 @@ use planish_bspline_feed::{
 use planish_handoff::{
     Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
 };
-use planish_types::{Surface, Tif, ToolPath, Trajectory};
+use planish_types::{
+    Surface, Tif, ToolPath, Trajectory,
+    plausible::{self, Rms},
+};
 use serde_json::json;
 
 const EXAMPLES: &str = "Examples:\n\
@@ -136,20 +139,34 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         return Ok(status);
     }
 
+    plausible::check_path(&surface, &tif, &path)?;
     let plan = plan(&surface, &tif, &path, &machine, &settings)?;
 
     let r = &plan.report;
-    let status = if r.converged {
-        Status::Done
-    } else {
-        Status::Negative(format!(
+    let total_time_s = plan.trajectory.total_time_s();
+    let drawback = match (r.model_rms_nm, r.model_rms_detilted_nm) {
+        (Some(rms_nm), Some(detilted_nm)) => {
+            plausible::drawback(Rms::of(&surface), Rms { rms_nm, detilted_nm }, total_time_s)
+        }
+        _ => plausible::too_long(total_time_s),
+    };
+    let unfinished = match r.end {
+        "sweep-limit" => Some(format!(
             "not converged: after {} sweeps the objective still falls by more than {} of itself; \
              raise --max-sweeps or --tolerance",
             r.sweeps, cli.tolerance
-        ))
+        )),
+        "link-limit" => Some(
+            "not converged: what the turn-arounds remove still changes from round to round; give the \
+             path more overscan, so that they lie off the part"
+                .to_string(),
+        ),
+        _ => None,
     };
+    let status = unfinished.or(drawback).map_or(Status::Done, Status::Negative);
     let outcome = json!({
-        "total_time_s": plan.trajectory.total_time_s(),
+        "end": r.end,
+        "total_time_s": total_time_s,
         "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
         "report": r,
     });

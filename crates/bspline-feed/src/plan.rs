@@ -12,8 +12,8 @@
 //! finer spline cannot remove more (a TIF does not see what is narrower than itself).
 
 use ndarray::Array2;
-use planish_numerics::bspline::Knots;
-use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
+use planish_numerics::{arc_feed, bspline::Knots};
+use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget, plausible::Rms};
 use serde::Serialize;
 
 use crate::{
@@ -118,12 +118,18 @@ pub struct Report {
     pub piston_nm: f64,
     /// Gauss-Seidel sweeps of all rounds.
     pub sweeps: usize,
-    /// Whether the last one lowered the objective by less than the tolerance.
-    pub converged: bool,
+    /// How it ended: `converged` (the last sweep lowered the objective by less than the tolerance),
+    /// `sweep-limit`, `link-limit` (what the links remove still changes), or `direct` for the VRR feed,
+    /// which is not iterated.
+    pub end: &'static str,
     /// Objective at the start and after every sweep of the last round, nm^2.
     pub objective_nm2: Vec<f64>,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm; absent for VRR.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub model_rms_nm: Option<f64>,
+    /// The same, plane removed, nm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model_rms_detilted_nm: Option<f64>,
     /// Largest acceleration along a pass over its limit, from the splines.
     pub acceleration_use: f64,
     /// Largest feed over its limit, from the splines.
@@ -163,14 +169,18 @@ pub fn plan(
 ) -> Result<Plan, FeedError> {
     check(settings)?;
     let passes = passes(path, surface, limits)?;
-    let spacing = settings.knot_spacing_mm.unwrap_or_else(|| 0.25 * width_mm(tif));
-    let knots: Vec<Knots> = passes
-        .iter()
-        .map(|p| Knots::uniform(p.length_mm(), (p.length_mm() / spacing).ceil().max(1.0) as usize))
-        .collect();
+    let width_mm = width_mm(tif);
+    let spacing = settings.knot_spacing_mm.unwrap_or(0.25 * width_mm);
+    check_knots(&passes, spacing, width_mm)?;
+    let knots: Vec<Knots> =
+        passes.iter().map(|p| Knots::uniform(p.length_mm(), spans(p, spacing) as usize)).collect();
+    let measured = vrr::pitches_mm(&passes, tif);
     let pitches = match settings.pitch_mm {
-        Some(p) => vec![p; passes.len()],
-        None => vrr::pitches_mm(&passes, tif),
+        Some(p) => {
+            check_pitch(p, &measured)?;
+            vec![p; passes.len()]
+        }
+        None => measured,
     };
     let guess = Guess { surface, tif, pitches: &pitches, piston: settings.piston };
     let run =
@@ -182,7 +192,7 @@ pub fn plan(
             let motion = run(&d)?;
             let link_removal_nm = largest(&motion.link_removal_nm(tif, surface), surface);
             let state = None;
-            Solved { d, motion, link_removal_nm, piston_nm, sweeps: 0, state }
+            Solved { d, motion, link_removal_nm, piston_nm, sweeps: 0, settled: true, state }
         }
         Method::Deconvolution => {
             let problem = Problem::new(&passes, knots.clone(), tif, surface)?;
@@ -203,7 +213,7 @@ pub fn plan(
                     let link_removal_nm = largest(&now_nm, surface);
                     let (d, piston_nm) = (state.d.clone(), state.piston_nm);
                     let state = Some(state);
-                    break Solved { d, motion, link_removal_nm, piston_nm, sweeps, state };
+                    break Solved { d, motion, link_removal_nm, piston_nm, sweeps, settled, state };
                 }
                 (d, piston_nm, other_nm) = (state.d, state.piston_nm, now_nm);
             }
@@ -221,6 +231,8 @@ struct Solved {
     link_removal_nm: f64,
     piston_nm: f64,
     sweeps: usize,
+    /// Whether what the links remove stands still.
+    settled: bool,
     state: Option<deconvolution::State>,
 }
 
@@ -234,6 +246,11 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
         if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
             return Err(Invalid::whole(name, format!("is {v}"), "give a length in mm above 0"));
         }
+    }
+    let (fit, least) = (settings.fit_tolerance_mm, arc_feed::LEAST_TOLERANCE_MM);
+    if fit < least {
+        let remedy = format!("give at least {least:e} mm: what is smaller is rounding");
+        return Err(Invalid::whole("fit_tolerance_mm", format!("is {fit}"), remedy));
     }
     let weights = [
         ("tikhonov", settings.tikhonov),
@@ -250,6 +267,57 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
     }
     Ok(())
 }
+
+/// Spans of the knots of a pass.
+fn spans(pass: &Pass, spacing_mm: f64) -> f64 {
+    (pass.length_mm() / spacing_mm).ceil().max(1.0)
+}
+
+/// Refuses knots that are far closer than the TIF can see, and more than fit into memory.
+fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), Invalid> {
+    let least = width_mm / MOST_KNOTS_PER_WIDTH;
+    if spacing_mm < least {
+        return Err(Invalid::whole(
+            "knot_spacing_mm",
+            format!("is {spacing_mm} mm, far below the width of the TIF, {width_mm:.6} mm"),
+            format!(
+                "a tool does not see what is narrower than itself: give about {:.6} mm, at least \
+                 {least:.6} mm; or is the TIF in um?",
+                0.25 * width_mm
+            ),
+        ));
+    }
+    // The control values of a pass have a full matrix, and the quadratic program a second one.
+    let squares: f64 = passes.iter().map(|p| (spans(p, spacing_mm) + 3.0).powi(2)).sum();
+    budget::affordable(
+        "knot_spacing_mm",
+        squares,
+        2 * size_of::<f64>(),
+        "give a larger --knot-spacing-mm, and check that path and TIF are both in mm",
+    )?;
+    Ok(())
+}
+
+/// Most knots per width of the TIF; by default there are four.
+const MOST_KNOTS_PER_WIDTH: f64 = 40.0;
+
+/// Refuses a distance of the passes that has nothing to do with that of the path.
+fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
+    let low = measured_mm.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = measured_mm.iter().copied().fold(0.0, f64::max);
+    if pitch_mm * MOST_PITCH_RATIO >= low && pitch_mm <= MOST_PITCH_RATIO * high {
+        return Ok(());
+    }
+    Err(Invalid::whole(
+        "pitch_mm",
+        format!("is {pitch_mm} mm, but the passes of this path are {low:.6} to {high:.6} mm apart"),
+        "give the distance of neighbouring passes in mm, or leave it out",
+    ))
+}
+
+/// Most times that a given pitch may be larger or smaller than those of the path: two rasters on top of
+/// each other are apart by parts of their pitch.
+const MOST_PITCH_RATIO: f64 = 30.0;
 
 fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
     deconvolution::Settings {
@@ -273,7 +341,9 @@ fn width_mm(tif: &Tif) -> f64 {
     let mass = moment(&|_, _| 1.0);
     let (cx, cy) = (moment(&|x, _| x) / mass, moment(&|_, y| y) / mass);
     let r2 = moment(&|x, y| (x - cx).powi(2) + (y - cy).powi(2)) / mass;
-    (8.0 * std::f64::consts::LN_2).sqrt() * (0.5 * r2).sqrt()
+    // Between its samples a TIF is interpolated: of one sample it is no narrower than their distance.
+    let least = grid.x.step_mm().max(grid.y.step_mm());
+    ((8.0 * std::f64::consts::LN_2).sqrt() * (0.5 * r2).sqrt()).max(least)
 }
 
 /// What the VRR feed needs.
@@ -381,6 +451,14 @@ fn rms_nm(residual_nm: &Array2<f64>, surface: &Surface) -> f64 {
     planish_numerics::statistics::statistics(masked.view()).map_or(0.0, |s| s.rms)
 }
 
+/// The residual as a map, measured.
+fn residual(residual_nm: &Array2<f64>, surface: &Surface) -> Option<Rms> {
+    let masked = ndarray::Zip::from(residual_nm)
+        .and(surface.height_nm())
+        .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r });
+    Surface::new(*surface.grid(), masked).ok().map(|s| Rms::of(&s))
+}
+
 fn report(
     passes: &[Pass],
     knots: &[Knots],
@@ -396,6 +474,7 @@ fn report(
         let least = d.iter().copied().fold(f64::INFINITY, f64::min);
         feed_use = feed_use.max(1.0 / (least * pass.max_feed_mm_per_s));
     }
+    let residual = solved.state.as_ref().and_then(|s| residual(&s.residual_nm, surface));
     let inner = |k: &Knots| k.breaks().len() - 2;
     let left = solved.state.as_ref().map_or(knots, |s| &s.kept);
     Report {
@@ -406,9 +485,15 @@ fn report(
         fallbacks: solved.state.as_ref().map_or(0, |s| s.fallbacks),
         piston_nm: solved.piston_nm,
         sweeps: solved.sweeps,
-        converged: solved.state.as_ref().is_none_or(|s| s.converged),
+        end: match &solved.state {
+            None => "direct",
+            Some(state) if !state.converged => "sweep-limit",
+            Some(_) if !solved.settled => "link-limit",
+            Some(_) => "converged",
+        },
         objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
         model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),
+        model_rms_detilted_nm: residual.map(|r| r.detilted_nm),
         acceleration_use,
         feed_use,
         links: solved.motion.links,

@@ -146,7 +146,9 @@ pub struct Report {
     pub end: &'static str,
     /// Largest |t - clip(t - gradient / H_jj)|: by how much a dwell time would still move, s.
     pub kkt_residual_s: f64,
-    /// Bound on how far (1) is above its minimum, relative to it; none when alpha is 0.
+    /// Bound on how far (1) is above its minimum, relative to it; left out when alpha is 0: then
+    /// `kkt_residual_s` alone certifies the result.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_gap: Option<f64>,
     /// beta that was used: the given one, or what the noise level asked for.
     pub smoothness: f64,
@@ -312,12 +314,20 @@ pub fn bounds(path: &ToolPath, settings: &Settings) -> Result<(Vec<f64>, Vec<f64
             .collect())
     };
     let lo = of("min_dwell", settings.min_dwell)?;
+    if let Some(j) = lo.iter().position(|t| *t > LONGEST_FLOOR_S) {
+        let problem = format!("is {} s", lo[j]);
+        let remedy = format!("a least dwell time is at most {LONGEST_FLOOR_S:e} s; give seconds");
+        return Err(Invalid::at("min_dwell", j, problem, remedy));
+    }
     let hi = match settings.max_dwell {
         Some(bound) => of("max_dwell", bound)?,
         None => vec![f64::INFINITY; path.len()],
     };
     Ok((lo, hi))
 }
+
+/// Longest least dwell time of one point, s: four months are a mistake in the units.
+const LONGEST_FLOOR_S: f64 = 1e7;
 
 /// B.
 enum Columns {

@@ -3,16 +3,20 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use ndarray::Array2;
 use planish_dwell::{
     DwellError, bcls,
-    bounded_least_squares::Bound,
+    bounded_least_squares::{self, Bound},
     columns::Columns,
     lucy_richardson, non_negative_least_squares,
     problem::{Outcome, Problem, Solution},
     rifta, tikhonov_lsqr, truncated_svd, udo,
 };
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, stage::say};
-use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath};
+use planish_types::{
+    DwellTime, Limits, Surface, Tif, ToolPath,
+    plausible::{self, Rms},
+};
 use serde::Serialize;
 use serde_json::json;
 
@@ -94,9 +98,10 @@ pub struct LucyRichardson {
     /// End when ten steps lower the RMS by less than this part
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().tolerance)]
     tolerance: f64,
-    /// Most steps
-    #[arg(long, value_name = "N", default_value_t = lucy_richardson::Settings::default().max_iterations)]
-    max_iterations: usize,
+    /// Most steps; where a number is given, to stop there is what is wanted [default: 300, and a negative
+    /// verdict where they do not settle]
+    #[arg(long, value_name = "N")]
+    max_iterations: Option<usize>,
     /// Start every step from a point extrapolated along the last two: fewer steps
     #[arg(long)]
     accelerated: bool,
@@ -239,7 +244,7 @@ struct Nouns {
     desired: Surface,
     tif: Tif,
     path: ToolPath,
-    weight: Option<ndarray::Array2<f64>>,
+    weight: Option<Array2<f64>>,
 }
 
 impl Given {
@@ -260,15 +265,24 @@ impl Given {
     }
 }
 
-/// Reads, solves, writes, and prints one line; `ended` says of a report why the verdict is
-/// negative, if it is, and what else there is to say.
+/// What a report says of its end.
+struct Ended {
+    /// The word for it.
+    end: &'static str,
+    /// Why the verdict is negative, if it is.
+    negative: Option<String>,
+    /// What else there is to say.
+    words: String,
+}
+
+/// Reads, solves, writes, and prints one line.
 fn solve<S: Serialize, R: Serialize>(
     method: &'static str,
     given: &Given,
     least: &LeastDwell,
     settings: S,
     solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
-    ended: impl FnOnce(&R) -> (Option<String>, String),
+    ended: impl FnOnce(&R) -> Ended,
 ) -> Result<Status, Failure> {
     let mut stage = given.stage(method);
     let resolved =
@@ -286,11 +300,16 @@ fn solve<S: Serialize, R: Serialize>(
         columns: resolved.columns,
         min_dwell: resolved.min_dwell,
     };
+    plausible::check_path(&nouns.desired, &nouns.tif, &nouns.path)?;
     let solution = solver(&problem, &resolved.solver)?;
-    let (negative, words) = ended(&solution.report);
-    let status = negative.map_or(Status::Done, Status::Negative);
+    let Ended { end, negative, words } = ended(&solution.report);
     let Solution { dwell, outcome, report } = &solution;
-    stage.write("", dwell, json!({ "report": Reported { outcome, report } }), &status)?;
+    let after = Rms { rms_nm: outcome.model_rms_nm, detilted_nm: outcome.model_rms_detilted_nm };
+    let before = before(&nouns.desired, nouns.weight.as_ref());
+    let negative = negative.or_else(|| plausible::drawback(before, after, outcome.total_time_s));
+    let status = negative.map_or(Status::Done, Status::Negative);
+    let written = json!({ "end": end, "report": Reported { outcome, report } });
+    stage.write("", dwell, written, &status)?;
     let unreached = match outcome.unreached_pixels {
         0 => String::new(),
         n => format!("; {n} valid pixels out of reach"),
@@ -308,6 +327,36 @@ fn solve<S: Serialize, R: Serialize>(
     Ok(status)
 }
 
+/// The map before the plan, where it counts.
+pub fn before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
+    let Some(weight) = weight else { return Rms::of(desired) };
+    let mut height = desired.height_nm().clone();
+    // Whether the shapes agree is for the solver to say.
+    height.iter_mut().zip(weight).filter(|(_, w)| **w == 0.0).for_each(|(z, _)| *z = f64::NAN);
+    let counted = Surface::new(*desired.grid(), height);
+    counted.map_or_else(|_| Rms::of(desired), |surface| Rms::of(&surface))
+}
+
+/// The verdict on bounded least squares: without its certificate a result is not known to be the best.
+pub fn bounded_status(r: &bounded_least_squares::Report, before: Rms) -> Status {
+    let after = Rms { rms_nm: r.model_rms_nm, detilted_nm: r.model_rms_detilted_nm };
+    let gap = r.relative_gap.map_or_else(String::new, |gap| {
+        format!(", and the objective may be {:.1e} of itself above its minimum", gap)
+    });
+    let unproven = format!(
+        "after {} iterations a dwell time would still move by {:.1e} s{gap}; raise --tikhonov or --smoothness",
+        r.iterations, r.kkt_residual_s
+    );
+    let negative = match r.end {
+        "optimal" => plausible::drawback(before, after, r.total_time_s),
+        "stagnated" => {
+            Some(format!("not proven optimal, the steps change nothing any more: {unproven}"))
+        }
+        _ => Some(format!("not converged: {unproven}")),
+    };
+    negative.map_or(Status::Done, Status::Negative)
+}
+
 pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
     let settings = lucy_richardson::Settings {
         unknowns: match cli.unknowns {
@@ -318,7 +367,10 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
         margin: cli.margin,
         pits: cli.pits,
         tolerance: cli.tolerance,
-        max_iterations: cli.max_iterations,
+        max_iterations: cli
+            .max_iterations
+            .unwrap_or(lucy_richardson::Settings::default().max_iterations),
+        stop_at_max: cli.max_iterations.is_some(),
         accelerated: cli.accelerated,
         pixels_per_cell: cli.pixels_per_cell,
     };
@@ -332,7 +384,18 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
             1 => String::new(),
             k => format!(" on cells of {k} x {k} pixels"),
         };
-        (None, format!("{} after {} steps{cells}{clipped}", r.end, r.iterations))
+        let negative = (r.end == "iteration-limit").then(|| {
+            format!(
+                "not settled: after {} steps ten more still lower the RMS by more than {} of it; give \
+                 --accelerated, a larger --tolerance, or --max-iterations to stop there on purpose",
+                r.iterations, cli.tolerance
+            )
+        });
+        Ended {
+            end: r.end,
+            negative,
+            words: format!("{} after {} steps{cells}{clipped}", r.end, r.iterations),
+        }
     })
 }
 
@@ -343,11 +406,15 @@ pub fn rifta(cli: &Rifta) -> Result<Status, Failure> {
         ..rifta::Settings::default()
     };
     solve("rifta", &cli.given, &cli.least, settings, rifta::solve, |r| {
+        let negative = (r.end == "lift-limit").then(|| {
+            "not settled: every lift of the map that is allowed was taken, and another would lower the RMS"
+                .to_string()
+        });
         let words = format!(
             "gain capped at {:.1}, margin {:.2} mm, {:.4} nm RMS before the path",
             r.relative_gamma, r.margin_mm, r.map_rms_nm
         );
-        (None, words)
+        Ended { end: r.end, negative, words }
     })
 }
 
@@ -362,7 +429,12 @@ pub fn udo(cli: &Udo) -> Result<Status, Failure> {
         max_iterations: cli.max_iterations,
     };
     solve("udo", &cli.given, &cli.least, settings, udo::solve, |r| {
-        (None, format!("{} after {} rounds", r.end, r.iterations))
+        let last = r.rms_nm[r.rms_nm.len() - 1];
+        let negative = (r.end == "iteration-limit" || r.end == "stopped" && cli.threshold_nm > 0.0)
+            .then(|| {
+                format!("the threshold of {} nm is not reached: {last:.4} nm RMS", cli.threshold_nm)
+            });
+        Ended { end: r.end, negative, words: format!("{} after {} rounds", r.end, r.iterations) }
     })
 }
 
@@ -390,7 +462,7 @@ pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
             "damping {:.2e}, {} after {} steps, level {:.4} s, {} clipped",
             r.relative_damping, r.end, r.iterations, r.level_s, r.clipped
         );
-        (negative, words)
+        Ended { end: r.end, negative, words }
     })
 }
 
@@ -408,7 +480,7 @@ pub fn truncated_svd(cli: &TruncatedSvd) -> Result<Status, Failure> {
             "rank {}, {} after {} steps, level {:.4} s, {} clipped",
             r.rank, r.end, r.steps, r.level_s, r.clipped
         );
-        (negative, words)
+        Ended { end: r.end, negative, words }
     })
 }
 
@@ -423,7 +495,7 @@ pub fn non_negative_least_squares(cli: &NonNegativeLeastSquares) -> Result<Statu
         let negative = (r.end != "optimal")
             .then(|| format!("not converged after {} changes: {moves}", r.iterations));
         let words = format!("{} after {} changes, {moves}", r.end, r.iterations);
-        (negative, words)
+        Ended { end: r.end, negative, words }
     })
 }
 
@@ -440,18 +512,12 @@ pub fn bcls(cli: &Bcls) -> Result<Status, Failure> {
     if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
         return Ok(status);
     }
+    plausible::check_path(&desired, &tif, &path)?;
     let found = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)?;
     let (r, bounds) = (&found.solution.report, &found.report);
-    let status = if r.end == "iteration-limit" {
-        Status::Negative(format!(
-            "not converged: after {} iterations a dwell time would still move by {:.1e} s",
-            r.iterations, r.kkt_residual_s
-        ))
-    } else {
-        Status::Done
-    };
+    let status = bounded_status(r, before(&desired, weight.as_ref()));
     let dwell = &found.solution.dwell;
-    stage.write("", dwell, json!({ "report": r, "bounds": bounds }), &status)?;
+    stage.write("", dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
     say(format!(
         "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \
          limit {:.4} mm, {} of the segments are shorter, feeds up to {:.2} mm/s; {} at the least dwell \

@@ -54,7 +54,7 @@ use crate::{
     DwellError,
     coarse::{self, CoarseMap, MAX_SIZE},
     dwell_map::Cells,
-    problem::{Model, Problem, Solution, check},
+    problem::{Model, Problem, Solution, check, check_steps},
 };
 
 /// What is solved for.
@@ -82,6 +82,9 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most steps.
     pub max_iterations: usize,
+    /// Whether their number is the end that is wanted: the more steps, the more noise is fitted, so that
+    /// to stop after some is a choice, not a failure.
+    pub stop_at_max: bool,
     /// Whether steps start from extrapolated points, (3).
     pub accelerated: bool,
     /// The side of the squares of pixels that a map of dwell times is solved on, from 1 to 64;
@@ -98,6 +101,7 @@ impl Default for Settings {
             pits: 1e-3,
             tolerance: 1e-3,
             max_iterations: 300,
+            stop_at_max: false,
             accelerated: false,
             pixels_per_cell: None,
         }
@@ -107,7 +111,8 @@ impl Default for Settings {
 /// What was reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// `settled` (the RMS changes no more) or `iteration-limit`.
+    /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
+    /// was to end the steps.
     pub end: &'static str,
     /// Steps.
     pub iterations: usize,
@@ -136,6 +141,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
     check("tolerance", settings.tolerance, |t| t >= 0.0, "give a number >= 0")?;
+    check_steps(settings.max_iterations)?;
     check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
     let problem = &Problem { tif: &tif, ..*problem };
@@ -332,7 +338,8 @@ fn iterate(
     let count = active.iter().filter(|a| **a).count();
     let floor = 1e-9 * e.iter().copied().fold(0.0, f64::max);
     let (mut log_likelihood, mut rms_nm) = (Vec::new(), Vec::new());
-    let mut end = "iteration-limit";
+    let wanted = settings.stop_at_max || settings.tolerance == 0.0;
+    let mut end = if wanted { "steps-done" } else { "iteration-limit" };
     let mut iterations = 0;
     // x_k and g_k of (3)
     let mut extrapolated: Option<(Vec<f64>, Vec<f64>)> = None;

@@ -10,7 +10,7 @@ use planish_dwell::{
     columns::Columns,
 };
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
-use planish_types::{DwellTime, Surface, Tif, ToolPath};
+use planish_types::{DwellTime, Surface, Tif, ToolPath, plausible};
 use serde_json::json;
 
 const EXAMPLES: &str = "Examples:\n\
@@ -174,6 +174,7 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         return Ok(status);
     }
 
+    plausible::check_path(&surface, &tif, &path)?;
     let (lo, hi) = bounded_least_squares::bounds(&path, &settings)?;
     let program = Program {
         places: &settings.columns.places(&path),
@@ -191,15 +192,8 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
     )?;
 
     let r = &solution.report;
-    let status = if r.end == "iteration-limit" {
-        Status::Negative(format!(
-            "not converged: after {} iterations a dwell time would still move by {:.1e} s",
-            r.iterations, r.kkt_residual_s
-        ))
-    } else {
-        Status::Done
-    };
-    stage.write("", &solution.dwell, json!({ "report": r }), &status)?;
+    let status = flags::bounded_status(r, flags::before(&surface, weight.as_ref()));
+    stage.write("", &solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
     say(format!(
         "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \
          iterations, KKT residual {:.1e} s; {} at the lower bound, {} out of reach -> {}",

@@ -101,6 +101,18 @@ pub(crate) struct Model<'a> {
     pub shape: Vec<f64>,
 }
 
+/// Most steps of the solvers that end after a number of them; no plan needs a thousandth of it.
+const MOST_STEPS: usize = 1_000_000;
+
+/// Refuses a number of steps that no machine would do.
+pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
+    if steps <= MOST_STEPS {
+        return Ok(());
+    }
+    let remedy = format!("give at most {MOST_STEPS}");
+    Err(Invalid::whole("max_iterations", format!("is {steps}"), remedy))
+}
+
 /// Rows of the map that one thread takes at a time.
 const BAND: usize = 16;
 

@@ -63,6 +63,9 @@ impl Default for Settings {
 /// What was reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
+    /// How the lifts of the map ended: `settled` (another one would not lower the RMS, or hardly), or
+    /// `lift-limit`.
+    pub end: &'static str,
     /// Cap of the gain, times the sum of R over the pixels (1: the gain for a constant).
     pub relative_gamma: f64,
     /// Lift of the map, nm.
@@ -88,6 +91,15 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::for_map(problem)?;
     let fourier = Fourier::new(&model, settings.pits)?;
+    if !(fourier.map.rate_sum > 0.0 && fourier.map.rate_sum.is_finite()) {
+        let (nx, ny) = (problem.tif.grid().x.len(), problem.tif.grid().y.len());
+        return Err(Invalid::whole(
+            "rate_nm_per_s",
+            format!("of {nx} x {ny} samples has no sum on the pixels of the map"),
+            "check that the TIF and the map are both in mm, and bin the finer one",
+        )
+        .into());
+    }
     // Reference: the margin of the TIF; then smaller ones, from a third of it.
     let reference = fourier.solve(fourier.radius_mm, settings);
     let mut tried = vec![reference];
@@ -104,6 +116,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let best = if smaller { last } else { first };
     let t = fourier.cells.to_path(&best.seconds, problem.path.len());
     let report = Report {
+        end: if best.settled { "settled" } else { "lift-limit" },
         relative_gamma: best.gamma * fourier.map.rate_sum,
         piston_nm: best.piston_nm,
         margin_mm: best.margin_mm,
@@ -158,6 +171,8 @@ struct Found {
     margin_mm: f64,
     rms_nm: f64,
     time_s: f64,
+    /// Whether the lifts ended before their limit.
+    settled: bool,
 }
 
 impl<'a> Fourier<'a> {
@@ -220,21 +235,25 @@ impl<'a> Fourier<'a> {
         let gamma = self.gamma(margin_mm);
         let mut piston_nm = 0.0;
         let (mut seconds, mut residual, mut rms) = self.apply(piston_nm, gamma, margin_mm);
+        let mut settled = false;
         for _ in 0..settings.max_lifts {
             // Lift by the largest excess of the removal.
             let excess = (-self.model.lowest(&residual, settings.pits)).max(0.0);
             let before = rms;
             let next = self.apply(excess, gamma, margin_mm);
             if next.2 > before {
+                settled = true;
                 break;
             }
             piston_nm = excess;
             (seconds, residual, rms) = next;
             if before - rms < settings.piston_tolerance_nm {
+                settled = true;
                 break;
             }
         }
-        Found { time_s: seconds.sum(), seconds, gamma, piston_nm, margin_mm, rms_nm: rms }
+        let time_s = seconds.sum();
+        Found { time_s, seconds, gamma, piston_nm, margin_mm, rms_nm: rms, settled }
     }
 
     /// The cap with the least RMS: a scan over three decades, then the golden section.

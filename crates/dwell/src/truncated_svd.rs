@@ -21,6 +21,7 @@
 
 use ndarray::ArrayView1;
 use planish_numerics::lanczos::{Truncated, truncated};
+use planish_types::{Invalid, budget};
 use serde::Serialize;
 
 use crate::{
@@ -68,7 +69,13 @@ pub struct Report {
 /// Computes (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("cut", settings.cut, |c| c > 0.0 && c < 1.0, "give a number between 0 and 1")?;
+    if settings.max_steps == 0 {
+        return Err(Invalid::whole("max_steps", "is 0", "give at least 1").into());
+    }
     let model = Model::new(problem)?;
+    // Every step keeps a vector of n: as many as fit into memory.
+    let fit = budget::memory_bytes() / (size_of::<f64>() * problem.path.len()) as u64;
+    let max_steps = settings.max_steps.min(usize::try_from(fit).unwrap_or(usize::MAX).max(1));
     let matrix = if problem.path.len() <= MAX_MATRIX_POINTS {
         normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight).ok()
     } else {
@@ -80,7 +87,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     let run = |g: &[f64]| -> Truncated {
         // The eigenvalues of the normal equations are squares.
-        truncated(apply, g, settings.cut.powi(2), settings.tolerance, settings.max_steps)
+        truncated(apply, g, settings.cut.powi(2), settings.tolerance, max_steps)
     };
     let found = run(&model.gradient(problem.desired.height_nm()));
     let level: Vec<f64> = apply(&model.shape).iter().map(|v| -v).collect();

@@ -31,7 +31,7 @@ use crate::{
     DwellError,
     extension::Extension,
     operator::Operator,
-    problem::{Model, Problem, Solution, check},
+    problem::{Model, Problem, Solution, check, check_steps},
     rifta::refuse_a_tif_larger_than_the_map,
 };
 
@@ -68,7 +68,8 @@ impl Default for Settings {
 /// What was reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// `threshold`, `stopped` (another round would raise the RMS) or `iteration-limit`.
+    /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
+    /// not reached), or `rounds-done` where there is no threshold: the rounds are the end asked for.
     pub end: &'static str,
     /// Rounds after the first image.
     pub iterations: usize,
@@ -80,6 +81,7 @@ pub struct Report {
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("step", settings.step, |s| s > 0.0 && s <= 1.0, "give a number above 0 and at most 1")?;
     check("threshold", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
+    check_steps(settings.max_iterations)?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::new(problem)?;
     let image = Image::new(&model)?;
@@ -99,7 +101,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let mut t: Vec<f64> = lifted.iter().map(|b| gamma * b).collect();
     let mut residual = &z - &(removal * gamma);
     let mut rms_nm = vec![rms(&residual)];
-    let mut end = "iteration-limit";
+    let mut end = if settings.threshold_nm > 0.0 { "iteration-limit" } else { "rounds-done" };
     for _ in 0..settings.max_iterations {
         let now = rms_nm[rms_nm.len() - 1];
         if now < settings.threshold_nm {

@@ -39,6 +39,10 @@ pub struct Fit {
 /// Places inside a piece where it is compared with the motion.
 const PLACES: u32 = 15;
 
+/// Smallest tolerance that makes sense, mm: a picometre. Below it pieces would be halved for the
+/// rounding of the lengths of a path.
+pub const LEAST_TOLERANCE_MM: f64 = 1e-9;
+
 /// Most halvings of an interval: the error falls by 16 with each, 3e14 in all, so rounding comes first.
 const MAX_HALVINGS: u32 = 12;
 

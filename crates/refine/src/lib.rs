@@ -47,7 +47,9 @@ use planish_dwell::{
 };
 use planish_schedule::{ScheduleError, constant_acceleration, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
-use planish_types::{DwellTime, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{
+    DwellTime, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, plausible::Rms,
+};
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
 
@@ -132,6 +134,8 @@ pub struct Iterate {
     pub dwell_s: Vec<f64>,
     /// RMS (mean removed) of the executed residual, nm.
     pub rms_nm: f64,
+    /// The same, plane removed, nm.
+    pub detilted_nm: f64,
     /// sqrt(rms^2 + 2 lambda T), nm, with the noise in place of an RMS below it: what the loop
     /// lowers.
     pub merit_nm: f64,
@@ -248,11 +252,12 @@ pub fn refine(
         }
         let predicted = simulation.predict(&motion.trajectory, desired)?;
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
-        let rms_nm = predicted.removal.residual().statistics().rms;
+        let Rms { rms_nm, detilted_nm } = Rms::of(predicted.removal.residual());
         let total_time_s = motion.trajectory.total_time_s();
         let price = 2.0 * solver.time_weight_nm2_per_s * total_time_s;
         let iterate = Iterate {
             rms_nm,
+            detilted_nm,
             merit_nm: (rms_nm.max(known).powi(2) + price).sqrt(),
             total_time_s,
             stretched: motion.stretched.len(),

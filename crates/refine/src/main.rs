@@ -12,7 +12,11 @@ use planish_handoff::{
 };
 use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
-use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{
+    DwellTime, Limits, Surface, Tif, ToolPath, Trajectory,
+    plausible::{self, Rms},
+};
+use serde::Serialize;
 use serde_json::json;
 
 const EXAMPLES: &str = "Examples:\n\
@@ -79,11 +83,12 @@ struct Refine {
     #[arg(long, value_enum, default_value = "pvt")]
     scheduler: SchedulerKind,
     /// Shape of the PVT motion
-    #[arg(long, value_enum, default_value = "monotone")]
+    #[arg(long, value_enum, default_value = "auto")]
     mode: Mode,
-    /// Most rounds
-    #[arg(long, value_name = "N", default_value_t = Settings::default().max_rounds)]
-    max_rounds: usize,
+    /// Most rounds; where a number is given, to stop there is what is wanted [default: 12, and a negative
+    /// verdict where they still improve]
+    #[arg(long, value_name = "N")]
+    max_rounds: Option<usize>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -98,17 +103,20 @@ enum SchedulerKind {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Mode {
+    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps
+    Auto,
     /// Least acceleration energy; may overshoot corners
     Smooth,
     /// Least acceleration energy without reversal inside a segment
     Monotone,
 }
 
-impl From<Mode> for pvt::Mode {
-    fn from(mode: Mode) -> Self {
-        match mode {
-            Mode::Smooth => Self::Smooth,
-            Mode::Monotone => Self::Monotone,
+impl Mode {
+    fn on(self, machine: &Limits) -> pvt::Mode {
+        match self {
+            Self::Auto => pvt::Mode::within(machine),
+            Self::Smooth => pvt::Mode::Smooth,
+            Self::Monotone => pvt::Mode::Monotone,
         }
     }
 }
@@ -123,11 +131,8 @@ fn main() -> ExitCode {
 }
 
 fn body(cli: &Refine) -> Result<Status, Failure> {
-    let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
-    settings.scheduler = match (cli.scheduler, cli.mode) {
-        (SchedulerKind::ConstantAcceleration, _) => Scheduler::ConstantAcceleration,
-        (SchedulerKind::Pvt, mode) => Scheduler::Pvt(mode.into()),
-    };
+    let mut settings = Settings::default();
+    settings.max_rounds = cli.max_rounds.unwrap_or(settings.max_rounds);
     settings.dwell.time_weight_nm2_per_s = cli.time_weight_nm2_per_s;
     settings.dwell.noise_rms_nm = cli.noise_rms_nm;
     if let Some(tau) = cli.min_dwell_s_per_mm {
@@ -142,11 +147,15 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         SchedulerKind::ConstantAcceleration => "constant-acceleration",
     };
     let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), method, &cli.output);
-    stage.settings(settings);
     let surface: Surface = stage.read("surface", &cli.surface)?;
     let tif: Tif = stage.read("tif", &cli.tif)?;
     let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
     let machine = stage.read_machine(&cli.machine)?;
+    settings.scheduler = match cli.scheduler {
+        SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
+        SchedulerKind::Pvt => Scheduler::Pvt(cli.mode.on(&machine)),
+    };
+    stage.settings(Resolved { settings, stop_at_max_rounds: cli.max_rounds.is_some() });
     let first: Option<DwellTime> =
         cli.dwell.as_ref().map(|dir| stage.read("dwell", dir)).transpose()?;
     let parts = [
@@ -158,6 +167,7 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         return Ok(status);
     }
 
+    plausible::check_path(&surface, &tif, &path)?;
     let refined = refine(&surface, &tif, &path, &machine, first, &settings)?;
 
     let best = &refined.iterates[refined.best];
@@ -168,11 +178,20 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         "rms_nm": best.rms_nm,
         "total_time_s": best.total_time_s,
     });
-    let status = if best.limits_respected {
-        Status::Done
+    let (before, after) =
+        (Rms::of(&surface), Rms { rms_nm: best.rms_nm, detilted_nm: best.detilted_nm });
+    let negative = if !best.limits_respected {
+        Some("no round keeps the limits of the machine".into())
+    } else if refined.end == "round-limit" && cli.max_rounds.is_none() {
+        Some(format!(
+            "not converged: {} rounds were done before they ceased to improve; the best plan is kept, and \
+             --max-rounds allows more, or says that these are enough",
+            refined.iterates.len()
+        ))
     } else {
-        Status::Negative("no round keeps the limits of the machine".into())
+        plausible::drawback(before, after, best.total_time_s)
     };
+    let status = negative.map_or(Status::Done, Status::Negative);
     stage.write("dwell", &refined.dwell, outcome.clone(), &status)?;
     stage.write("trajectory", &refined.trajectory, outcome.clone(), &status)?;
     let arrays = iterations(&refined.iterates);
@@ -188,8 +207,13 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         ));
     }
     let before = &refined.iterates[0];
+    let mode = match settings.scheduler {
+        Scheduler::Pvt(pvt::Mode::Smooth) => "pvt (smooth)",
+        Scheduler::Pvt(pvt::Mode::Monotone) => "pvt (monotone)",
+        Scheduler::ConstantAcceleration => "constant-acceleration",
+    };
     say(format!(
-        "{} after {} rounds, {} of {} dwell times at a bound: {:.4} nm in {:.2} s before, {:.4} nm \
+        "{mode}: {} after {} rounds, {} of {} dwell times at a bound: {:.4} nm in {:.2} s before, {:.4} nm \
          in {:.2} s after -> {}",
         refined.end,
         refined.iterates.len(),
@@ -202,6 +226,14 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         cli.output.out.display()
     ));
     Ok(status)
+}
+
+/// Every setting, and whether the number of rounds was given.
+#[derive(Serialize)]
+struct Resolved {
+    #[serde(flatten)]
+    settings: Settings,
+    stop_at_max_rounds: bool,
 }
 
 /// The arrays of `kind::ITERATIONS`.

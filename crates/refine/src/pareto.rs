@@ -8,7 +8,7 @@ use planish_handoff::{
     Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, stage::say,
 };
 use planish_refine::{Scheduler, Settings, trade_off};
-use planish_types::{Surface, Tif, ToolPath};
+use planish_types::{Invalid, Surface, Tif, ToolPath, plausible};
 use serde_json::json;
 
 use crate::Mode;
@@ -34,7 +34,7 @@ pub struct Pareto {
     #[arg(long, value_name = "T", default_value_t = 0.02)]
     min_dwell_s_per_mm: f64,
     /// Shape of the PVT motion
-    #[arg(long, value_enum, default_value = "monotone")]
+    #[arg(long, value_enum, default_value = "auto")]
     mode: Mode,
     /// Prices beside that of nothing
     #[arg(long, value_name = "N", default_value_t = 8)]
@@ -46,21 +46,30 @@ pub struct Pareto {
     output: OutputArgs,
 }
 
+/// Most prices: a curve of more points looks the same, and takes days.
+const MOST_PRICES: usize = 1000;
+
 /// The plans, their table and their picture.
 pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
     settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
-    settings.scheduler = Scheduler::Pvt(cli.mode.into());
     let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pareto", &cli.output);
-    stage.settings(json!({ "prices": cli.prices, "refine": settings }));
     let surface: Surface = stage.read("surface", &cli.surface)?;
     let tif: Tif = stage.read("tif", &cli.tif)?;
     let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
     let machine = stage.read_machine(&cli.machine)?;
+    settings.scheduler = Scheduler::Pvt(cli.mode.on(&machine));
+    stage.settings(json!({ "prices": cli.prices, "refine": settings }));
     if let Begin::Unchanged(status) = stage.begin(&[""], &kind::ITERATIONS)? {
         return Ok(status);
     }
 
+    plausible::check_path(&surface, &tif, &path)?;
+    if cli.prices > MOST_PRICES {
+        let problem = format!("is {}", cli.prices);
+        let remedy = format!("give at most {MOST_PRICES}: every price is a refinement");
+        return Err(Invalid::whole("prices", problem, remedy).into());
+    }
     let prices = trade_off::prices(&surface, &tif, cli.prices);
     let points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)?;
     let least_time_s = trade_off::least_time_s(&surface, &tif);
@@ -90,7 +99,13 @@ pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
         ArrayData::I64(stretched.into_dyn()),
     ];
     let picture = trade_off::svg(&points, least_time_s).into_bytes();
-    let outcome = json!({ "time_weight_nm2_per_s": prices, "least_time_s": least_time_s });
+    let ends: Vec<&str> = points.iter().map(|p| p.end).collect();
+    let outcome = json!({
+        "end": "all-prices",
+        "ends": ends,
+        "time_weight_nm2_per_s": prices,
+        "least_time_s": least_time_s,
+    });
     let kept = points.iter().all(|p| p.best.limits_respected);
     let status = if kept {
         Status::Done

@@ -25,6 +25,8 @@ pub struct Point {
     pub time_weight_nm2_per_s: f64,
     /// The best round of its refinement.
     pub best: Iterate,
+    /// Why its refinement ended.
+    pub end: &'static str,
 }
 
 /// (1), s.
@@ -67,7 +69,7 @@ pub fn trade_off(
         let mut refined = refine(desired, tif, path, limits, first, &settings)?;
         first = Some(refined.dwell);
         let best = refined.iterates.swap_remove(refined.best);
-        points.push(Point { time_weight_nm2_per_s: price, best });
+        points.push(Point { time_weight_nm2_per_s: price, best, end: refined.end });
     }
     Ok(points)
 }

@@ -38,10 +38,12 @@ pub struct Claim {
     pub velocity: bool,
     /// Whether the largest acceleration is kept on both axes.
     pub acceleration: bool,
-    /// Whether the largest jerk is kept, steps of the acceleration included; `null` when the
+    /// Whether the largest jerk is kept, steps of the acceleration included; left out when the
     /// machine does not limit it.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk: Option<bool>,
     /// The same inside segments only, steps apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk_inside_segments: Option<bool>,
     /// Whether no segment is shorter than the controller accepts.
     pub min_segment: bool,
@@ -121,8 +123,8 @@ impl Claim {
         }
     }
 
-    /// What the user should know besides the numbers; empty when every limit is kept.
-    pub fn remark(&self) -> String {
+    /// What breaks a limit, in words; empty when every limit is kept.
+    pub fn broken(&self) -> Vec<&'static str> {
         let jerk = match self.jerk_inside_segments {
             Some(true) => "the acceleration steps, which no limit on jerk allows",
             _ => "the jerk exceeds its limit",
@@ -135,8 +137,7 @@ impl Claim {
             (jerk, self.jerk.unwrap_or(true)),
             ("segments are shorter than the controller accepts", self.min_segment),
         ];
-        let broken: Vec<&str> = broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect();
-        if broken.is_empty() { String::new() } else { format!("; {}", broken.join(", ")) }
+        broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect()
     }
 }
 
@@ -174,10 +175,10 @@ mod tests {
         assert_eq!(jerk.jerk_inside_segments, Some(true));
         assert_eq!(jerk.max_jerk_mm_per_s3, [12.0, 0.0]);
         assert_eq!(jerk.max_acceleration_step_mm_per_s2, [6.0, 0.0]);
-        assert!(jerk.remark().contains("the acceleration steps"));
+        assert!(jerk.broken()[0].contains("the acceleration steps"));
         let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(11.0), 0.0));
         assert_eq!((jerk.jerk, jerk.jerk_inside_segments), (Some(false), Some(false)));
-        assert!(jerk.remark().contains("the jerk exceeds"));
+        assert_eq!(jerk.broken(), ["the jerk exceeds its limit"]);
     }
 
     #[test]

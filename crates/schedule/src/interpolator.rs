@@ -184,6 +184,11 @@ impl Interpolator {
         Ok(Self { tick_s, tick: 0, start_s, lost_s, pass_idx: -1, before: None })
     }
 
+    /// Duration of everything up to now, s.
+    pub fn duration_s(&self) -> f64 {
+        self.start_s
+    }
+
     /// Takes in one record and gives the references of its ticks to `emit`, in order.
     ///
     /// Refuses a block that does not continue the one before.

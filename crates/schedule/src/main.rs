@@ -15,7 +15,7 @@ use planish_schedule::{
     average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed,
     stop_at_corners, trig_spline,
 };
-use planish_types::{DwellTime, Feed, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Feed, Limits, ToolPath, Trajectory, plausible};
 use serde_json::{Value, json};
 
 const EXAMPLES: &str = "Examples:\n\
@@ -51,7 +51,7 @@ enum Scheduler {
         /// Whether Eq. 16 rests at the start only, or as printed after the first segment too (seed)
         #[arg(long, value_enum)]
         eq_16: Option<Eq16>,
-        /// What the motion shall be like (hermite) [default: smooth]
+        /// What the motion shall be like (hermite) [default: auto]
         #[arg(long, value_enum)]
         mode: Option<Mode>,
         /// Refuse dwell times that the machine cannot follow instead of stretching them (hermite)
@@ -136,6 +136,8 @@ enum Corners {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Mode {
+    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps
+    Auto,
     /// Least acceleration energy; may overshoot corners; keeps a limit on jerk
     Smooth,
     /// Least acceleration energy without reversal inside a segment; its acceleration steps
@@ -190,7 +192,17 @@ impl Scheduler {
         }
     }
 
-    fn method(&self) -> Result<Method, Failure> {
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Pvt { .. } => "pvt",
+            Self::ConstantAcceleration { .. } => "constant-acceleration",
+            Self::TrigSpline { .. } => "trig-spline",
+            Self::AverageVelocity { .. } => "average-velocity",
+            Self::Position { .. } => "position",
+        }
+    }
+
+    fn method(&self, machine: &Limits) -> Result<Method, Failure> {
         Ok(match self {
             Self::Pvt { formulation: Formulation::Hermite, eq_16: Some(_), .. } => {
                 let message = "--eq-16 belongs to --formulation seed: leave it out";
@@ -198,7 +210,8 @@ impl Scheduler {
             }
             Self::Pvt { formulation: Formulation::Hermite, mode, no_stretch, .. } => {
                 let mode = match mode {
-                    None | Some(Mode::Smooth) => pvt::Mode::Smooth,
+                    None | Some(Mode::Auto) => pvt::Mode::within(machine),
+                    Some(Mode::Smooth) => pvt::Mode::Smooth,
                     Some(Mode::Monotone) => pvt::Mode::Monotone,
                 };
                 Method::Pvt(pvt::Settings { mode, stretch: !no_stretch })
@@ -236,14 +249,32 @@ impl Scheduler {
 }
 
 impl Method {
-    fn name(&self) -> &'static str {
+    /// The mode of a PVT motion, which may be one that was not asked for by name.
+    fn mode(&self) -> Option<&'static str> {
         match self {
-            Self::Pvt(_) | Self::PvtSeed(_) => "pvt",
-            Self::ConstantAcceleration | Self::StopAtCorners => "constant-acceleration",
-            Self::TrigSpline(_) => "trig-spline",
-            Self::AverageVelocity => "average-velocity",
-            Self::Position => "position",
+            Self::Pvt(pvt::Settings { mode: pvt::Mode::Smooth, .. }) => Some("smooth"),
+            Self::Pvt(pvt::Settings { mode: pvt::Mode::Monotone, .. }) => Some("monotone"),
+            _ => None,
         }
+    }
+
+    /// The verdict: what the motion claims of itself, and why that is so where it is a matter of the
+    /// method.
+    fn status(&self, claim: &Claim, total_time_s: f64) -> Status {
+        if claim.limits_respected {
+            return plausible::too_long(total_time_s).map_or(Status::Done, Status::Negative);
+        }
+        let why = match self {
+            Self::Position | Self::AverageVelocity => "; it is an ideal that no machine can do",
+            Self::Pvt(pvt::Settings { mode: pvt::Mode::Monotone, .. })
+                if claim.jerk == Some(false) =>
+            {
+                "; --mode smooth keeps a limit on jerk"
+            }
+            _ => "",
+        };
+        let broken = claim.broken().join(", ");
+        Status::Negative(format!("a limit of the machine is exceeded: {broken}{why}"))
     }
 
     fn settings(&self) -> Value {
@@ -340,13 +371,14 @@ impl Method {
 }
 
 fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
-    let (common, method) = (scheduler.common(), scheduler.method()?);
-    let mut stage =
-        Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), method.name(), &common.output);
-    stage.settings(method.settings());
+    let common = scheduler.common();
+    let name = scheduler.name();
+    let mut stage = Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), name, &common.output);
     let path: ToolPath = stage.read("tool-path", &common.tool_path)?;
     let dwell: DwellTime = stage.read("dwell", &common.dwell)?;
     let machine = stage.read_machine(&common.machine)?;
+    let method = scheduler.method(&machine)?;
+    stage.settings(method.settings());
     // A part of the output by its absolute path stands there, not under --out.
     let feed_part = match scheduler {
         Scheduler::TrigSpline { feed: Some(dir), .. } => Some(absolute(dir)?),
@@ -360,6 +392,7 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
 
     let made = method.run(&path, &dwell, &machine)?;
     let claim = Claim::of(&made.trajectory, &machine);
+    let status = method.status(&claim, made.trajectory.total_time_s());
     let outcome = json!({
         "dwell_s": dwell.total_s(),
         "total_time_s": made.trajectory.total_time_s(),
@@ -370,20 +403,21 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         let feed = made.feed.as_ref().ok_or_else(|| {
             Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
         })?;
-        stage.write(part, feed, json!({ "report": made.report }), &Status::Done)?;
+        stage.write(part, feed, json!({ "report": made.report }), &status)?;
     }
-    stage.write("", &made.trajectory, outcome, &Status::Done)?;
+    stage.write("", &made.trajectory, outcome, &status)?;
     say(format!(
-        "{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
-        method.name(),
+        "{}{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
+        name,
+        method.mode().map_or(String::new(), |mode| format!(" ({mode})")),
         made.trajectory.len(),
         made.trajectory.total_time_s(),
         dwell.total_s(),
         made.remark,
-        claim.remark(),
+        claim.broken().iter().map(|b| format!("; {b}")).collect::<String>(),
         common.output.out.display()
     ));
-    Ok(Status::Done)
+    Ok(status)
 }
 
 fn absolute(dir: &Path) -> Result<String, Failure> {

@@ -3,14 +3,14 @@
 use std::{
     ffi::OsStr,
     fs::{self, File},
-    io::{BufRead, BufReader, BufWriter, Seek, SeekFrom, Write},
+    io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 
 use clap::Args;
 use planish_handoff::{Failure, Status, artifact, stage::say};
 use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
-use planish_types::Feed;
+use planish_types::{Feed, budget};
 
 #[derive(Args)]
 pub struct Program {
@@ -70,6 +70,7 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
     let tick = |e| Failure::new(format!("--tick-s: {e}"));
     let mut interpolator = Interpolator::new(arguments.tick_s).map_err(tick)?;
     let table = Table::of(&arguments.out)?;
+    refuse_too_many(arguments, table)?;
     let (mut count, mut end_s) = (0_u64, 0.0);
     replace_file(&arguments.out, arguments.force, |file| {
         let mut to = BufWriter::new(file);
@@ -80,18 +81,7 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
             end_s = r.time_s;
             failed = failed.take().or(table.row(&mut to, &r).err());
         };
-        let mut push = |record: &Record| interpolator.push(record, &mut emit);
-        match (&arguments.program, &arguments.feed) {
-            (Some(program), _) => for_each_record(program, push)?,
-            (None, Some(dir)) => {
-                let feed = read_feed(dir)?;
-                for record in records(&feed) {
-                    let at = |e| Failure::new(format!("{}: {e}", dir.display()));
-                    push(&record).map_err(at)?;
-                }
-            }
-            (None, None) => unreachable!("clap asks for one of them"),
-        }
+        for_each_record(arguments, |record| interpolator.push(record, &mut emit))?;
         interpolator.finish().into_iter().for_each(&mut emit);
         if let Some(e) = failed {
             return Err(e.into());
@@ -109,22 +99,67 @@ fn read_feed(dir: &Path) -> Result<Feed, Failure> {
     Ok(artifact::read::<Feed>(dir)?.value)
 }
 
-/// Reads a program line by line.
+/// Runs the program without writing it: how long it takes decides how large the file becomes.
+fn refuse_too_many(arguments: &Interpolate, table: Table) -> Result<(), Failure> {
+    let mut whole = Interpolator::new(f64::MAX).map_err(Failure::new)?;
+    for_each_record(arguments, |record| whole.push(record, |_| ()))?;
+    let count = whole.duration_s() / arguments.tick_s + 1.0;
+    let remedy = format!(
+        "the file would have {:.3e} positions in {:.3} s at a --tick-s of {}: give a longer one",
+        count,
+        whole.duration_s(),
+        arguments.tick_s
+    );
+    budget::affordable("positions", count, table.bytes_per_row(), &remedy)?;
+    Ok(())
+}
+
+/// The records of the feed or the program, in order.
 fn for_each_record(
+    arguments: &Interpolate,
+    mut push: impl FnMut(&Record) -> Result<(), String>,
+) -> Result<(), Failure> {
+    match (&arguments.program, &arguments.feed) {
+        (Some(program), _) => for_each_line(program, push),
+        (None, Some(dir)) => {
+            let feed = read_feed(dir)?;
+            for record in records(&feed) {
+                push(&record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
+            }
+            Ok(())
+        }
+        (None, None) => unreachable!("clap asks for one of them"),
+    }
+}
+
+/// Longest line of a program, bytes: ten words of 30 digits.
+const LONGEST_LINE: u64 = 1000;
+
+/// Reads a program line by line.
+fn for_each_line(
     path: &Path,
     mut push: impl FnMut(&Record) -> Result<(), String>,
 ) -> Result<(), Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", path.display()));
-    let file = File::open(path).map_err(unreadable)?;
-    for (i, line) in BufReader::new(file).lines().enumerate() {
-        let line = line.map_err(unreadable)?;
-        let parsed = Record::parse(&line).and_then(|record| match record {
-            Some(record) => push(&record),
-            None => Ok(()),
-        });
-        parsed.map_err(|e| {
-            Failure::new(format!("{}: line {}: {e}; write it again", path.display(), i + 1))
+    // It is read twice.
+    if !fs::metadata(path).map_err(unreadable)?.is_file() {
+        return Err(Failure::new(format!("{}: is no file; give a program", path.display())));
+    }
+    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
+    for number in 1_usize.. {
+        let mut line = String::new();
+        if (&mut file).take(LONGEST_LINE).read_line(&mut line).map_err(unreadable)? == 0 {
+            break;
+        }
+        let whole = line.ends_with('\n') || (line.len() as u64) < LONGEST_LINE;
+        let parsed = match whole {
+            true => Record::parse(&line),
+            false => Err(format!("has more than {LONGEST_LINE} characters")),
+        };
+        let pushed = parsed.and_then(|record| record.map_or(Ok(()), |record| push(&record)));
+        pushed.map_err(|e| {
+            Failure::new(format!("{}: line {number}: {e}; write it again", path.display()))
         })?;
     }
     Ok(())
@@ -152,6 +187,14 @@ impl Table {
                 let message = "is neither .csv nor .npy; give a file with one of these endings";
                 Err(Failure::new(format!("--out: {} {message}", path.display())))
             }
+        }
+    }
+
+    /// Bytes of a row: five numbers, or some 16 characters of each.
+    fn bytes_per_row(self) -> usize {
+        match self {
+            Self::Csv => 16 * COLUMNS.len(),
+            Self::Npy => size_of::<f64>() * COLUMNS.len(),
         }
     }
 

@@ -73,6 +73,17 @@ pub enum Mode {
     Monotone,
 }
 
+impl Mode {
+    /// The mode for a machine where none is asked for: monotone, which never leaves the box of a segment;
+    /// where the machine limits jerk, smooth, because the acceleration of monotone motions steps.
+    pub fn within(limits: &Limits) -> Self {
+        match limits.axes.iter().any(|axis| axis.max_jerk_mm_per_s3.is_some()) {
+            true => Self::Smooth,
+            false => Self::Monotone,
+        }
+    }
+}
+
 /// How to schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {

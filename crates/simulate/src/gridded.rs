@@ -51,7 +51,7 @@ use std::{ops::Range, sync::Mutex};
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
 use planish_numerics::fft_pairs::{PairConvolution, is_quick_size, quick_size};
-use planish_types::{Grid, Invalid, Tif, Trajectory};
+use planish_types::{Grid, Invalid, Tif, Trajectory, budget};
 use rayon::prelude::*;
 
 use crate::{
@@ -68,6 +68,10 @@ pub const TIF_TOLERANCE: f64 = 2.5e-5;
 /// Most lattice points to refine to, and most that are accepted at all.
 const MAX_REFINED: usize = 1 << 25;
 const MAX_LATTICE: usize = 1 << 28;
+
+/// Memory of one sample of the TIF on the lattice, with its part of the padded spectrum (measured: some
+/// 60 bytes).
+const BYTES_PER_SAMPLE: usize = 64;
 
 /// What depends on the TIF and the map only: for many trajectories.
 pub struct Plan {
@@ -96,6 +100,10 @@ impl Plan {
             if points > MAX_LATTICE {
                 return Err(too_fine(tif, grid, &x, &y));
             }
+            // The samples of the TIF on the lattice, and their transform.
+            let samples = x.samples() as f64 * y.samples() as f64;
+            let remedy = "check that the TIF and the map are both in mm, or crop and bin the TIF";
+            budget::affordable("rate_nm_per_s", samples, BYTES_PER_SAMPLE, remedy)?;
             let samples = sample_anew(tif, &x, &y);
             let error = interpolation_error(tif, &x, &y, &samples);
             if error <= TIF_TOLERANCE || points > MAX_REFINED / 4 {

@@ -12,7 +12,10 @@ use planish_simulate::{
     frames::{Frames, frames},
     simulate,
 };
-use planish_types::{Removal, Surface, Tif, Trajectory};
+use planish_types::{
+    Removal, Surface, Tif, Trajectory,
+    plausible::{self, Rms},
+};
 use serde_json::json;
 
 const EXAMPLES: &str = "Examples:\n\
@@ -75,6 +78,7 @@ fn main() -> ExitCode {
         if let Begin::Unchanged(status) = stage.begin(&[""], kind)? {
             return Ok(status);
         }
+        plausible::check_tool(&surface, &tif)?;
         if let Some(count) = cli.frames {
             let done = |i| stage.progress(i, count);
             let frames = frames(&trajectory, &tif, &surface, settings, count, done)?;
@@ -85,6 +89,9 @@ fn main() -> ExitCode {
 
         let residual = prediction.removal.residual();
         let (statistics, detilted) = (residual.statistics(), residual.detilted_rms_nm());
+        let (before, after) = (Rms::of(&surface), Rms::of(residual));
+        let status = plausible::drawback(before, after, trajectory.total_time_s())
+            .map_or(Status::Done, Status::Negative);
         let outcome = json!({
             "rms_nm": statistics.rms,
             "rms_detilted_nm": detilted,
@@ -92,7 +99,7 @@ fn main() -> ExitCode {
             "total_time_s": trajectory.total_time_s(),
             "numerics": prediction.numerics,
         });
-        stage.write("", &prediction.removal, outcome, &Status::Done)?;
+        stage.write("", &prediction.removal, outcome, &status)?;
         say(format!(
             "residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
             statistics.rms,
@@ -101,7 +108,7 @@ fn main() -> ExitCode {
             trajectory.total_time_s(),
             cli.output.out.display()
         ));
-        Ok(Status::Done)
+        Ok(status)
     })
 }
 

@@ -9,7 +9,7 @@ use planish_toolpath::{
     RandomAdaptiveSettings, RasterSettings, Scan, SpiralSettings, Tree, Turn, maze, multi_pitch,
     pitch_limit, random_adaptive, raster, spiral, statistics, svg, time_lower_bound_s,
 };
-use planish_types::{Surface, Tif, ToolPath};
+use planish_types::{Surface, Tif, ToolPath, plausible};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -269,6 +269,8 @@ struct DrawArgs {
 struct Outcome {
     #[serde(flatten)]
     statistics: PathStatistics,
+    /// Left out without a TIF.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pitch_limit: Option<PitchLimit>,
     /// What only this method has to say.
     #[serde(flatten)]
@@ -425,7 +427,8 @@ fn multi_pitch_stage(args: MultiPitchArgs) -> Result<Status, Failure> {
     on.pitch_mm = classes[0].pitch_mm;
     let mut warnings = Vec::new();
     for (k, class) in classes.iter().enumerate().skip(1) {
-        let fastest = class.velocity_mm_per_s[0].filter(|v| *v > max_velocity_mm_per_s * 1.001);
+        let fastest = class.least_depth_velocity_mm_per_s;
+        let fastest = fastest.filter(|v| *v > max_velocity_mm_per_s * 1.001);
         if let Some(v) = fastest {
             warnings.push(format!(
                 "class {k} (pitch {:.4} mm) needs up to {v:.4} mm/s, more than \
@@ -467,6 +470,10 @@ impl Region {
         let mut stage = Stage::new("planish-toolpath", version, method, &args.output);
         let surface = stage.read("surface", &args.surface)?;
         let tif: Option<Tif> = args.tif.as_ref().map(|dir| stage.read("tif", dir)).transpose()?;
+        if let Some(tif) = &tif {
+            plausible::check_tool(&surface, tif)?;
+            plausible::check_pitch(tif, args.pitch_mm)?;
+        }
         let half_size_mm = tif.as_ref().map(|t| t.half_size_mm()).map(|[x, y]| x.max(y));
         let overscan_mm = args.overscan_mm.or(half_size_mm).ok_or_else(|| {
             Failure::new("overscan: unknown; give --overscan-mm, or --tif for half its size")

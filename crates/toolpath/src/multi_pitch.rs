@@ -111,8 +111,12 @@ pub struct DepthClass {
     pub edge_nm: [f64; 2],
     /// Distance between the lines, mm.
     pub pitch_mm: f64,
-    /// Feed that removes the least and the largest depth, mm/s; none for the depth 0.
-    pub velocity_mm_per_s: [Option<f64>; 2],
+    /// Feed that removes the least depth, mm/s; left out where that is 0 and any feed removes more.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub least_depth_velocity_mm_per_s: Option<f64>,
+    /// Feed that removes the largest depth, mm/s; left out as the other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub largest_depth_velocity_mm_per_s: Option<f64>,
     /// Area of its regions, mm^2.
     pub area_mm2: f64,
     /// Part of that area where the depth asks for more than the largest feed, mm^2.
@@ -279,7 +283,8 @@ fn classes(depth_nm: &Array2<f64>, vrr: f64, settings: &MultiPitchSettings) -> V
             _ => classes.push(DepthClass {
                 edge_nm: [e[0], e[1]],
                 pitch_mm,
-                velocity_mm_per_s: [None; 2],
+                least_depth_velocity_mm_per_s: None,
+                largest_depth_velocity_mm_per_s: None,
                 area_mm2: 0.0,
                 too_fast_mm2: 0.0,
                 components: 0,
@@ -289,7 +294,9 @@ fn classes(depth_nm: &Array2<f64>, vrr: f64, settings: &MultiPitchSettings) -> V
     for class in &mut classes {
         // v = VRR / (d r)
         let velocity = |r: f64| (r > 0.0).then(|| vrr / (class.pitch_mm * r));
-        class.velocity_mm_per_s = class.edge_nm.map(velocity);
+        let [least, largest] = class.edge_nm.map(velocity);
+        class.least_depth_velocity_mm_per_s = least;
+        class.largest_depth_velocity_mm_per_s = largest;
     }
     classes
 }

@@ -52,7 +52,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::ToolPathError;
+use crate::{MAX_SEGMENTS, ToolPathError, region::check_length};
 use field::Field;
 
 /// Smallest region, in squared pitches: less has no room for a random path.
@@ -158,8 +158,13 @@ pub fn random_adaptive(
     let normal = field.mean_inverse_spacing() * p;
     let mut scale = normal;
     let mut best: Option<(f64, Trial)> = None;
+    let too_many = || ToolPathError::TooManySegments {
+        pitch_mm: p,
+        step_mm: settings.step_mm.unwrap_or(p),
+        extent_mm: field.extent_mm(),
+    };
     for _ in 0..TRIALS {
-        let mut trial = Trial::new(&field, settings, scale);
+        let mut trial = Trial::new(&field, settings, scale).ok_or_else(too_many)?;
         let ratio = trial.effective_pitch_mm(&field) / p;
         trial.pitch_scale = normal * ratio;
         let error = ratio.ln().abs();
@@ -182,15 +187,11 @@ fn check(settings: &RandomAdaptiveSettings) -> Result<(), Invalid> {
     let refuse = |name, value: f64, remedy: &str| {
         Err(Invalid::whole(name, format!("is {value}"), remedy.to_string()))
     };
-    let step = settings.step_mm.unwrap_or(1.0);
-    for (name, value) in [("pitch_mm", settings.pitch_mm), ("step_mm", step)] {
-        if !(value.is_finite() && value > 0.0) {
-            return refuse(name, value, "give a positive length in mm");
-        }
+    check_length("pitch_mm", settings.pitch_mm, false)?;
+    if let Some(step_mm) = settings.step_mm {
+        check_length("step_mm", step_mm, false)?;
     }
-    if !(settings.overscan_mm.is_finite() && settings.overscan_mm >= 0.0) {
-        return refuse("overscan_mm", settings.overscan_mm, "give a length of at least 0 mm");
-    }
+    check_length("overscan_mm", settings.overscan_mm, true)?;
     if !(0.0..=1.0).contains(&settings.contrast) {
         return refuse("contrast", settings.contrast, "give an exponent in 0 ..= 1");
     }
@@ -213,7 +214,8 @@ struct Trial {
 }
 
 impl Trial {
-    fn new(field: &Field, settings: &RandomAdaptiveSettings, scale: f64) -> Self {
+    /// `None` where the steps would be more than [`MAX_SEGMENTS`].
+    fn new(field: &Field, settings: &RandomAdaptiveSettings, scale: f64) -> Option<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
         let made = match settings.construction {
             Construction::MeshTree => mesh_tree::mesh_tree(field, scale, &mut rng),
@@ -227,9 +229,11 @@ impl Trial {
             corners_kept += rounding::blunt(&mut loops);
         }
         let spacing = |p: Point| scale * field.spacing_mm(p);
-        let divide = |step| rounding::divide(&mut loops, step, &spacing);
-        let points_kept = settings.step_mm.map_or(0, divide);
-        Self { loops, pitch_scale: scale, visits, corners_kept, points_kept }
+        let points_kept = match settings.step_mm {
+            Some(step_mm) => rounding::divide(&mut loops, step_mm, &spacing, MAX_SEGMENTS)?,
+            None => 0,
+        };
+        Some(Self { loops, pitch_scale: scale, visits, corners_kept, points_kept })
     }
 
     /// Area over length, within the aperture; of everything when nothing lies within.

@@ -92,8 +92,15 @@ pub(crate) fn join(mut all: Vec<Interval>, bridge_mm: f64) -> Vec<Interval> {
     joined
 }
 
+/// Longest length of a setting, mm: beyond it no path has its points.
+const LONGEST_MM: f64 = 1e7;
+
 /// Refuses what is not a length > 0, or >= 0 where `zero` allows it.
 pub(crate) fn check_length(name: &'static str, mm: f64, zero: bool) -> Result<(), Invalid> {
+    if mm > LONGEST_MM && mm.is_finite() {
+        let remedy = "give mm, at most 1e7: no point of a path may be farther from the origin";
+        return Err(Invalid::whole(name, format!("is {mm}"), remedy));
+    }
     if mm.is_finite() && (mm > 0.0 || zero && mm == 0.0) {
         return Ok(());
     }

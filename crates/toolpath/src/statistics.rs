@@ -78,11 +78,13 @@ pub struct PathStatistics {
     pub largest_turn_deg: f64,
     /// Pairs of segments that meet without being neighbours.
     pub crossings: usize,
-    /// Area of the valid pixels over the length within them, mm; none when no dwell point lies
+    /// Area of the valid pixels over the length within them, mm; left out when no dwell point lies
     /// in a valid pixel.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub effective_pitch_mm: Option<f64>,
-    /// Largest distance of a valid pixel's centre from a segment with the tool on, mm; none
+    /// Largest distance of a valid pixel's centre from a segment with the tool on, mm; left out
     /// without such a segment.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub coverage_mm: Option<f64>,
 }
 
@@ -203,8 +205,15 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let segments: Vec<_> = on.map(|i| [point[i], point[i + 1]]).collect();
     let cells = Cells::new(&segments)?;
     let (x, y) = (surface.grid().x, surface.grid().y);
+    // From a path beside the map an outermost pixel is farthest: what is nearer need not be looked at.
+    let beside = [(x.start_mm(), y.start_mm()), (x.end_mm(), y.end_mm())]
+        .into_iter()
+        .any(|(x, y)| cells.beside([x, y]) > cells.side_mm);
+    let distance_of = |(r, c): (usize, usize)| cells.distance_mm([x.at(c), y.at(r)]);
+    let outermost = if beside { outermost(surface) } else { Vec::new() };
+    let seed = outermost.into_iter().map(distance_of).fold(0.0, f64::max);
     let farthest = |(band, rows): (usize, ArrayView2<f64>)| {
-        let mut worst = 0.0_f64;
+        let mut worst = seed;
         for (r, row) in rows.outer_iter().enumerate() {
             let mut near = 0;
             for (c, _) in row.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
@@ -226,6 +235,19 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
 /// Rows of the map that one thread takes at a time.
 const BAND: usize = 64;
 
+/// The outermost valid pixels in eight directions, as (row, column).
+fn outermost(surface: &Surface) -> Vec<(usize, usize)> {
+    let (grid, map) = (surface.grid(), surface.height_nm());
+    let valid = || map.indexed_iter().filter(|(_, z)| !z.is_nan()).map(|(index, _)| index);
+    let directions = [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [-1.0, 1.0]];
+    let along = |[u, v]: [f64; 2], (r, c): (usize, usize)| u * grid.x.at(c) + v * grid.y.at(r);
+    let ends = directions.into_iter().flat_map(|d| {
+        let order = |a: &(usize, usize), b: &(usize, usize)| along(d, *a).total_cmp(&along(d, *b));
+        [valid().min_by(order), valid().max_by(order)]
+    });
+    ends.flatten().collect()
+}
+
 fn crossings(path: &ToolPath) -> usize {
     let point = path.point_mm();
     let on = (0..path.len()).filter(|i| path.tool_on()[*i] && point[*i] != point[i + 1]);
@@ -244,10 +266,24 @@ fn crossings(path: &ToolPath) -> usize {
     }
     let Some(cells) = Cells::new(&segments) else { return 0 };
     let in_cell = |k: usize| {
-        let members = cells.members(k);
+        // Ascending along the axis across which they are thin: where the boxes of two are apart, so are
+        // those of all that follow, and lines that are much denser than long stay cheap.
+        let mut members = cells.members(k).to_vec();
+        let size = |c: usize| {
+            let of = |i: &u32| (segments[*i as usize][1][c] - segments[*i as usize][0][c]).abs();
+            members.iter().map(of).sum::<f64>()
+        };
+        let across = usize::from(size(1) < size(0));
+        let ends = |i: u32| {
+            let [a, b] = segments[i as usize].map(|p| p[across]);
+            (a.min(b), a.max(b))
+        };
+        members.sort_unstable_by(|a, b| ends(*a).0.total_cmp(&ends(*b).0).then(a.cmp(b)));
         let mut count = 0;
-        for (n, i) in members.iter().map(|i| *i as usize).enumerate() {
-            for j in members[n + 1..].iter().map(|j| *j as usize) {
+        for (n, p) in members.iter().enumerate() {
+            let high = ends(*p).1;
+            for q in members[n + 1..].iter().take_while(|q| ends(**q).0 <= high) {
+                let (i, j) = (*p.min(q) as usize, *p.max(q) as usize);
                 let neighbours = (j == i + 1 && follows(j)) || closes[j] == i;
                 let (a, b) = (&segments[i], &segments[j]);
                 if neighbours || !boxes_overlap(a, b) {
@@ -372,6 +408,15 @@ impl<'a> Cells<'a> {
         [0, 1].map(|a| ((p[a] - self.origin_mm[a]) / self.side_mm).floor() as isize)
     }
 
+    /// Distance of a point from the grid, mm; 0 within it.
+    fn beside(&self, p: [f64; 2]) -> f64 {
+        let away = |a: usize| {
+            let end = self.origin_mm[a] + self.count[a] as f64 * self.side_mm;
+            p[a] - p[a].clamp(self.origin_mm[a], end)
+        };
+        away(0).hypot(away(1))
+    }
+
     fn touched(&self, [a, b]: &[[f64; 2]; 2]) -> impl Iterator<Item = usize> + use<> {
         let (p, q) = (self.cell(*a), self.cell(*b));
         let columns = p[0].min(q[0])..=p[0].max(q[0]);
@@ -382,28 +427,29 @@ impl<'a> Cells<'a> {
 
     /// Distance of a point from the nearest segment, mm.
     fn distance_mm(&self, p: [f64; 2]) -> f64 {
-        let centre = self.cell(p);
+        // Rings of cells outwards from the cell of the grid that is nearest to the point.
         let count = self.count.map(|n| n as isize);
-        // Rings of cells outwards; the first that meets the grid, and the last.
-        let beyond = |a: usize| (-centre[a]).max(centre[a] - count[a] + 1).max(0);
-        let first = beyond(0).max(beyond(1));
+        let own = self.cell(p);
+        let centre = [0, 1].map(|a| own[a].clamp(0, count[a] - 1));
+        // The nearest point q of the grid: |p - r|^2 >= |p - q|^2 + |q - r|^2 for every r in the grid.
+        let beside = self.beside(p).powi(2);
         let farthest = |a: usize| centre[a].max(count[a] - 1 - centre[a]);
         let last = farthest(0).max(farthest(1));
         let mut best = f64::INFINITY;
-        for ring in first..=last {
-            // What lies in this ring is at least (ring - 1) cells away.
-            if ring > 1 && ((ring - 1) as f64 * self.side_mm).powi(2) > best {
+        for ring in 0..=last {
+            // What lies in this ring is at least (ring - 1) cells away from q.
+            if ring > 1 && beside + ((ring - 1) as f64 * self.side_mm).powi(2) > best {
                 break;
             }
+            let columns = (centre[0] - ring).max(0)..=(centre[0] + ring).min(count[0] - 1);
             for j in (centre[1] - ring).max(0)..=(centre[1] + ring).min(count[1] - 1) {
                 let whole_row = (j - centre[1]).abs() == ring;
                 let stride = if whole_row { 1 } else { 2 * ring };
-                let mut i = centre[0] - ring;
-                while i <= centre[0] + ring {
-                    if (0..count[0]).contains(&i) {
-                        best = best.min(self.nearest_in((j * count[0] + i) as usize, p));
-                    }
-                    i += stride.max(1);
+                // The ends of the row where it is not whole, as far as they are in the grid.
+                let from = if whole_row { *columns.start() } else { centre[0] - ring };
+                let ends = (from..=centre[0] + ring).step_by(stride.max(1) as usize);
+                for i in ends.take_while(|i| i <= columns.end()).filter(|i| *i >= 0) {
+                    best = best.min(self.nearest_in((j * count[0] + i) as usize, p));
                 }
             }
         }
@@ -444,6 +490,48 @@ mod tests {
         let grid =
             Grid { x: Axis::new(0.0, step, nx).unwrap(), y: Axis::new(0.0, step, ny).unwrap() };
         Surface::new(grid, Array2::zeros((ny, nx))).unwrap()
+    }
+
+    /// Rows at the pitch `p`, each one segment from x = 0 to 10, moved by (dx, dy).
+    fn rows(n: usize, p: f64, [dx, dy]: [f64; 2]) -> ToolPath {
+        let ends = |k: usize| if k % 2 == 0 { [0.0, 10.0] } else { [10.0, 0.0] };
+        let points = (0..n).flat_map(|k| ends(k).map(|x| [x + dx, k as f64 * p + dy]));
+        let points: Vec<[f64; 2]> = points.collect();
+        let m = points.len() - 1;
+        ToolPath::through(points, vec![true; m], vec![0; m]).unwrap()
+    }
+
+    #[test]
+    fn the_coverage_of_a_path_beside_the_map_is_that_of_its_farthest_pixel() {
+        let map = surface(41, 21, 0.25);
+        // From 10 and 1e6 mm beside the map; straight beside it and beyond its corners.
+        for away in [10.0, 1e6] {
+            for [dx, dy] in [[away, 0.0], [-away, 0.0], [0.0, away], [away, away], [-away, away]] {
+                let path = rows(6, 1.0, [dx, dy]);
+                let direct = |x: f64, y: f64| {
+                    let of = |w: &[[f64; 2]]| square_of_distance([x, y], &[w[0], w[1]]);
+                    path.point_mm().windows(2).map(of).fold(f64::INFINITY, f64::min).sqrt()
+                };
+                let pixels =
+                    (0..41).flat_map(|c| (0..21).map(move |r| [c, r].map(|i| 0.25 * f64::from(i))));
+                let farthest = pixels.map(|[x, y]| direct(x, y)).fold(0.0, f64::max);
+                let found = statistics(&path, &map).coverage_mm.unwrap();
+                // Squares of 1e6 round to 1e-4.
+                assert!((found - farthest).abs() <= 1e-9 * away, "{found} {farthest}");
+            }
+        }
+    }
+
+    #[test]
+    fn crossings_of_lines_much_denser_than_long_are_counted_in_time() {
+        // 40 000 lines of 10 mm in 40 um, each crossed by one diagonal: all pairs would be 8e8.
+        let n = 40_000;
+        let mut points = rows(n, 1e-6, [0.0; 2]).point_mm().to_vec();
+        let top = (n - 1) as f64 * 1e-6;
+        points.extend([[12.0, top + 1.0], [12.0, -1.0], [5.0, -1.0], [5.0, top + 1.0]]);
+        let m = points.len() - 1;
+        let path = ToolPath::through(points, vec![true; m], vec![0; m]).unwrap();
+        assert_eq!(crossings(&path), n);
     }
 
     #[test]

@@ -20,6 +20,7 @@ mod dwell_time;
 mod feed;
 mod grid;
 mod limits;
+pub mod plausible;
 mod surface;
 mod tif;
 mod tool_path;

@@ -310,15 +310,23 @@ impl Field {
         self.cell(p).is_some_and(|k| self.aperture[k])
     }
 
+    /// Size of the lattice along x and y, mm.
+    pub(super) fn extent_mm(&self) -> [f64; 2] {
+        [0, 1].map(|a| self.count[a] as f64 * self.side_mm[a])
+    }
+
     /// Area of the clear aperture, mm^2.
     pub(super) fn aperture_mm2(&self) -> f64 {
         let cells = self.aperture.iter().filter(|a| **a).count();
         cells as f64 * self.side_mm[0] * self.side_mm[1]
     }
 
-    /// Mean of 1/d over the clear aperture, 1/mm.
+    /// Mean of 1/d over the clear aperture, 1/mm; over the region where the aperture is so small that
+    /// no centre of a cell lies in it.
     pub(super) fn mean_inverse_spacing(&self) -> f64 {
-        let cells = || (0..self.aperture.len()).filter(|k| self.aperture[*k]);
+        let none = !self.aperture.contains(&true);
+        let counts = |k: &usize| if none { self.island[*k] != OUTSIDE } else { self.aperture[*k] };
+        let cells = || (0..self.aperture.len()).filter(counts);
         cells().map(|k| 1.0 / self.spacing_mm[k]).sum::<f64>() / cells().count().max(1) as f64
     }
 

@@ -106,13 +106,17 @@ fn cut_corners(
 const MAX_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
 /// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the
-/// spacing; how many nodes had to be given back.
+/// spacing; how many nodes had to be given back. `None` where the steps would be more than `most`.
 pub(super) fn divide(
     loops: &mut [Vec<Point>],
     step_mm: f64,
     spacing: &impl Fn(Point) -> f64,
-) -> usize {
+    most: usize,
+) -> Option<usize> {
     let lines: Vec<Line> = loops.iter().map(|nodes| Line::new(nodes, step_mm, spacing)).collect();
+    if lines.iter().map(Line::parts).sum::<f64>() > most as f64 {
+        return None;
+    }
     let mut stops: Vec<Vec<f64>> = lines.iter().map(Line::stops).collect();
     let mut given_back = 0;
     loop {
@@ -131,7 +135,7 @@ pub(super) fn divide(
         more.dedup();
         if more.is_empty() {
             loops.iter_mut().zip(chords).for_each(|(old, new)| *old = new);
-            return given_back;
+            return Some(given_back);
         }
         given_back += more.len();
         more.iter().for_each(|(l, t)| stops[*l].push(*t));
@@ -166,8 +170,13 @@ impl Line {
         self.t[self.t.len() - 1]
     }
 
+    /// Steps that it is divided into.
+    fn parts(&self) -> f64 {
+        (self.whole() - 1e-9).ceil().max(3.0)
+    }
+
     fn stops(&self) -> Vec<f64> {
-        let parts = (self.whole() - 1e-9).ceil().max(3.0);
+        let parts = self.parts();
         (0..parts as usize).map(|k| k as f64 * self.whole() / parts).collect()
     }
 
@@ -240,11 +249,12 @@ mod tests {
             .map(|(s, c)| [10.0 * c, 10.0 * s])
             .collect();
         let mut loops = [circle.clone()];
-        assert_eq!(divide(&mut loops, 1.0, &|_| 10.0), 0);
+        assert_eq!(divide(&mut loops, 1.0, &|_| 10.0, 1000), Some(0));
         // 62.83 mm in 63 steps.
         assert_eq!(loops[0].len(), 63);
         let mut loops = [circle];
-        divide(&mut loops, 100.0, &|_| 1.0);
+        assert_eq!(divide(&mut loops, 100.0, &|_| 1.0, 1), None);
+        divide(&mut loops, 100.0, &|_| 1.0, 1000).unwrap();
         assert_eq!(loops[0].len(), 32);
     }
 
@@ -259,7 +269,7 @@ mod tests {
         };
         let path: Vec<Point> = half(20.0, 1.0).chain(half(0.0, -1.0)).collect();
         let mut loops = [path];
-        assert_eq!(divide(&mut loops, 5.0, &|_| 10.0), 0);
+        assert_eq!(divide(&mut loops, 5.0, &|_| 10.0, 1000), Some(0));
         let (nodes, n) = (&loops[0], loops[0].len());
         // 42 mm in steps of 5, and 360 degrees in steps of at most 90.
         assert!((9..=14).contains(&n), "{n}");

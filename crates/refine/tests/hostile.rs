@@ -1,0 +1,68 @@
+//! Flags that nobody means, degenerate maps and tools, mistaken units, through the binary.
+
+#[path = "../../types/tests/support/hostile.rs"]
+mod hostile;
+
+use hostile::{COUNTS, FLOATS, every_value, inputs, survives};
+
+const BINARY: &str = env!("CARGO_BIN_EXE_planish-refine");
+
+fn arguments(surface: &str, tif: &str, path: &str) -> Vec<String> {
+    let given =
+        [("surface", surface), ("tif", tif), ("tool-path", path), ("machine", "machine.json")];
+    let given = given.iter().map(|(flag, value)| format!("--{flag}={value}"));
+    given.chain(["--out=out".to_string()]).collect()
+}
+
+#[test]
+fn no_flag_ends_in_a_panic_or_takes_all_memory() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let all = arguments("surface", "tif", "tool_path");
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let flags = [
+        "--min-dwell-s",
+        "--min-dwell-s-per-mm",
+        "--tikhonov",
+        "--smoothness",
+        "--time-weight-nm2-per-s",
+        "--noise-rms-nm",
+    ];
+    let short = [&all[..], &["--max-rounds=1"]].concat();
+    every_value(BINARY, tmp.path(), &short, &flags, &FLOATS, "out");
+    every_value(BINARY, tmp.path(), &all, &["--max-rounds"], &COUNTS, "out");
+    let pareto = [&["pareto"], &short[..]].concat();
+    every_value(BINARY, tmp.path(), &pareto, &["--prices"], &COUNTS, "out");
+    let one = [&pareto[..], &["--prices=1"]].concat();
+    every_value(BINARY, tmp.path(), &one, &["--min-dwell-s-per-mm"], &FLOATS, "out");
+    let (code, said) =
+        survives(BINARY, tmp.path(), &[&pareto[..], &["--prices=1000000000"]].concat(), "out");
+    assert_eq!(code, 2);
+    assert!(said.contains("prices: is 1000000000; give at most 1000"), "{said}");
+}
+
+#[test]
+fn no_map_no_tool_and_no_path_ends_in_a_panic() {
+    let tmp = tempfile::tempdir().unwrap();
+    let [maps, tifs, paths] = inputs(tmp.path());
+    let with_map = maps.iter().map(|m| arguments(m, "tif", "tool_path"));
+    let with_tif = tifs.iter().map(|t| arguments("surface", t, "tool_path"));
+    let with_path = paths.iter().map(|p| arguments("surface", "tif", p));
+    for all in with_map.chain(with_tif).chain(with_path) {
+        let all: Vec<&str> = all.iter().map(String::as_str).chain(["--max-rounds=1"]).collect();
+        survives(BINARY, tmp.path(), &all, "out");
+    }
+}
+
+#[test]
+fn a_number_of_rounds_that_the_user_gives_is_an_end() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let all = arguments("surface", "tif", "tool_path");
+    let all: Vec<&str> = all.iter().map(String::as_str).chain(["--max-rounds=1"]).collect();
+    let (code, said) = survives(BINARY, tmp.path(), &all, "out");
+    let text = std::fs::read_to_string(tmp.path().join("out/dwell/manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((code, &manifest["outcome"]["end"]), (0, &"round-limit".into()), "{said}");
+    assert_eq!(manifest["settings"]["scheduler"]["pvt"], "monotone");
+}

@@ -1,0 +1,76 @@
+//! Counts that nobody means, degenerate maps and tools, mistaken units, through the binary.
+
+#[path = "../../types/tests/support/hostile.rs"]
+mod hostile;
+
+use std::path::Path;
+
+use hostile::{COUNTS, every_value, inputs, npy, survives};
+
+const BINARY: &str = env!("CARGO_BIN_EXE_planish-simulate");
+
+/// Ten lines at a constant velocity, without their turns, each for `line_s`; bare arrays.
+fn lines(dir: &Path, line_s: f64) {
+    let motion = dir.join("trajectory");
+    let at = |k: usize| [-2.0, 14.0 / line_s, 0.0, 0.0, k as f64 - 1.0, 0.0, 0.0, 0.0];
+    let coefficients: Vec<f64> = (0..10).flat_map(at).collect();
+    let breaks: Vec<f64> = (0..=10).map(|k| line_s * k as f64).collect();
+    npy(&motion, "break_time_s", &[11], &breaks);
+    npy(&motion, "coefficient_mm", &[10, 2, 4], &coefficients);
+    let header = "{'descr': '<i8', 'fortran_order': False, 'shape': (10, ), }";
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend(118_u16.to_le_bytes());
+    bytes.extend(format!("{header:<117}\n").into_bytes());
+    bytes.extend((0..10_i64).flat_map(i64::to_le_bytes));
+    std::fs::write(motion.join("dwell_index.npy"), bytes).unwrap();
+}
+
+fn arguments(surface: &str, tif: &str) -> Vec<String> {
+    let given = [("surface", surface), ("tif", tif), ("trajectory", "trajectory"), ("out", "out")];
+    given.iter().map(|(flag, value)| format!("--{flag}={value}")).collect()
+}
+
+#[test]
+fn no_count_no_map_and_no_tool_ends_in_a_panic() {
+    let tmp = tempfile::tempdir().unwrap();
+    let [maps, tifs, _] = inputs(tmp.path());
+    lines(tmp.path(), 1.0);
+    let all = arguments("surface", "tif");
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    every_value(BINARY, tmp.path(), &all, &["--frames"], &COUNTS, "out");
+    let direct = [&all[..], &["--method=direct"]].concat();
+    every_value(BINARY, tmp.path(), &direct, &["--steps"], &COUNTS, "out");
+    let with_map = maps.iter().map(|m| arguments(m, "tif"));
+    let with_tif = tifs.iter().map(|t| arguments("surface", t));
+    for all in with_map.chain(with_tif) {
+        let all: Vec<&str> = all.iter().map(String::as_str).collect();
+        survives(BINARY, tmp.path(), &all, "out");
+        survives(BINARY, tmp.path(), &[&all[..], &["--memory-gib=0.001"]].concat(), "out");
+    }
+}
+
+#[test]
+fn a_tif_a_thousand_times_too_wide_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    lines(tmp.path(), 1.0);
+    let all = arguments("surface", "tif-in-um");
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let (code, said) = survives(BINARY, tmp.path(), &all, "out");
+    assert_eq!(code, 2);
+    assert!(said.contains("a TIF in um?"), "{said}");
+}
+
+#[test]
+fn a_surface_made_worse_is_a_negative_verdict() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let all = arguments("surface", "tif");
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    for (line_s, code) in [(0.1, 0), (1e4, 1)] {
+        lines(tmp.path(), line_s);
+        let (got, said) = survives(BINARY, tmp.path(), &all, "out");
+        assert_eq!(got, code, "{said}");
+        assert_eq!(said.contains("makes the surface worse"), code == 1, "{said}");
+    }
+}

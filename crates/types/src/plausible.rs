@@ -1,0 +1,394 @@
+//! Whether inputs, each of them whole, make sense together.
+//!
+//! Lengths in metres, heights in metres, rates in m/s, axes that begin at 0: every number is finite
+//! and in range, and the plan is nonsense. So surface, tool and path are compared with each other.
+//! The comparisons are free of a scale (micro-optics and telescope mirrors are alike) wherever one
+//! exists, and each bound is an order of magnitude and more beyond what is done on purpose, while a
+//! mistaken unit is a factor of 1000.
+//!
+//! What is certainly a mistake is an [`Invalid`]. A plan that was made and is of no use, because
+//! the surface would be worse than before or the run would last for months, is a result with a
+//! negative verdict: [`drawback`] says why.
+
+use crate::{Invalid, Surface, Tif, ToolPath};
+
+/// Longest run that is taken for a plan, s: 30 days. Machines run for days on large mirrors; a run of
+/// months is stopped, measured and planned anew long before its end.
+pub const LONGEST_RUN_S: f64 = 30.0 * 86_400.0;
+
+/// Most times that the TIF may be larger than the map. Laps a few times larger than a small part are
+/// in use; TIFs in micrometres are hundreds of times larger than the map.
+const MOST_TIF_PER_MAP: f64 = 50.0;
+
+/// Least part of a pixel that the TIF extends over. A tool that is narrower than a pixel is not seen
+/// by the map; a TIF in metres extends over a few hundredths of one.
+const LEAST_TIF_PER_PIXEL: f64 = 0.25;
+
+/// Least time that the volume of the map over the volumetric removal rate may take, s: three years.
+/// Rates in m/s ask for a billion times too much.
+const LONGEST_VOLUME_S: f64 = 1e8;
+
+/// Part of the pixels, the lowest ones, that do not decide the volume: a pit would ask for a layer of
+/// its depth all over the part.
+const PITS: f64 = 1e-3;
+
+/// Smallest PV that a map in nm can have, nm: a thousandth of an atom's radius. A flat map has none,
+/// but for rounding.
+const LEAST_PV_NM: f64 = 1e-4;
+const ROUNDING: f64 = 1e-9;
+
+/// An extreme height that stands in several pixels to the last digit is a marker when it is farther
+/// from all others than this many times their PV: a measured height does not repeat.
+const MARKER_DISTANCE: f64 = 10.0;
+
+/// The same for numbers that are written as markers: -9999, 32767.
+const KNOWN_MARKER_DISTANCE: f64 = 1.0;
+
+/// Most times that the path with the tool on may be longer or higher than the map and the TIF together.
+/// Several parts on one table are within it; a path in micrometres is not.
+const MOST_PATH_PER_MAP: f64 = 100.0;
+
+/// Most times that the pitch may be larger than the TIF. Beyond 1 the lines leave stripes that no tool
+/// has touched, as a test of a tool may want; in metres a TIF is hundreds of pitches small.
+const MOST_PITCH_PER_TIF: f64 = 10.0;
+
+/// Refuses a TIF that cannot be the tool for this map, and heights that are none.
+pub fn check_tool(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
+    check_offsets(tif)?;
+    check_sizes(surface, tif)?;
+    check_heights(surface)?;
+    let least_s = least_time_s(surface, tif);
+    if least_s > LONGEST_VOLUME_S {
+        return Err(Invalid::whole(
+            "rate_nm_per_s",
+            format!(
+                "has the volumetric removal rate {:.3e} nm mm^2/s and the peak {:.3e} nm/s: the volume \
+                 of the map takes at least {least_s:.3e} s",
+                tif.vrr_nm_mm2_per_s(),
+                tif.peak_nm_per_s()
+            ),
+            "rates in m/s or um/s? give nm/s; or heights that are no heights? mark invalid pixels by NaN",
+        ));
+    }
+    Ok(())
+}
+
+/// [`check_tool`], and refuses a path that cannot be meant for this map.
+pub fn check_path(surface: &Surface, tif: &Tif, path: &ToolPath) -> Result<(), Invalid> {
+    check_tool(surface, tif)?;
+    let on = (0..path.len()).filter(|i| path.tool_on()[*i]);
+    let ends = || on.clone().flat_map(|i| [path.point_mm()[i], path.point_mm()[i + 1]]);
+    for (axis, name) in ["x", "y"].into_iter().enumerate() {
+        let low = ends().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
+        let high = ends().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
+        let (map_mm, tif_mm) = (extents(surface.grid())[axis], extents(tif.grid())[axis]);
+        if high - low > MOST_PATH_PER_MAP * (map_mm + tif_mm) {
+            return Err(Invalid::whole(
+                "point_mm",
+                format!(
+                    "extends over {:.6} mm in {name}, the map over {map_mm:.6} mm and the TIF over \
+                     {tif_mm:.6} mm",
+                    high - low
+                ),
+                "a path in um, or a map in metres? give all of them in mm",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses lines that are too far apart for the tool.
+pub fn check_pitch(tif: &Tif, pitch_mm: f64) -> Result<(), Invalid> {
+    let [x, y] = extents(tif.grid());
+    let size = x.max(y);
+    if pitch_mm <= MOST_PITCH_PER_TIF * size {
+        return Ok(());
+    }
+    Err(Invalid::whole(
+        "pitch_mm",
+        format!("is {pitch_mm} mm, but the TIF extends over {x:.6} by {y:.6} mm only"),
+        "axes in metres? give all of them in mm, or a smaller pitch",
+    ))
+}
+
+/// RMS of a map in nm, mean removed, and with its best plane removed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rms {
+    /// Without the mean.
+    pub rms_nm: f64,
+    /// Without the best plane.
+    pub detilted_nm: f64,
+}
+
+impl Rms {
+    /// That of a map.
+    pub fn of(surface: &Surface) -> Self {
+        Self { rms_nm: surface.statistics().rms, detilted_nm: surface.detilted_rms_nm() }
+    }
+}
+
+/// Why a plan that leaves `after` of `before` in `total_time_s` is of no use: the surface is worse
+/// than before (with and without its best plane), or the run is longer than [`LONGEST_RUN_S`].
+pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
+    // Of a flat map nothing is known to be better than nothing.
+    let flat = before.rms_nm <= 0.0;
+    if !flat && after.rms_nm > before.rms_nm && after.detilted_nm > before.detilted_nm {
+        return Some(format!(
+            "the plan makes the surface worse: {:.4e} nm RMS before, {:.4e} nm RMS after; are the \
+             heights in nm, and does the least dwell time remove less than there is?",
+            before.rms_nm, after.rms_nm
+        ));
+    }
+    too_long(total_time_s)
+}
+
+/// Why a run of this length is of no use.
+pub fn too_long(total_time_s: f64) -> Option<String> {
+    (total_time_s > LONGEST_RUN_S).then(|| {
+        format!(
+            "the run takes {total_time_s:.4e} s, {:.0} days, more than {:.0} days; are the heights and \
+             rates in nm and nm/s, and invalid pixels NaN?",
+            total_time_s / 86_400.0,
+            LONGEST_RUN_S / 86_400.0
+        )
+    })
+}
+
+/// Size along x and y, mm.
+fn extents(grid: &crate::Grid) -> [f64; 2] {
+    [grid.x, grid.y].map(|a| a.end_mm() - a.start_mm())
+}
+
+/// The offset 0 is where the tool is. On axes that begin (or end) at it the removal is beside the
+/// tool by its own size: those are coordinates of an array, not offsets.
+fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
+    let grid = tif.grid();
+    for (name, axis, of_row) in [("x_mm", grid.x, false), ("y_mm", grid.y, true)] {
+        if axis.start_mm() < 0.0 && axis.end_mm() > 0.0 {
+            continue;
+        }
+        let at = |(r, c): (usize, usize)| axis.at(if of_row { r } else { c });
+        let moment = |f: &dyn Fn(f64) -> f64| {
+            tif.rate_nm_per_s().indexed_iter().map(|(i, v)| v.max(0.0) * f(at(i))).sum::<f64>()
+        };
+        let volume = moment(&|_| 1.0);
+        let centre_mm = moment(&|d| d) / volume;
+        let sigma_mm = (moment(&|d| (d - centre_mm).powi(2)) / volume).sqrt();
+        if centre_mm.abs() > sigma_mm {
+            let (from, to) = (axis.start_mm(), axis.end_mm());
+            let half = 0.5 * (to - from);
+            return Err(Invalid::whole(
+                name,
+                format!(
+                    "of the TIF is {from} .. {to} mm, so that the removal is centred {centre_mm:.6} mm \
+                     from the tool, at a width (standard deviation) of {sigma_mm:.6} mm"
+                ),
+                format!(
+                    "coordinates of an array? give offsets (pixel - tool), with 0 where the tool is: \
+                     {:.6} .. {half:.6} mm when that is the middle",
+                    -half
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn check_sizes(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
+    let (map, tool) = (extents(surface.grid()), extents(tif.grid()));
+    let shown = |s: [f64; 2]| format!("{:.6} by {:.6} mm", s[0], s[1]);
+    if tool[0].max(tool[1]) > MOST_TIF_PER_MAP * map[0].max(map[1]) {
+        return Err(Invalid::whole(
+            "x_mm",
+            format!("of the TIF: it extends over {}, the map over {}", shown(tool), shown(map)),
+            "a map in metres, or a TIF in um? give both in mm",
+        ));
+    }
+    let pixel = [surface.grid().x.step_mm(), surface.grid().y.step_mm()];
+    if tool[0].max(tool[1]) < LEAST_TIF_PER_PIXEL * pixel[0].min(pixel[1]) {
+        return Err(Invalid::whole(
+            "x_mm",
+            format!(
+                "of the TIF: it extends over {}, less than a pixel of the map ({})",
+                shown(tool),
+                shown(pixel)
+            ),
+            "a TIF in metres, or a map in um? give both in mm",
+        ));
+    }
+    Ok(())
+}
+
+fn check_heights(surface: &Surface) -> Result<(), Invalid> {
+    let valid = || surface.height_nm().iter().copied().filter(|z| !z.is_nan());
+    let (low, high) = valid().fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(z), h.max(z)));
+    let (pv, largest) = (high - low, low.abs().max(high.abs()));
+    if pv > ROUNDING * largest && pv < LEAST_PV_NM {
+        return Err(Invalid::whole(
+            "height_nm",
+            format!("spans {pv:.3e} nm from its lowest to its highest pixel, less than an atom"),
+            "heights in metres? give nm",
+        ));
+    }
+    for marker in [low, high] {
+        let count = valid().filter(|z| *z == marker).count();
+        let others = || valid().filter(|z| *z != marker);
+        let (l, h) = others().fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(z), h.max(z)));
+        let distance = (l - marker).max(marker - h);
+        let far = if is_known_marker(marker) { KNOWN_MARKER_DISTANCE } else { MARKER_DISTANCE };
+        if count > 1 && h > l && distance > far * (h - l) {
+            let at = surface.height_nm().indexed_iter().find(|(_, z)| **z == marker);
+            let (index, _) = at.expect("it is one of them");
+            return Err(Invalid::at(
+                "height_nm",
+                index,
+                format!("is {marker}, exactly as in {count} pixels, and all others are {l} .. {h}"),
+                "a marker of invalid pixels? mark them by NaN",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a number is made of nines, or the limit of an integer type; at any power of ten, because
+/// units may have been converted.
+fn is_known_marker(value: f64) -> bool {
+    let digits: String = format!("{:e}", value.abs()).chars().take_while(|c| *c != 'e').collect();
+    let digits = digits.replace('.', "");
+    let nines = digits.len() >= 3 && digits.chars().all(|c| c == '9');
+    nines
+        || ["32767", "32768", "65535", "2147483640", "2147483647", "2147483648"]
+            .iter()
+            .any(|limit| limit.trim_end_matches('0') == digits)
+}
+
+/// Volume above the lowest pixel, but for [`PITS`], over the volumetric removal rate, s: no plan is
+/// faster.
+fn least_time_s(surface: &Surface, tif: &Tif) -> f64 {
+    let mut z: Vec<f64> = surface.height_nm().iter().copied().filter(|z| !z.is_nan()).collect();
+    let rank = ((z.len() - 1) as f64 * PITS).round() as usize;
+    let low = *z.select_nth_unstable_by(rank, f64::total_cmp).1;
+    let height: f64 = z.iter().map(|z| (z - low).max(0.0)).sum();
+    height * surface.grid().pixel_mm2() / tif.vrr_nm_mm2_per_s()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Axis, Grid};
+    use ndarray::Array2;
+
+    fn axis(start: f64, end: f64, n: usize) -> Axis {
+        Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
+    }
+
+    /// 40 x 24 mm, PV some 40 nm, in other units by the factors.
+    fn map(mm: f64, nm: f64) -> Surface {
+        let grid = Grid { x: axis(0.0, 40.0 * mm, 81), y: axis(0.0, 24.0 * mm, 49) };
+        let z = Array2::from_shape_fn((49, 81), |(r, c)| {
+            nm * (0.01 * (c as f64 - 40.0).powi(2) + 0.03 * (r as f64 - 20.0).powi(2))
+        });
+        Surface::new(grid, z).unwrap()
+    }
+
+    /// Gaussian of sigma 1.5 mm on -6 .. 6 mm, displaced by `shift`.
+    fn tool(mm: f64, rate: f64, shift: f64) -> Tif {
+        let a = axis((shift - 6.0) * mm, (shift + 6.0) * mm, 49);
+        let g = |k: usize| (-0.5 * ((k as f64 - 24.0) / 6.0).powi(2)).exp();
+        let rate = Array2::from_shape_fn((49, 49), |(r, c)| 10.0 * rate * g(r) * g(c));
+        Tif::new(Grid { x: a, y: a }, rate).unwrap()
+    }
+
+    fn lines(mm: f64) -> ToolPath {
+        let points: Vec<[f64; 2]> =
+            (0..60).map(|k| [f64::from(k % 2) * 40.0 * mm, f64::from(k) * 0.4 * mm]).collect();
+        let n = points.len() - 1;
+        ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
+    }
+
+    #[test]
+    fn any_scale_is_accepted_as_long_as_it_is_one() {
+        // From micro-optics of 40 um to a mirror of 40 m, heights from 0.4 nm to 400 um.
+        for mm in [1e-3, 1.0, 1e3] {
+            for nm in [0.01, 1.0, 1e4] {
+                let least = least_time_s(&map(mm, nm), &tool(mm, 1.0, 0.0));
+                assert!(
+                    (least / (nm * least_time_s(&map(1.0, 1.0), &tool(1.0, 1.0, 0.0))) - 1.0).abs()
+                        < 1e-9
+                );
+                check_path(&map(mm, nm), &tool(mm, 1.0, 0.0), &lines(mm)).unwrap();
+            }
+        }
+        // Tools of a tenth and of ten times the size, slow and fast ones, and off their middle.
+        for size in [0.1, 10.0] {
+            check_path(&map(1.0, 1.0), &tool(size, 1.0, 0.0), &lines(1.0)).unwrap();
+        }
+        for (rate, shift) in [(1e-3, 0.0), (1e3, 0.0), (1.0, 5.0), (1.0, -5.9)] {
+            check_path(&map(1.0, 1.0), &tool(1.0, rate, shift), &lines(1.0)).unwrap();
+        }
+    }
+
+    #[test]
+    fn mistaken_units_are_named() {
+        let (z, t, p) = (map(1.0, 1.0), tool(1.0, 1.0, 0.0), lines(1.0));
+        let message =
+            |z: &Surface, t: &Tif, p: &ToolPath| check_path(z, t, p).unwrap_err().to_string();
+        for (z, t, p, said) in [
+            (&map(1e-3, 1.0), &t, &p, "a map in metres"),
+            (&z, &tool(1e-3, 1.0, 0.0), &p, "a TIF in metres"),
+            (&z, &tool(1e3, 1.0, 0.0), &p, "a TIF in um"),
+            (&map(1e3, 1.0), &t, &p, "a map in um"),
+            (&z, &t, &lines(1e3), "a path in um"),
+            (&map(1.0, 1e-9), &t, &p, "heights in metres"),
+            (&z, &tool(1.0, 1e-9, 0.0), &p, "rates in m/s"),
+            (&z, &tool(1.0, 1.0, 6.0), &p, "coordinates of an array"),
+            (&z, &tool(1.0, 1.0, 7.0), &p, "coordinates of an array"),
+            (&z, &tool(1.0, 1.0, -6.0), &p, "coordinates of an array"),
+        ] {
+            let got = message(z, t, p);
+            assert!(got.contains(said), "{said}: {got}");
+        }
+        // All three in metres, with a pitch in mm.
+        check_path(&map(1e-3, 1.0), &tool(1e-3, 1.0, 0.0), &lines(1e-3)).unwrap();
+        let got = check_pitch(&tool(1e-3, 1.0, 0.0), 1.0).unwrap_err().to_string();
+        assert!(got.starts_with("pitch_mm: is 1 mm") && got.contains("axes in metres"), "{got}");
+        check_pitch(&t, 100.0).unwrap();
+    }
+
+    #[test]
+    fn markers_of_invalid_pixels_are_found() {
+        let with = |marker: f64, pixels: usize| {
+            let mut z = map(1.0, 1.0).height_nm().clone();
+            z.iter_mut().take(pixels).for_each(|z| *z = marker);
+            Surface::new(*map(1.0, 1.0).grid(), z).unwrap()
+        };
+        for marker in [-9999.0, 9999.0, -999.0, 32767.0, -1e5, -9_999_000.0] {
+            let got = check_heights(&with(marker, 20)).unwrap_err().to_string();
+            assert!(got.contains("height_nm[0, 0]: is") && got.contains("20 pixels"), "{got}");
+        }
+        // A pit, a plateau and a step within the heights are none; nor is one pixel.
+        for (height, pixels) in [(-9999.0, 1), (-200.0, 20), (40.0, 2000), (0.0, 20)] {
+            check_heights(&with(height, pixels)).unwrap();
+        }
+        for flat in [0.0, 5.0, -9999.0] {
+            let z = Surface::new(*map(1.0, 1.0).grid(), Array2::from_elem((49, 81), flat)).unwrap();
+            check_heights(&z).unwrap();
+        }
+        assert!(is_known_marker(-9999.0) && is_known_marker(3.2767e9) && is_known_marker(0.999));
+        assert!(!is_known_marker(-9998.0) && !is_known_marker(99.0) && !is_known_marker(0.0));
+    }
+
+    #[test]
+    fn drawbacks_are_named_with_their_numbers() {
+        let rms = |rms_nm, detilted_nm| Rms { rms_nm, detilted_nm };
+        assert_eq!(drawback(rms(6.0, 5.0), rms(0.2, 0.2), 450.0), None);
+        // A plane may be free, and of a flat map nothing is expected.
+        assert_eq!(drawback(rms(6.0, 5.0), rms(9.0, 0.2), 450.0), None);
+        assert_eq!(drawback(rms(0.0, 0.0), rms(0.1, 0.1), 450.0), None);
+        let worse = drawback(rms(6.0, 5.0), rms(11.4, 11.0), 450.0).unwrap();
+        assert!(worse.contains("6.0000e0 nm RMS before, 1.1400e1 nm RMS after"), "{worse}");
+        let long = drawback(rms(6.0, 5.0), rms(0.2, 0.2), 14_957_996.0).unwrap();
+        assert!(long.contains("173 days, more than 30 days"), "{long}");
+        assert_eq!(too_long(LONGEST_RUN_S), None);
+    }
+}
