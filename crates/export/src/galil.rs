@@ -6,12 +6,22 @@
 //! stands after as many segments as the buffer holds, and the host sends the rest as room appears
 //! (`MG _PVA`).
 //!
-//! Source: Galil DMC-40x0 command reference, PV and BT.
+//! A sample is not what TM says: TM counts 1.024 us, "TM1000 actually specifies a servo update rate of
+//! 976 us", and 1024 samples are one second, while V is in counts per true second whatever TM is. So
+//! samples come in multiples of 1/32768 s (TM 31.25).
+//!
+//! The tool: a segment cannot carry an output. `SB` and `CB` act when the controller reads them, and the
+//! segments are read up to a whole buffer before they run, so such a line would switch up to 255 segments
+//! early. The host switches: on after BTAB, off when `_BTA` (segments that have run) says so, and after
+//! `ST` or `AB`, which leave outputs as they are. A motion that lifts the tool is refused.
+//!
+//! Source: Galil DMC-40x0 command reference (PV, BT, TM, SB, CB, ST, AB) and user manual, chapter 6
+//! (PVT mode: 1024 samples per second), appendix (program size: lines of 80 characters).
 
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, Job, Program, positive, table::Ends};
+use crate::{Abilities, About, Job, Tool, header::Comment, limits::Between, positive};
 
 /// Limits of a segment.
 const MOST_DISTANCE: i64 = 44_000_000;
@@ -21,50 +31,72 @@ const MOST_SAMPLES: i64 = 2048;
 /// Samples of a tick: the controller needs two samples per segment.
 const SAMPLES_PER_TICK: i64 = 2;
 
+/// What a sample is a multiple of, s, and the most of them (TM 20000).
+const SAMPLE_UNIT_S: f64 = 1.0 / 32768.0;
+const MOST_SAMPLE_UNITS: f64 = 640.0;
+/// TM of a sample of one second.
+const TM_PER_S: f64 = 1.024e6;
+
+const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
+
 /// Segments of the buffer of an axis. The line that ends the motion takes one.
 const BUFFER: usize = 255;
 
 /// How a program for a Galil is written.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Sample time, s: TM in microseconds.
+    /// Sample time, s: 1/1024 s with TM 1000.
     pub sample_s: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { sample_s: 1e-3 }
+        Self { sample_s: 1.0 / 1024.0 }
     }
 }
 
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> {
+pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
     let sample_s = positive("sample_s", settings.sample_s)?;
-    let (q, mut about) = job.quantised(&Abilities {
+    let units = sample_s / SAMPLE_UNIT_S;
+    // A little less or more is the rounding of a number that was typed.
+    if !(1.0 - 1e-3..=MOST_SAMPLE_UNITS + 1e-3).contains(&units) {
+        let problem =
+            format!("is {sample_s}, TM goes from 31.25 (1/32768 s) to 20000 (0.01953125 s)");
+        return Err(Invalid::whole("sample_s", problem, "give 0.0009765625 for TM 1000"));
+    }
+    let count = job.common.count_mm;
+    let (q, mut about) = job.quantised(Abilities {
         controller: "galil",
         tick_s: SAMPLES_PER_TICK as f64 * sample_s,
         ticks: [1, MOST_SAMPLES / SAMPLES_PER_TICK],
-        ends: Ends::PositionAndVelocity,
-        switches_tool: false,
-        from_rest: true,
+        // A count per second.
+        velocity_mm_per_s: count,
+        between: Between::Cubic,
+        tool: Tool::LeftToTheHost(
+            "this program does not switch it: the host switches it on after BTAB, off when _BTA says that \
+             the last segment has run, and off on every stop",
+        ),
     })?;
     about.sample_s = Some(sample_s);
+    if (units - units.round()).abs() > 1e-3 {
+        about.warnings.push(format!(
+            "no TM gives samples of {sample_s} s; TM 1000 gives 0.0009765625 s, and samples come in \
+             multiples of 1/32768 s"
+        ));
+    }
     let n = about.segments;
     if n + 1 > BUFFER {
         about.buffer_segments = Some(BUFFER);
         let windows = (0..=n - BUFFER).map(|k| q.time_s(k + BUFFER) - q.time_s(k));
         about.buffer_lasts_s = Some(windows.fold(f64::INFINITY, f64::min));
     }
-    let count = job.common.count_mm;
     let units = format!(
-        "A = x in counts of {} mm, B = y in counts of {} mm, counts/s, samples of {sample_s} s, TM {:.0}",
+        "A = x in counts of {} mm, B = y in counts of {} mm, counts/s, samples of {sample_s} s, TM {}",
         count[0],
         count[1],
-        sample_s * 1e6
+        sample_s * TM_PER_S
     );
-    let mut text = String::new();
-    for line in about.header(&units) {
-        text += &format!("' {line}\n");
-    }
+    let mut text = about.header(&COMMENT, &units);
     let [a, b] = q.counts[0];
     text += &format!("' start: A {a}, B {b} counts\nPVA=0,0,-1\nPVB=0,0,-1\n");
     for k in 0..n {
@@ -83,5 +115,5 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
         }
     }
     text += "PVA=0,0,0\nPVB=0,0,0\n";
-    Ok(Program { text, about })
+    Ok((text, about))
 }

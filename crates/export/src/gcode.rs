@@ -6,24 +6,43 @@
 //! ```
 //!
 //! Inverse time (G93) is what removal wants: it depends on the time, not on the speed. A line of no
-//! length would silently lose its time there, so standing is written as `G4 P`. The tool is switched
-//! with the motion by `M62 P0` (on) and `M63 P0` (off). Between two lines the motion is straight and
-//! its speed is constant; a smaller `max_step_s` follows a schedule that is neither.
+//! length would silently lose its time there, so standing is written as `G4 P`. Between two lines the
+//! motion is straight and its speed is constant; a smaller `max_step_s` follows a schedule that is neither.
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer.
 //!
-//! Source: LinuxCNC documentation, G-codes and M-codes.
+//! The tool is digital output 0.
+//!
+//! | word | takes effect | used |
+//! |---|---|---|
+//! | `M62 P0`, `M63 P0` | with the start of the next motion; never without one | before a `G1` |
+//! | `M64 P0`, `M65 P0` | at once, after the motion before it has ended (breaks blending) | at the start, before `G4`, at the end |
+//!
+//! `G4` is no motion: `M62` before it waits until it is over. So the output is off before the rapid to the
+//! start, switches where a dwell begins, and is off at the end. On an abort and on a pause it stays as it
+//! is, which no program can change: `[RS274NGC]ON_ABORT_COMMAND` with `M65 P0`, or in HAL an `and2` of
+//! `motion.digital-out-00` with `halui.program.is-running`.
+//!
+//! Source: LinuxCNC documentation: G-codes (G1, G4, G61, G64, G93, G94), M-codes (M62 - M65 Digital Output
+//! Control), G-code Overview (Format of a line: 256 characters at most), and the run of a program in its
+//! simulator (`crates/export/tests/interpreter.py`).
 
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, Job, Program, decimal, positive, table::Ends};
+use crate::{Abilities, About, Job, Tool, decimal, header::Comment, limits::Between, tick};
 
 /// Decimals of a position in mm and of a time in s.
 const DIGITS: usize = 9;
 
 /// Significant digits of F. Nine keep a segment of 100 s to 1e-7 s.
 const FEED_DIGITS: i32 = 9;
+
+/// The last of nine decimals of a velocity.
+const VELOCITY_MM_PER_S: f64 = 1e-9;
+
+/// A line has at most 256 characters, its end included.
+const COMMENT: Comment = Comment { open: "(", close: ")", line: 254 };
 
 /// What F is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -52,30 +71,32 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> {
-    let tick_s = positive("tick_s", settings.tick_s)?;
+pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
+    let tick_s = tick(settings.tick_s)?;
     let tolerance = settings.path_tolerance_mm;
     if !(tolerance.is_finite() && tolerance >= 0.0) {
         let remedy = "give a length in mm, 0 for an exact path";
         return Err(Invalid::whole("path_tolerance_mm", format!("is {tolerance}"), remedy));
     }
-    let (q, about) = job.quantised(&Abilities {
+    let (q, about) = job.quantised(Abilities {
         controller: "gcode",
         tick_s,
         ticks: [1, i64::MAX >> 10],
-        ends: Ends::Position,
-        switches_tool: true,
-        from_rest: false,
+        // Not in the program.
+        velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
+        between: Between::Straight,
+        tool: Tool::Switched(
+            "digital output 0, off before the rapid to the start and at the end: on an abort or a pause it \
+             stays as it is, HAL or ON_ABORT_COMMAND has to switch it off"
+                .into(),
+        ),
     })?;
     let (mode, unit) = match settings.feed {
         Feed::InverseTime => ("G93", "lines per minute"),
         Feed::PerMinute => ("G94", "mm per minute"),
     };
-    let mut text = String::new();
-    for line in about.header(&format!("mm, F in {unit}, G4 P in s")) {
-        text += &format!("({line})\n");
-    }
-    text += "G21 G90 G17 G40 G49 G94\n";
+    let mut text = about.header(&COMMENT, &format!("mm, F in {unit}, G4 P in s"));
+    text += "M65 P0\nG21 G90 G17 G40 G49 G94\n";
     text += &match tolerance {
         0.0 => "G61\n".to_string(),
         // Q0: lines of one feed that are nearly straight are not merged.
@@ -83,18 +104,24 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
     };
     let [x, y] = about.start_mm;
     text += &format!("G0 X{} Y{}\n{mode}\n", decimal(x, DIGITS), decimal(y, DIGITS));
-    let mut on = None;
+    let mut on = false;
     for k in 0..about.segments {
-        if on != Some(q.tool_on[k]) {
-            text += if q.tool_on[k] { "M62 P0\n" } else { "M63 P0\n" };
-            on = Some(q.tool_on[k]);
+        let stands = q.distance(k) == [0, 0];
+        if q.tool_on[k] != on {
+            on = q.tool_on[k];
+            text += match (on, stands) {
+                (true, false) => "M62 P0\n",
+                (false, false) => "M63 P0\n",
+                (true, true) => "M64 P0\n",
+                (false, true) => "M65 P0\n",
+            };
         }
         let (from, to) = (q.position_mm(k), q.position_mm(k + 1));
         let seconds = q.duration(k) as f64 * tick_s;
         let [x, y] = to.map(|v| decimal(v, DIGITS));
         // As the interpreter will read them.
         let length = (to[0] - from[0]).hypot(to[1] - from[1]);
-        if q.distance(k) == [0, 0] {
+        if stands {
             text += &format!("G4 P{}\n", decimal(seconds, DIGITS));
             continue;
         }
@@ -106,8 +133,8 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
         };
         text += &format!("G1 X{x} Y{y} F{}\n", significant(feed));
     }
-    text += "M63 P0\nG94 F60\nM2\n";
-    Ok(Program { text, about })
+    text += "M65 P0\nG94 F60\nM2\n";
+    Ok((text, about))
 }
 
 fn significant(v: f64) -> String {

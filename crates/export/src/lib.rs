@@ -2,26 +2,30 @@
 //!
 //! Every program goes the same way:
 //!
-//! 1. [`table`]: the ends of the segments with their positions and velocities. A PVT program has one
-//!    position and one velocity per end; a motion that has two there is refused.
-//! 2. [`mod@quantise`]: positions to whole counts and times to whole ticks, both rounded from the start
+//! 1. [`limits::check_plan`]: a motion that does not keep the limits of the machine is refused.
+//! 2. [`table`]: the ends of the segments with their positions and velocities.
+//! 3. [`mod@quantise`]: positions to whole counts and times to whole ticks, both rounded from the start
 //!    of the motion, so that the remainder of one segment is carried into the next and nothing
 //!    drifts.
-//! 3. one module per controller: its limits, its text.
+//! 4. [`limits::prove`]: the rounded motion, as the controller executes it, keeps the limits but for
+//!    what the rounding explains, and the program says how much that is.
+//! 5. one module per controller: its limits, its text, how it switches the tool.
 //!
-//! | module | program | cubic between two lines |
-//! |---|---|---|
-//! | [`galil`] | Galil DMC, PVT mode | yes |
-//! | [`xps`] | Newport XPS, PVT trajectory file | yes |
-//! | [`pmac`] | Delta Tau / Omron PMAC, PVT mode | yes |
-//! | [`gcode`] | G-code with inverse time or feed | no, straight |
-//! | [`csv`] | table of the motion | yes |
+//! | module | program | cubic between two lines | switches the tool |
+//! |---|---|---|---|
+//! | [`galil`] | Galil DMC, PVT mode | yes | no |
+//! | [`xps`] | Newport XPS, PVT trajectory file | yes | no |
+//! | [`pmac`] | Delta Tau / Omron PMAC, PVT mode | yes | by an M-variable that is named |
+//! | [`gcode`] | G-code with inverse time or feed | no, straight | by digital output 0 |
+//! | [`csv`] | table of the motion | yes | by a column |
 //!
 //! Only this crate and `planish-import` convert units.
 
 pub mod csv;
 pub mod galil;
 pub mod gcode;
+mod header;
+pub mod limits;
 pub mod pmac;
 pub mod quantise;
 pub mod table;
@@ -31,8 +35,9 @@ use planish_types::{Invalid, Limits, Trajectory};
 use serde::Serialize;
 
 use crate::{
+    limits::{Between, Proof},
     quantise::{Quanta, Quantised, quantise},
-    table::{Ends, Table},
+    table::Table,
 };
 
 /// Which controller, with its settings.
@@ -100,6 +105,8 @@ pub struct About {
     /// Sample time, s, where the program counts samples.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sample_s: Option<f64>,
+    /// How the tool is switched, or who has to.
+    pub tool: String,
     /// Unit of time of the velocities of a PMAC, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedrate_time_unit_s: Option<f64>,
@@ -119,8 +126,12 @@ pub struct About {
     pub rounding_mm: [f64; 2],
     /// Largest difference between a time and its ticks, s.
     pub rounding_s: f64,
+    /// What is proven of the motion that the controller executes.
+    pub limits: Proof,
     /// What the user should know.
     pub warnings: Vec<String>,
+    /// BLAKE3 of the bytes of the program: the reader refuses another program with this file.
+    pub program_blake3: String,
 }
 
 /// Writes the program of `trajectory` for `controller` on `machine`.
@@ -139,13 +150,15 @@ pub fn program(
         ));
     }
     let job = Job { trajectory, machine, common, origin };
-    match controller {
+    let (text, mut about) = match controller {
         Controller::Galil(settings) => galil::write(&job, settings),
         Controller::Xps(settings) => xps::write(&job, settings),
         Controller::Pmac(settings) => pmac::write(&job, settings),
         Controller::Gcode(settings) => gcode::write(&job, settings),
         Controller::Csv(settings) => csv::write(&job, settings),
-    }
+    }?;
+    about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
+    Ok(Program { text, about })
 }
 
 /// What the modules of the controllers work on.
@@ -163,38 +176,59 @@ struct Abilities {
     tick_s: f64,
     /// Ticks of a segment, least and most.
     ticks: [i64; 2],
-    ends: Ends,
-    /// Whether the program can switch the tool.
-    switches_tool: bool,
-    /// Whether it must start and end at rest.
-    from_rest: bool,
+    /// Unit of the velocity of (x, y), mm/s.
+    velocity_mm_per_s: [f64; 2],
+    between: Between,
+    tool: Tool,
+}
+
+/// Whether the program switches the tool, and how, or who has to.
+enum Tool {
+    Switched(String),
+    LeftToTheHost(&'static str),
 }
 
 impl Job<'_> {
     /// The table in counts and ticks, within the abilities of the controller.
-    fn quantised(&self, can: &Abilities) -> Result<(Quantised, About), Invalid> {
-        let tick_s = positive("tick_s", can.tick_s)?;
-        // A segment that is rounded up by a tick must still fit.
-        let longest = (can.ticks[1] - 1) as f64 * tick_s;
-        let step_s = self.common.max_step_s.map_or(longest, |s| s.min(longest));
-        let table = Table::of(self.trajectory, step_s, can.ends)?;
+    fn quantised(&self, can: Abilities) -> Result<(Quantised, About), Invalid> {
+        limits::check_plan(self.trajectory, self.machine)?;
         let mut warnings = Vec::new();
-        if !can.switches_tool && table.tool_on.iter().any(|on| !on) {
-            if !self.common.always_on {
-                return Err(Invalid::whole(
-                    "tool_on",
-                    format!("is 0 somewhere; a {} program cannot switch the tool", can.controller),
-                    "give --always-on (the tool then removes there too), or use gcode or csv",
-                ));
+        let tool = match can.tool {
+            Tool::Switched(how) => how,
+            Tool::LeftToTheHost(who) => {
+                if self.trajectory.tool_on().iter().any(|on| !on) {
+                    if !self.common.always_on {
+                        let problem = format!(
+                            "is 0 somewhere; a {} program cannot switch the tool",
+                            can.controller
+                        );
+                        let remedy = "give --always-on (the tool then removes there too), or use gcode, csv, \
+                                      or pmac with --tool-output";
+                        return Err(Invalid::whole("tool_on", problem, remedy));
+                    }
+                    warnings.push(
+                        "the tool is on where the plan has it off: simulate the program".into(),
+                    );
+                }
+                who.into()
             }
-            warnings.push("the tool is on where the plan has it off: simulate the program".into());
-        }
-        if can.from_rest {
-            table.check_rest()?;
-        }
-        let quanta = Quanta { count_mm: self.common.count_mm, tick_s };
+        };
+        // A segment that is rounded up by a tick must still fit.
+        let longest = (can.ticks[1] - 1) as f64 * can.tick_s;
+        let (step_s, remedy) = match self.common.max_step_s {
+            Some(step_s) if step_s < longest => (step_s, "give a longer --max-step-s"),
+            _ => (longest, "give a larger tick"),
+        };
+        let table = Table::of(self.trajectory, step_s, remedy)?;
+        let quanta = Quanta {
+            count_mm: self.common.count_mm,
+            tick_s: can.tick_s,
+            velocity_mm_per_s: can.velocity_mm_per_s,
+        };
         let q = quantise(&table, &quanta, can.ticks)?;
-        self.check_machine(&q)?;
+        let proof = limits::prove(&q, self.machine, can.between)?;
+        warnings
+            .extend(proof.largest.iter().filter(|p| p.excess > 0.0).map(limits::Peak::sentence));
         let n = q.ticks.len() - 1;
         let about = About {
             controller: can.controller,
@@ -204,65 +238,20 @@ impl Job<'_> {
             start_mm: q.position_mm(0),
             count_mm: self.common.count_mm,
             sample_s: None,
+            tool,
             feedrate_time_unit_s: None,
-            tick_s,
+            tick_s: can.tick_s,
             segments: n,
             total_time_s: q.time_s(n),
             buffer_segments: None,
             buffer_lasts_s: None,
             rounding_mm: q.rounding_mm,
             rounding_s: q.rounding_s,
+            limits: proof,
             warnings,
+            program_blake3: String::new(),
         };
         Ok((q, about))
-    }
-
-    fn check_machine(&self, q: &Quantised) -> Result<(), Invalid> {
-        let least = self.machine.min_segment_s;
-        for i in 0..q.ticks.len() - 1 {
-            let lasts = q.time_s(i + 1) - q.time_s(i);
-            // Half a tick is lost or won at both ends.
-            if lasts < least - q.quanta.tick_s {
-                let problem = format!("lasts {lasts} s, the machine wants {least} s at least");
-                return Err(Invalid::at("segment", i, problem, "plan longer dwell times"));
-            }
-            for (axis, limits) in self.machine.axes.iter().enumerate() {
-                let v = q.velocity_mm_per_s[i + 1][axis].abs();
-                // What is more than rounding.
-                if v > limits.max_velocity_mm_per_s * (1.0 + 1e-6) {
-                    let problem = format!(
-                        "ends with {v} mm/s along {}, the machine does {}",
-                        limits.name, limits.max_velocity_mm_per_s
-                    );
-                    return Err(Invalid::at("segment", i, problem, "schedule for this machine"));
-                }
-            }
-        }
-        Ok(())
-    }
-}
-
-impl About {
-    /// The lines of a header.
-    fn header(&self, units: &str) -> Vec<String> {
-        let [x, y] = self.start_mm;
-        let mut lines = vec![
-            format!("{} for {}, written by {}", self.controller, self.machine, self.made_by),
-            format!("made from: {}", self.made_from),
-            format!("units: {units}"),
-            format!("start: x {} mm, y {} mm", decimal(x, 9), decimal(y, 9)),
-            format!("{} segments, total time {} s", self.segments, decimal(self.total_time_s, 9)),
-        ];
-        if let (Some(segments), Some(s)) = (self.buffer_segments, self.buffer_lasts_s) {
-            lines.push(format!(
-                "buffer: {segments} segments, which last {} s at least: the host adds lines faster",
-                decimal(s, 6)
-            ));
-        }
-        lines.extend(self.warnings.iter().map(|w| format!("warning: {w}")));
-        // A comment is one line of plain text in every controller; brackets end it in G-code.
-        let plain = |c: char| if (' '..='~').contains(&c) && !"()".contains(c) { c } else { '_' };
-        lines.into_iter().map(|l| l.chars().map(plain).collect()).collect()
     }
 }
 
@@ -279,5 +268,17 @@ fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
         Ok(v)
     } else {
         Err(Invalid::whole(name, format!("is {v}"), "give a positive number"))
+    }
+}
+
+/// A tick that the nine decimals of a time in s can hold.
+fn tick(tick_s: f64) -> Result<f64, Invalid> {
+    const SMALLEST_S: f64 = 1e-9;
+    match positive("tick_s", tick_s)? {
+        tick_s if tick_s >= SMALLEST_S => Ok(tick_s),
+        _ => {
+            let problem = format!("is {tick_s}, a program has nine decimals of a second");
+            Err(Invalid::whole("tick_s", problem, "give a larger tick"))
+        }
     }
 }

@@ -26,8 +26,8 @@ struct Cli {
 enum Method {
     /// Galil DMC, PVT mode: counts, counts/s, samples
     Galil {
-        /// Sample time (TM), s
-        #[arg(long, value_name = "T", default_value_t = 1e-3, allow_negative_numbers = true)]
+        /// Sample time, s: 1/1024 with the default TM 1000
+        #[arg(long, value_name = "T", default_value_t = 1.0 / 1024.0, allow_negative_numbers = true)]
         sample_s: f64,
         #[command(flatten)]
         common: CommonArgs,
@@ -48,6 +48,9 @@ enum Method {
         /// Unit of time of the velocities, s: Isx90 / 1000
         #[arg(long, value_name = "T", default_value_t = 1.0, allow_negative_numbers = true)]
         feedrate_time_unit_s: f64,
+        /// M-variable that switches the tool, 1 for on [default: the program does not switch it]
+        #[arg(long, value_name = "M")]
+        tool_output: Option<u32>,
         #[command(flatten)]
         common: CommonArgs,
     },
@@ -88,7 +91,8 @@ struct CommonArgs {
     /// Motion
     #[arg(long, value_name = "DIR")]
     trajectory: PathBuf,
-    /// Machine: its name goes into the header, its limits are checked
+    /// Machine: its name goes into the header, and its limits hold on the whole motion or nothing is
+    /// written
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
     /// Size of a count, mm: one number, or two for X,Y
@@ -117,8 +121,9 @@ fn main() -> ExitCode {
                 (Controller::Galil(galil::Settings { sample_s }), common)
             }
             Method::Xps { tick_s, common } => (Controller::Xps(xps::Settings { tick_s }), common),
-            Method::Pmac { tick_s, feedrate_time_unit_s, common } => {
-                (Controller::Pmac(pmac::Settings { tick_s, feedrate_time_unit_s }), common)
+            Method::Pmac { tick_s, feedrate_time_unit_s, tool_output, common } => {
+                let settings = pmac::Settings { tick_s, feedrate_time_unit_s, tool_output };
+                (Controller::Pmac(settings), common)
             }
             Method::Gcode { feed, tick_s, path_tolerance_mm, common } => {
                 let feed = match feed {

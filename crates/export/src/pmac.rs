@@ -4,18 +4,42 @@
 //! A segment takes up to 4095.9998 ms (Turbo PMAC, I42 = 0) in steps of the tick: 1 ms on a PMAC, down
 //! to 1/4 us on a Turbo PMAC. Absolute positions do not drift whatever the controller rounds.
 //!
-//! Source: Turbo PMAC software reference, program commands PVT and {axis}{data}:{data}.
+//! The tool: with `tool_output` an M-variable that the controller maps to its output (M1 to M8 are outputs
+//! in the suggested definitions). `M1==1` takes effect with the start of the next move, `M1=0` when the
+//! line is read, which is one or two moves early within a motion; so `=` stands before the first move
+//! only, and `==` before the first move of every change. A `==` after the last move is not executed
+//! unless a DWELL follows it: the program ends with `M1==0` and `DWELL0`. `A`, `K` and a fatal following
+//! error end the program without executing what is queued and leave the output as it is: a PLC program of
+//! the controller has to switch it off when no motion program runs. Without `tool_output` the host
+//! switches, and a motion that lifts the tool is refused.
+//!
+//! Source: Turbo PMAC software reference, program commands PVT{data}, {axis}{data}:{data},
+//! M{data}=={expression}, M{data}={expression}, DWELL; Turbo PMAC user manual, Synchronous M-Variable
+//! Assignment (with its note on the last move). Neither states a length of a line; 80 characters are those
+//! of a terminal.
 
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, Job, Program, decimal, positive, table::Ends};
+use crate::{
+    Abilities, About, Job, Tool, decimal, header::Comment, limits::Between, positive, tick,
+};
 
 /// Longest segment, s.
 const LONGEST_S: f64 = 4.095_999_8;
 
+/// What a Turbo PMAC resolves of a time, s.
+const RESOLUTION_S: f64 = 2.5e-7;
+
+/// Largest number of an M-variable.
+const LAST_M_VARIABLE: u32 = 8191;
+
+const COMMENT: Comment = Comment { open: "; ", close: "", line: 80 };
+
 /// Decimals of a position in mm, and of a velocity in mm/s.
 const DIGITS: usize = 9;
+/// The last of them, of a velocity.
+const VELOCITY_MM_PER_S: f64 = 1e-9;
 
 /// How a motion program is written.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -24,40 +48,72 @@ pub struct Settings {
     pub tick_s: f64,
     /// Unit of time of the velocities, s: Isx90 in ms over 1000.
     pub feedrate_time_unit_s: f64,
+    /// M-variable that switches the tool, 1 being on; absent where the program does not switch it.
+    pub tool_output: Option<u32>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { tick_s: 1e-3, feedrate_time_unit_s: 1.0 }
+        Self { tick_s: 1e-3, feedrate_time_unit_s: 1.0, tool_output: None }
     }
 }
 
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> {
-    let tick_s = positive("tick_s", settings.tick_s)?;
+pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
+    let tick_s = tick(settings.tick_s)?;
     let unit_s = positive("feedrate_time_unit_s", settings.feedrate_time_unit_s)?;
     let most = (LONGEST_S / tick_s).floor();
+    // A little less is the rounding of a number that was typed.
+    if tick_s < RESOLUTION_S * (1.0 - 1e-9) {
+        let problem = format!("is {tick_s}, a Turbo PMAC resolves {RESOLUTION_S} s");
+        return Err(Invalid::whole("tick_s", problem, "give a larger tick"));
+    }
+    if !(1e-6..=1e6).contains(&unit_s) {
+        let problem = format!("is {unit_s}; Isx90 is in ms, 1000 for velocities in mm/s");
+        return Err(Invalid::whole("feedrate_time_unit_s", problem, "give Isx90 / 1000"));
+    }
+    if let Some(m) = settings.tool_output.filter(|m| *m > LAST_M_VARIABLE) {
+        let problem = format!("is M{m}, the last M-variable is M{LAST_M_VARIABLE}");
+        return Err(Invalid::whole("tool_output", problem, "give the M-variable of the output"));
+    }
     if most < 2.0 {
         let problem = format!("is {tick_s}, a segment takes {LONGEST_S} s at most");
         return Err(Invalid::whole("tick_s", problem, "give a smaller tick"));
     }
-    let (q, mut about) = job.quantised(&Abilities {
+    let tool = match settings.tool_output {
+        None => Tool::LeftToTheHost(
+            "this program does not switch it (--tool-output names an M-variable that does): the host \
+             switches it on and off, and off on every stop",
+        ),
+        Some(m) => Tool::Switched(format!(
+            "M{m} is 1 where it is on, 0 at the start and at the end: on an abort it stays as it is, a PLC \
+             program has to switch it off when no program runs"
+        )),
+    };
+    let (q, mut about) = job.quantised(Abilities {
         controller: "pmac",
         tick_s,
         ticks: [1, most as i64],
-        ends: Ends::PositionAndVelocity,
-        switches_tool: false,
-        from_rest: true,
+        velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
+        between: Between::Cubic,
+        tool,
     })?;
     about.feedrate_time_unit_s = Some(unit_s);
     let units = format!("mm, mm per {unit_s} s with Isx90 = {}, ms", decimal(unit_s * 1e3, 6));
     // A velocity per millisecond needs three more.
     let more = (-unit_s.log10()).ceil().clamp(0.0, 9.0) as usize;
-    let mut text = String::new();
-    for line in about.header(&units) {
-        text += &format!("; {line}\n");
-    }
+    let mut text = about.header(&COMMENT, &units);
+    let switch = |on: bool, how: &str| {
+        let output = settings.tool_output.map(|m| format!("M{m}{how}{}\n", u8::from(on)));
+        output.unwrap_or_default()
+    };
+    text += &switch(false, "=");
     text += "ABS\n";
+    let mut on = false;
     for k in 0..about.segments {
+        if q.tool_on[k] != on {
+            on = q.tool_on[k];
+            text += &switch(on, "==");
+        }
         let ([x, y], v) = (q.position_mm(k + 1), q.velocity_mm_per_s[k + 1].map(|v| v * unit_s));
         text += &format!(
             "PVT{}\nX{}:{} Y{}:{}\n",
@@ -68,5 +124,10 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
             decimal(v[1], DIGITS + more)
         );
     }
-    Ok(Program { text, about })
+    if settings.tool_output.is_some() {
+        text += &switch(false, "==");
+        // Executes the line before it.
+        text += "DWELL0\n";
+    }
+    Ok((text, about))
 }

@@ -5,15 +5,23 @@
 //! The controller refuses an element without time and a last velocity that is not zero. It does not
 //! check where a relative motion ends: the start must be where `start_mm` says.
 //!
-//! Source: XPS user's manual, section on PVT trajectories.
+//! The tool: a line has no place for an output, so the file cannot switch one. The controller can, by
+//! its events (start and end of a trajectory, start of an element) and actions on its digital outputs,
+//! which the host configures before the run. A motion that lifts the tool is refused.
+//!
+//! Source: Newport XPS-Q8 user's manual (EDH0301), sections 8.3.6 (trajectory file description) and 8.3.8
+//! (verification and execution), and XPS programmer's manual, EventExtendedConfigurationActionSet. No
+//! length of a line is stated; a line here has up to 100 characters.
 
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, Job, Program, decimal, positive, table::Ends};
+use crate::{Abilities, About, Job, Tool, decimal, limits::Between, tick};
 
 /// Decimals of a distance in mm, a velocity in mm/s and a time in s.
 const DIGITS: usize = 9;
+/// The last of them, of a velocity.
+const VELOCITY_MM_PER_S: f64 = 1e-9;
 
 /// How a trajectory file is written.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -29,22 +37,24 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> {
-    let tick_s = positive("tick_s", settings.tick_s)?;
-    let (q, about) = job.quantised(&Abilities {
+pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
+    let tick_s = tick(settings.tick_s)?;
+    let (q, about) = job.quantised(Abilities {
         controller: "xps",
         tick_s,
         ticks: [1, i64::MAX >> 10],
-        ends: Ends::PositionAndVelocity,
-        switches_tool: false,
-        from_rest: true,
+        velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
+        between: Between::Cubic,
+        tool: Tool::LeftToTheHost(
+            "the file cannot switch it: the host switches it, or events of the controller (start and end \
+             of the trajectory) that the host configures",
+        ),
     })?;
     let n = about.segments;
     let mut text = String::new();
     for k in 0..n {
         let distance = q.distance(k);
-        // The last velocity is zero to rounding; the controller wants it exactly.
-        let velocity = if k + 1 == n { [0.0; 2] } else { q.velocity_mm_per_s[k + 1] };
+        let velocity = q.velocity_mm_per_s[k + 1];
         text += &decimal(q.duration(k) as f64 * tick_s, DIGITS);
         for axis in 0..2 {
             let d = distance[axis] as f64 * job.common.count_mm[axis];
@@ -52,5 +62,5 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<Program, Invalid> 
         }
         text.push('\n');
     }
-    Ok(Program { text, about })
+    Ok((text, about))
 }

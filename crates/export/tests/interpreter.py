@@ -1,16 +1,23 @@
-"""A G-code program as LinuxCNC's interpreter (rs274) understands it, against the table of the plan.
+"""A G-code program as LinuxCNC understands it.
 
     python interpreter.py RUN        RUN/program.gcode of a run with export=gcode
 
-The interpreter prints canonical calls: STRAIGHT_FEED(x, y, ...) and SET_FEED_RATE(mm/min), both with
-four decimals, DWELL(s). A line takes 60 length / feed. Compared: every end against the program's own
-words to half of the last decimal, and the total time against the header to the 5e-5 of the feed.
+The interpreter (rs274) against the table of the plan: it prints canonical calls, STRAIGHT_FEED(x, y, ...)
+and SET_FEED_RATE(mm/min), both with four decimals, DWELL(s). A line takes 60 length / feed. Compared: every
+end against the program's own words to half of the last decimal, and the total time against the header to
+the 5e-5 of the feed.
+
+The interpreter ignores outputs. So where LinuxCNC's simulator is installed (`linuxcnc`), a short program of
+planish-export with every kind of switch runs in it, in real time and twice, after a run that has left the
+output on; digital output 0 and the position are sampled every millisecond.
 """
 
 import json
 import os
 import pathlib
 import re
+import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -54,5 +61,182 @@ def main(folder):
     print(f"rs274: {len(found)} lines, total time off by {error:.1e} s of {seconds:.3f} (allowed {slack:.1e})")
 
 
+# Moves by 1 mm or stands, for 0.4 s each, with the tool on or off.
+SEGMENTS = [
+    (True, True), (False, True), (True, False), (False, False), (True, True), (False, False), (True, False),
+    (True, True), (True, False), (False, True), (True, True),
+]
+SECONDS = 0.4
+START = 1.0
+
+INI = """[EMC]
+VERSION = 1.1
+MACHINE = bench
+[DISPLAY]
+DISPLAY = {home}/driver.py
+[TASK]
+TASK = milltask
+CYCLE_TIME = 0.001
+[RS274NGC]
+PARAMETER_FILE = {home}/empty.var
+[EMCMOT]
+EMCMOT = motmod
+SERVO_PERIOD = 1000000
+[HAL]
+HALFILE = {home}/sim.hal
+[TRAJ]
+COORDINATES = X Y
+LINEAR_UNITS = mm
+ANGULAR_UNITS = degree
+MAX_LINEAR_VELOCITY = 100
+NO_FORCE_HOMING = 1
+[EMCIO]
+EMCIO = io
+TOOL_TABLE = {home}/tool.tbl
+[KINS]
+KINEMATICS = trivkins coordinates=XY
+JOINTS = 2
+"""
+AXIS = """[{name}]
+TYPE = LINEAR
+MAX_VELOCITY = 100
+MAX_ACCELERATION = 1000
+MIN_LIMIT = -1000
+MAX_LIMIT = 1000
+FERROR = 100
+MIN_FERROR = 100
+"""
+HAL = """loadrt trivkins coordinates=XY
+loadrt motmod servo_period_nsec=1000000 num_joints=2
+loadrt sampler depth=4000 cfg=bff
+addf motion-command-handler servo-thread
+addf motion-controller servo-thread
+addf sampler.0 servo-thread
+net tool motion.digital-out-00 => sampler.0.pin.0
+net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb sampler.0.pin.1
+net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb sampler.0.pin.2
+net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
+"""
+DRIVER = """#!/usr/bin/python3
+import linuxcnc, subprocess, time
+command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
+for state in linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON:
+    command.state(state)
+    command.wait_complete()
+command.mode(linuxcnc.MODE_AUTO)
+command.wait_complete()
+for i, program in enumerate(["{home}/left_on.ngc", "{program}", "{program}"]):
+    sampled = open("{home}/sampled" + str(i), "w")
+    sampler = subprocess.Popen(["halsampler", "-t"], stdout=sampled)
+    time.sleep(0.3)
+    command.program_open(program)
+    command.wait_complete()
+    command.auto(linuxcnc.AUTO_RUN, 0)
+    time.sleep(0.5)
+    for _ in range(3000):
+        status.poll()
+        error = errors.poll()
+        if error:
+            open("{home}/error", "a").write(str(error))
+        if status.interp_state == linuxcnc.INTERP_IDLE and status.inpos:
+            break
+        time.sleep(0.02)
+    time.sleep(0.3)
+    sampler.terminate()
+    sampler.wait()
+"""
+
+
+def npy(path, kind, shape, values):
+    code = {"<f8": "d", "|u1": "B", "<i8": "q"}[kind]
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}"
+    header += " " * (63 - (10 + len(header)) % 64) + "\n"
+    data = struct.pack(f"<{len(values)}{code}", *values)
+    path.write_bytes(b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header.encode() + data)
+
+
+def bench_program(home):
+    """The program of SEGMENTS, by planish-export."""
+    plan = home / "plan"
+    plan.mkdir()
+    n, x, coefficients = len(SEGMENTS), START, []
+    for moves, _ in SEGMENTS:
+        d, h = float(moves), SECONDS
+        coefficients += [x, 0.0, 3 * d / h**2, -2 * d / h**3] + [0.0] * 4
+        x += d
+    npy(plan / "break_time_s.npy", "<f8", (n + 1,), [SECONDS * k for k in range(n + 1)])
+    npy(plan / "coefficient_mm.npy", "<f8", (n, 2, 4), coefficients)
+    npy(plan / "tool_on.npy", "|u1", (n,), [on for _, on in SEGMENTS])
+    npy(plan / "dwell_index.npy", "<i8", (n,), [0] * n)
+    axis = {"max_velocity_mm_per_s": 100, "max_acceleration_mm_per_s2": 1000}
+    machine = {"name": "bench", "axes": [{"name": name, **axis} for name in "xy"]}
+    (home / "machine.json").write_text(json.dumps(machine))
+    export = pathlib.Path(__file__).resolve().parents[3] / "target/release/planish-export"
+    program = home / "program.ngc"
+    command = [export, "gcode", "--trajectory", plan, "--machine", home / "machine.json", "--out", program]
+    subprocess.run(command, check=True, capture_output=True)
+    return program
+
+
+def sampled(home, run):
+    rows = [line.split() for line in (home / f"sampled{run}").read_text().splitlines()]
+    return [(row[1] == "1", float(row[2])) for row in rows if len(row) == 4]
+
+
+def simulate():
+    with tempfile.TemporaryDirectory() as folder:
+        home = pathlib.Path(folder)
+        # The real-time part runs as another user than root.
+        home.chmod(0o777)
+        program = bench_program(home)
+        for name in ("tool.tbl", "empty.var"):
+            (home / name).touch()
+        (home / "left_on.ngc").write_text("M64 P0\nG4 P0.1\nM2\n")
+        (home / "sim.hal").write_text(HAL)
+        axes = "".join(AXIS.format(name=n) for n in ("AXIS_X", "AXIS_Y", "JOINT_0", "JOINT_1"))
+        (home / "sim.ini").write_text(INI.format(home=home) + axes)
+        driver = home / "driver.py"
+        driver.write_text(DRIVER.format(home=home, program=program))
+        driver.chmod(0o755)
+        environment = {**os.environ, "HOME": folder, "RTAPI_FIFO_PATH": f"{folder}/fifo"}
+        if os.getuid() == 0:
+            environment["RTAPI_UID"] = "65534"
+        run = subprocess.run(["linuxcnc", home / "sim.ini"], env=environment, capture_output=True, text=True, timeout=120)
+        assert run.returncode == 0 and not (home / "error").exists(), run.stdout + run.stderr
+        assert sampled(home, 0)[-1][0], "the run before leaves the output on"
+        checked = 0
+        for run in (1, 2):
+            checked += check_samples(sampled(home, run))
+    print(f"simulator: output as planned in {checked} samples, two runs of {len(SEGMENTS)} segments, off at the end")
+
+
+def check_samples(samples):
+    """Counts the samples that were compared with the plan."""
+    # To the start, then the segments: in the middle of a move, and in the middle of the time at one place.
+    first = next(i for i, (_, x) in enumerate(samples) if abs(x - START) < 1e-3)
+    moving = [on for on, x in samples[:first] if samples[0][1] != x]
+    assert moving and not any(moving), "the output is on during the rapid to the start"
+    place, x, checked = first, START, 0
+    for moves, planned in SEGMENTS:
+        if moves:
+            x += 1
+            begin = next(i for i in range(place, len(samples)) if samples[i][1] > x - 0.75)
+            end = next(i for i in range(place, len(samples)) if samples[i][1] > x - 0.25)
+            place = next(i for i in range(place, len(samples)) if samples[i][1] > x - 1e-3)
+        else:
+            begin = place + int(250 * SECONDS)
+            end = place + int(750 * SECONDS)
+            assert abs(samples[end][1] - x) < 1e-2, "a dwell was shorter"
+        found = {on for on, _ in samples[begin:end]}
+        assert found == {planned}, f"at {x} mm, {'move' if moves else 'dwell'}: {found} for {planned}"
+        checked += end - begin
+    assert not samples[-1][0], "the output is on at the end"
+    return checked
+
+
 if __name__ == "__main__":
     main(sys.argv[1])
+    if shutil.which("linuxcnc"):
+        simulate()
+    else:
+        print("simulator: skipped, no linuxcnc")

@@ -50,6 +50,9 @@ pub struct Configuration {
     pub sample_s: Option<f64>,
     /// Unit of time of a PMAC's velocities, s.
     pub feedrate_time_unit_s: Option<f64>,
+    /// BLAKE3 of the program that this belongs to; not known of one that was written by hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub program_blake3: Option<String>,
 }
 
 /// Reads a program of `controller` into the motion that it makes.
@@ -58,6 +61,7 @@ pub fn read(
     bytes: &[u8],
     configuration: &Configuration,
 ) -> Result<Trajectory, Invalid> {
+    belongs(bytes, configuration)?;
     let text = crate::text::text("program", bytes)?;
     match controller {
         Controller::Galil => galil::read(text, configuration),
@@ -66,6 +70,23 @@ pub fn read(
         Controller::Gcode => gcode::read(text),
         Controller::Csv => csv::read(text),
     }
+}
+
+/// Whether the configuration is that of the program: a count or a start of another program makes another
+/// motion of this one.
+fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
+    let Some(expected) = &configuration.program_blake3 else { return Ok(()) };
+    let found = blake3::hash(bytes).to_hex();
+    if expected.eq_ignore_ascii_case(&found) {
+        return Ok(());
+    }
+    let short: String = expected.chars().take(16).collect();
+    let problem = format!(
+        "is {short:?}... in the file of --about, that of the program is \"{}\"...",
+        &found[..16]
+    );
+    let remedy = "give the file that was written with this program, or export again";
+    Err(Invalid::whole("program_blake3", problem, remedy))
 }
 
 /// A state that a program names: time since its start (s), position (mm), velocity (mm/s).
@@ -150,6 +171,7 @@ mod tests {
             count_mm: Some([0.001, 0.001]),
             sample_s: Some(0.001),
             feedrate_time_unit_s: Some(1.0),
+            program_blake3: None,
         }
     }
 
@@ -208,7 +230,11 @@ mod tests {
         use Controller::*;
         for (controller, text, expected) in [
             (Galil, "PVA=1,0,100\n", "1 segment(s) of A, 0 of B"),
-            (Galil, "PVA=1,0,100\nPVB=1,0,102\n", "100 samples for A, 102 for B"),
+            (
+                Galil,
+                "PVA=1,0,100\nPVB=1,0,102\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n",
+                "100 samples for A, 102 for B",
+            ),
             (Galil, "PVA=1,x,100\n", "line[1]: has \"x\""),
             (Galil, "PVA=1,0,0\nPVB=1,0,0\n", "0 samples"),
             (Galil, "SHA\n", "line[1]: has \"SHA\""),
@@ -226,16 +252,131 @@ mod tests {
             (Gcode, "G20\n", "inches"),
             (Gcode, "G2 X1 Y1 R1\n", "G2"),
             (Gcode, "G0 X0 Y0\nG1 X1 F-5\n", "F is -5"),
-            (Gcode, "G0 X0 Y0\nG1 Xa F5\n", "where a number should be"),
+            (Gcode, "G0 X0 Y0\nG1 Xa F5\n", "line[2]: has the word X without a number"),
             (Csv, "0,1,0,2,0,1\n", "line[1]: is not the header"),
         ] {
             let said = message(controller, text);
             assert!(said.contains(expected), "{controller:?} {text:?}: {said}");
         }
         let nothing = Configuration::default();
-        let said = read(Galil, b"PVA=1,0,100\nPVB=1,0,100\n", &nothing).unwrap_err().to_string();
+        let galil = "PVA=1,0,100\nPVB=1,0,100\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n";
+        let said = read(Galil, galil.as_bytes(), &nothing).unwrap_err().to_string();
         assert!(said.contains("--count-mm"), "{said}");
         let said = read(Xps, b"0.1, 1, 0, 0, 0\n", &nothing).unwrap_err().to_string();
         assert!(said.contains("--start-mm"), "{said}");
+    }
+
+    #[test]
+    fn what_would_change_the_motion_without_a_trace_is_an_error() {
+        use Controller::*;
+        // The line that is wrong is the third.
+        let gcode = |line: &str| format!("G0 X0 Y0\nG94\n{line}\nM2\n");
+        for (line, expected) in [
+            ("G1 X5 ) Y7 F60", "has ) without a comment"),
+            ("G1 X5 (a (b) Y7 F60)", "comment within a comment"),
+            ("G1 X5 F60 (Y7", "comment that does not end"),
+            ("G1 X5 X6 F60", "has the word X twice"),
+            ("G1 X5 F60 F70", "has the word F twice"),
+            ("G0 G1 X5 F60", "has G1 beside another word of its group (motion)"),
+            ("G93 G94 G1 X5 F60", "feed mode"),
+            ("M62 M63 P0", "output"),
+            ("G1 X F60", "has the word X without a number"),
+            ("G1 X5 Z1 F60", "has the word Z1"),
+            ("G91 G1 X5 F60", "has G91, which is not understood"),
+            ("G1.04 X5 F60", "has G1.04, which is not understood"),
+            ("G1 X1e2 F60", "has the word E2"),
+            ("G1 X5%Y7 F60", "has \"5%\" where a number should be"),
+            ("G1 X5 #1=3 F60", "where a number should be"),
+            ("G1 X5 P1 F60", "has a word P that belongs to nothing"),
+            ("G1 X5 Q1 F60", "has a word Q that belongs to nothing"),
+            ("G4 P1 X5", "has G4 with words that belong to something else"),
+            ("M62 P1", "another output than P0"),
+            ("/G1 X5 F60", "depends on a switch of the machine"),
+            ("G1 N5 X5 F60", "has N not at its beginning"),
+            ("%", "has '%' where a letter should be"),
+        ] {
+            let said = message(Gcode, &gcode(line));
+            assert!(said.contains("line[3]") && said.contains(expected), "{line}: {said}");
+        }
+        let long = gcode(&format!("G1 X5 F60 ({})", "a".repeat(256)));
+        assert!(message(Gcode, &long).contains("has 268 characters, the controller takes 256"));
+        // A comment may hold what is no comment elsewhere.
+        let fine = gcode("N10 (a;b%c/d) G1 X5 Y7 F60 (e) ; f (g");
+        let program = read(Gcode, fine.as_bytes(), &Configuration::default()).unwrap();
+        let [x, y] = program.segment(0).position_mm(program.total_time_s());
+        // The speed is a quotient, the end its product with the time.
+        assert!((x - 5.0).abs() < 1e-12 && (y - 7.0).abs() < 1e-12);
+        assert!(message(Gcode, "G0 X0 Y0\nG94\nG1 X5 F60\n").contains("it was cut off"));
+
+        let galil = "PVA=1,0,100\nPVB=1,0,100\nBTAB\n";
+        for (text, expected) in [
+            (galil.into(), "does not end with PVA=0,0,0"),
+            (galil.replace("BTAB\n", "PVA=0,0,0\nPVB=0,0,0\n"), "has no BTAB"),
+            (format!("{galil}PVA=0,0,-1\n"), "line[4]: clears the segments before it"),
+            (format!("{galil}PVA=9,9,-1\n"), "line[4]: takes -1 samples"),
+            (format!("{galil}BTAB\n"), "line[4]: begins the motion again"),
+            (format!("{galil}PVA=0,0,0\nPVA=1,0,100\n"), "line[5]: goes on after the end"),
+            ("PVA=44000001,0,100\n".into(), "line[1]: has 44000001,0, which is beyond"),
+        ] {
+            let said = message(Galil, &text);
+            assert!(said.contains(expected), "{text:?}: {said}");
+        }
+        for (text, expected) in [
+            ("PVT10\nX1:0 X2:0\n", "line[2]: has X twice"),
+            ("PVT)10(\nX1:0\n", "line[1]: has \")10(\""),
+            ("PVT10\nX1:1\nDWELL5\n", "line[3]: dwells for 5 ms, or while it moves"),
+        ] {
+            let said = message(Pmac, text);
+            assert!(said.contains(expected), "{text:?}: {said}");
+        }
+        let csv = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,2,0,0.5\n1,1,0,2,0,1\n";
+        assert!(message(Csv, csv).contains("line[2]: has 0.5 for tool_on"));
+    }
+
+    #[test]
+    fn the_tool_switches_when_the_controller_does_it() {
+        let on =
+            |c, text: &str| read(c, text.as_bytes(), &configuration()).unwrap().tool_on().to_vec();
+        let gcode = |body: &str| format!("M65 P0\nG0 X0 Y0\nG93\n{body}M65 P0\nM2\n");
+        // G4 is no motion: M62 and M63 wait beyond it.
+        let body = "M62 P0\nG4 P1\nG1 X1 F60\nM63 P0\nG4 P1\nG1 X2 F60\n";
+        assert_eq!(on(Controller::Gcode, &gcode(body)), [false, true, true, false]);
+        let body = "M64 P0\nG4 P1\nG1 X1 F60\nM65 P0\nG4 P1\nG1 X2 F60\n";
+        assert_eq!(on(Controller::Gcode, &gcode(body)), [true, true, false, false]);
+        let body = "PVT10\nX1:0\nM7==1\nX2:0\nX3:0\nM7==0\nX4:0\n";
+        assert_eq!(on(Controller::Pmac, &format!("M7=0\n{body}")), [false, true, true, false]);
+        let left_on = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM63 P0\nM2\n";
+        assert!(
+            message(Controller::Gcode, left_on).contains("no motion follows: it never happens")
+        );
+        let left_on = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM2\n";
+        assert!(message(Controller::Gcode, left_on).contains("ends with the tool on"));
+        let late = "G0 X0 Y0\nG93\nG1 X1 F60\nM62 P0\nG1 X2 F60\nM65 P0\nM2\n";
+        assert!(message(Controller::Gcode, late).contains("line[4]: switches the tool first here"));
+        for (text, expected) in [
+            ("M7==1\nPVT10\nX1:0\nM7==0\n", "ends with the tool on"),
+            ("M7==1\nPVT10\nX1:0\nM7=0\n", "line[4]: assigns with = among moves"),
+            ("M7==1\nPVT10\nX1:0\nM8==0\nDWELL0\n", "line[4]: switches another M-variable"),
+            ("PVT10\nX1:0\nM7==1\nX2:0\n", "line[3]: switches first here"),
+            ("M7==2\n", "line[1]: has \"M7==2\""),
+        ] {
+            let said = message(Controller::Pmac, text);
+            assert!(said.contains(expected), "{text:?}: {said}");
+        }
+    }
+
+    #[test]
+    fn the_file_beside_another_program_is_refused() {
+        let text = b"0.1, 1, 0, 0, 0\n";
+        let of = |bytes: &[u8]| Configuration {
+            program_blake3: Some(blake3::hash(bytes).to_hex().to_string()),
+            ..configuration()
+        };
+        assert!(read(Controller::Xps, text, &of(text)).is_ok());
+        let said = read(Controller::Xps, text, &of(b"0.1, 2, 0, 0, 0\n")).unwrap_err().to_string();
+        assert!(
+            said.contains("program_blake3: is") && said.contains("that of the program is"),
+            "{said}"
+        );
     }
 }

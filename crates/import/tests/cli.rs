@@ -147,6 +147,43 @@ fn a_program_becomes_a_motion() {
     assert_eq!(artifact::read::<Trajectory>(&dir.join("b")).unwrap().value, motion);
 }
 
+/// Two files are written one after the other; a kill between them leaves the count of another program.
+#[test]
+fn the_file_beside_another_program_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let program = "0.1, 1, 0, 0, 0\n0.2, 0, 0, 0, 0\n";
+    fs::write(dir.join("p.trj"), program).unwrap();
+    let about = |of: &str| {
+        let hash = blake3::hash(of.as_bytes()).to_hex().to_string();
+        let about = serde_json::json!({ "start_mm": [0.0, 0.0], "program_blake3": hash });
+        fs::write(dir.join("p.trj.json"), about.to_string()).unwrap();
+    };
+    let base = ["program", "p.trj", "--controller", "xps", "--about", "p.trj.json"];
+    about("0.1, 10, 0, 0, 0\n");
+    let said = refused(dir, &base);
+    assert!(said.contains("p.trj: program_blake3: is") && said.contains("export again"), "{said}");
+    about(program);
+    done(dir, &[&base[..], &["--out", "a"]].concat());
+}
+
+#[test]
+fn a_program_that_loses_words_is_refused_with_its_line() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    for (line, expected) in [
+        ("G1 X5 ) Y7 F60", "program line[3]: has ) without a comment"),
+        ("G1 X5 F60 (Y7", "program line[3]: has a comment that does not end"),
+        ("G1 X5 X6 F60", "program line[3]: has the word X twice"),
+        ("M63 P0", "ends with an M62 or M63 that no motion follows"),
+    ] {
+        let text = format!("G0 X0 Y0\nG94\n{line}\nM2\n");
+        fs::write(dir.join("p.ngc"), text).unwrap();
+        let said = refused(dir, &["program", "p.ngc", "--controller", "gcode"]);
+        assert!(said.contains(expected), "{line}: {said}");
+    }
+}
+
 #[test]
 fn bad_files_and_flags_are_one_message() {
     let tmp = tempfile::tempdir().unwrap();

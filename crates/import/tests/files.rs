@@ -420,6 +420,7 @@ fn damaged_programs_are_read_or_refused() {
         count_mm: Some([1e-3; 2]),
         sample_s: Some(1e-3),
         feedrate_time_unit_s: Some(1.0),
+        program_blake3: None,
     };
     let seeds = [
         (
@@ -427,10 +428,13 @@ fn damaged_programs_are_read_or_refused() {
             "' x\nPVA=0,0,-1\nPVA=100,5,100\nPVB=0,0,100\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n",
         ),
         (Controller::Xps, "0.1, 1, 0.5, 0, 0\n0.2, 0, 0, 0, 0\n"),
-        (Controller::Pmac, "; x\nABS\nPVT100\nX2:0 Y-2:0\nINC\nPVT200\nX2:0.5 Y-2:0\n"),
+        (
+            Controller::Pmac,
+            "M7=0\nABS\nM7==1\nPVT100\nX2:0 Y-2:0\nINC\nPVT(200)\nX2 Y-2:0\nM7==0\nDWELL0\n",
+        ),
         (
             Controller::Gcode,
-            "(x) G21 G90\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 F600 ; y\nG4 P0.2\nG94 F60\nM2\n",
+            "(x) G21 G90\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 F600 ; y\nG4 P0.2\nM65 P0\nM2\n",
         ),
         (
             Controller::Csv,
@@ -439,6 +443,7 @@ fn damaged_programs_are_read_or_refused() {
     ];
     let mut random = ChaCha8Rng::seed_from_u64(2);
     for (controller, seed) in seeds {
+        program::read(controller, seed.as_bytes(), &configuration).unwrap();
         let mut refused = 0;
         for _ in 0..executions() {
             let bytes = damaged(seed.as_bytes(), &mut random);

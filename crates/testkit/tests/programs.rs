@@ -1,6 +1,6 @@
 //! Random motions written for every controller by `planish-export` and read back by the reader of
 //! `planish-import`, which shares no code with the writer: every end within half a count and half a
-//! tick, no drift, the cubic between the ends as planned.
+//! tick, no drift, the cubic between the ends as planned, the tool on where the plan has it on.
 
 use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
 use planish_import::program::{self as reader, Configuration};
@@ -18,6 +18,8 @@ struct Target {
     counts_per_s: f64,
     /// Whether the motion between two ends is the cubic.
     cubic: bool,
+    /// Whether the program switches the tool.
+    switches: bool,
     /// Rounding of the text: error of a time, s.
     time_s: f64,
 }
@@ -29,21 +31,30 @@ fn targets() -> Vec<Target> {
         tick_s,
         counts_per_s: 0.0,
         cubic: true,
+        switches: true,
         // Sums of up to 60 times, each to rounding.
         time_s: 1e-12,
     };
     vec![
         Target {
             counts_per_s: 1.0,
+            switches: false,
             ..target(
-                Controller::Galil(galil::Settings { sample_s: 1e-3 }),
+                Controller::Galil(galil::Settings::default()),
                 reader::Controller::Galil,
-                2e-3,
+                2.0 / 1024.0,
             )
         },
-        target(Controller::Xps(xps::Settings { tick_s: 1e-4 }), reader::Controller::Xps, 1e-4),
+        Target {
+            switches: false,
+            ..target(Controller::Xps(xps::Settings { tick_s: 1e-4 }), reader::Controller::Xps, 1e-4)
+        },
         target(
-            Controller::Pmac(pmac::Settings { tick_s: 2.5e-7, feedrate_time_unit_s: 0.001 }),
+            Controller::Pmac(pmac::Settings {
+                tick_s: 2.5e-7,
+                feedrate_time_unit_s: 0.001,
+                tool_output: Some(1),
+            }),
             reader::Controller::Pmac,
             2.5e-7,
         ),
@@ -100,7 +111,8 @@ fn motion(random: &mut ChaCha8Rng) -> Trajectory {
         })
     });
     let coefficients = coefficients.collect();
-    Trajectory::new(time, coefficients, vec![true; n], vec![0; n]).unwrap()
+    let tool_on = (0..n).map(|_| random.random_range(0..3) > 0).collect();
+    Trajectory::new(time, coefficients, tool_on, vec![0; n]).unwrap()
 }
 
 #[test]
@@ -110,7 +122,7 @@ fn every_program_reads_back_within_half_a_count_and_half_a_tick() {
     for (case, count_mm) in (0..200).zip([1e-4, 1e-3, 2.5e-4, 1e-5].into_iter().cycle()) {
         let plan = motion(&mut case_generator(1, 7, case));
         let common =
-            Common { count_mm: [count_mm, 2.0 * count_mm], max_step_s: None, always_on: false };
+            Common { count_mm: [count_mm, 2.0 * count_mm], max_step_s: None, always_on: true };
         for target in targets() {
             let name = format!("case {case}, count {count_mm}, {:?}", target.controller);
             let made = program(&plan, &machine, &target.controller, &common, &origin)
@@ -135,6 +147,7 @@ fn compare(plan: &Trajectory, run: &Trajectory, target: &Target, count_mm: [f64;
         let (begin, end) = (segment.start_s - start, segment.start_s - start + segment.duration_s);
         while k < run.len() && run.break_time_s()[k] < end - target.tick_s - target.time_s {
             let (piece, at) = (run.segment(k), run.break_time_s()[k] - begin);
+            assert_eq!(piece.tool_on, segment.tool_on || !target.switches, "{name}: segment {i}");
             let planned = segment.position_mm(at.clamp(0.0, segment.duration_s));
             let found = piece.position_mm(0.0);
             for a in 0..2 {

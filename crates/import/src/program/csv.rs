@@ -28,6 +28,9 @@ pub fn read(text: &str) -> Result<Trajectory, Invalid> {
         let [time_s, x, vx, y, vy, on] = fields[..] else {
             return Err(wrong(i + 1, format!("has {} fields, not {HEADER}", fields.len())));
         };
+        if on != 0.0 && on != 1.0 {
+            return Err(wrong(i + 1, format!("has {on} for tool_on, not 0 or 1")));
+        }
         knots.push(Knot {
             time_s,
             position_mm: [x, y],

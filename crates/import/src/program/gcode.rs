@@ -5,13 +5,21 @@
 //! | G0 | to the start; later only where the axes stand already |
 //! | G1 X Y F | straight at constant speed; G93: in 60/F s, F in every line; G94: at F mm/min |
 //! | G4 P | stand for P seconds |
-//! | M62 P0, M63 P0 | tool on, tool off with the next motion |
+//! | M62 P0, M63 P0 | tool on, tool off with the next motion (G0, G1; a G4 is none) |
+//! | M64 P0, M65 P0 | tool on, tool off at once, after the motion before |
 //! | G17 G21 G40 G49 G54 G61 G64 G90 | accepted: plane, mm, no compensation, path mode, absolute |
-//! | M2, M30, % | end |
+//! | M2, M30, or a second % | end; a program without one was cut off |
 //!
 //! The times are nominal: a planner that blends corners or is held by its limits takes longer.
 //!
-//! Source: LinuxCNC documentation, G-codes and M-codes.
+//! What LinuxCNC refuses is refused, with the line, and so is what would change the motion without a trace:
+//! a word twice, two words of one modal group, a word without a number or that nothing on the line uses, a
+//! comment within a comment, one that does not end, a bracket without a comment, a line that a switch of the
+//! machine may leave out (/), more than 256 characters. A program without M62 to M65 has the tool on
+//! always; one with them must say so before it moves, and must end with the tool off.
+//!
+//! Source: LinuxCNC documentation: G-codes, M-codes (M62 - M65 Digital Output Control), G-code Overview
+//! (Format of a line, Numbers, Comments, modal groups).
 
 use planish_types::{Invalid, Trajectory};
 
@@ -20,11 +28,28 @@ use super::{finite, wrong};
 /// The motion of a program.
 pub fn read(text: &str) -> Result<Trajectory, Invalid> {
     let mut machine = Machine::default();
+    let (mut percent, mut begun, mut ended) = (false, false, false);
     for (i, line) in text.lines().enumerate() {
-        if machine.line(i + 1, line)? {
+        let plain = line.trim();
+        ended = match plain {
+            // Around the program, as its first line and its last.
+            "%" if !begun => {
+                percent = true;
+                false
+            }
+            "%" if percent => true,
+            _ => machine.line(i + 1, line)?,
+        };
+        begun |= !plain.is_empty();
+        if ended {
             break;
         }
     }
+    if !ended {
+        let problem = "does not end with M2, M30 or a second %: it was cut off";
+        return Err(Invalid::whole("program", problem, "write the program again"));
+    }
+    machine.end()?;
     let n = machine.segments.len();
     if n == 0 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
@@ -39,6 +64,10 @@ struct Machine {
     /// 0 or 1 of G0, G1.
     motion: u32,
     tool_on: bool,
+    /// Of M62 and M63, until a motion begins.
+    queued: Option<bool>,
+    /// Whether the program switches the output.
+    switches: bool,
     times: Vec<f64>,
     segments: Vec<[[f64; 4]; 2]>,
     tool: Vec<bool>,
@@ -52,6 +81,8 @@ impl Default for Machine {
             feed: None,
             motion: 0,
             tool_on: true,
+            queued: None,
+            switches: false,
             times: vec![0.0],
             segments: Vec::new(),
             tool: Vec::new(),
@@ -63,34 +94,42 @@ impl Machine {
     /// Runs a line; whether the program ends with it.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
+        check_words(number, &words)?;
         let value = |letter: char| words.iter().find(|w| w.0 == letter).map(|w| w.1);
         let (mut dwell, mut end, mut output) = (false, false, None);
         for (letter, v) in &words {
-            // Codes have at most one decimal.
-            let code = (10.0 * v).round() as i64;
-            match (letter, code) {
-                ('G', 0) => self.motion = 0,
-                ('G', 10) => self.motion = 1,
-                ('G', 40) => dwell = true,
-                ('G', 930) => self.inverse_time = true,
-                ('G', 940) => self.inverse_time = false,
-                ('G', 170 | 210 | 400 | 490 | 540 | 610 | 640 | 900) => {}
-                ('G', 200) => return Err(wrong(number, "has G20: inches; write it in mm")),
-                ('M', 20 | 300) => end = true,
-                ('M', 620) => output = Some(true),
-                ('M', 630) => output = Some(false),
-                ('G' | 'M', _) => {
-                    return Err(wrong(number, format!("has {letter}{v}, which is not understood")));
-                }
-                ('X' | 'Y' | 'F' | 'P' | 'Q' | 'N', _) => {}
-                _ => return Err(wrong(number, format!("has the word {letter}{v}"))),
+            match (letter, code(*v)) {
+                ('G', Some(0)) => self.motion = 0,
+                ('G', Some(10)) => self.motion = 1,
+                ('G', Some(40)) => dwell = true,
+                ('G', Some(930)) => self.inverse_time = true,
+                ('G', Some(940)) => self.inverse_time = false,
+                ('M', Some(20 | 300)) => end = true,
+                ('M', Some(620)) => output = Some((true, true)),
+                ('M', Some(630)) => output = Some((false, true)),
+                ('M', Some(640)) => output = Some((true, false)),
+                ('M', Some(650)) => output = Some((false, false)),
+                _ => {}
             }
         }
-        if let Some(on) = output {
+        if let Some((on, with_motion)) = output {
             if value('P') != Some(0.0) {
                 return Err(wrong(number, "switches another output than P0"));
             }
-            self.tool_on = on;
+            if !self.switches && !self.segments.is_empty() {
+                let problem = "switches the tool first here: whether it was on before is not known";
+                return Err(wrong(number, problem));
+            }
+            if !self.switches {
+                // Not switched yet: off, as when the controller starts.
+                self.tool_on = false;
+            }
+            self.switches = true;
+            if with_motion {
+                self.queued = Some(on);
+            } else {
+                self.tool_on = on;
+            }
         }
         if let Some(feed) = value('F') {
             if feed <= 0.0 {
@@ -120,6 +159,9 @@ impl Machine {
             if !self.segments.is_empty() && target != self.position {
                 return Err(wrong(number, "has G0 within the motion: its time is not known"));
             }
+            if target != self.position {
+                self.tool_on = self.queued.take().unwrap_or(self.tool_on);
+            }
             self.position = target;
             return Ok(());
         }
@@ -137,7 +179,20 @@ impl Machine {
         }
         // G93: 60 / F seconds; G94: length at F mm/min
         let seconds = if self.inverse_time { 60.0 / feed } else { 60.0 * length / feed };
+        self.tool_on = self.queued.take().unwrap_or(self.tool_on);
         self.push(number, here, [x, y], seconds)
+    }
+
+    /// Refuses a program that leaves the tool on.
+    fn end(&self) -> Result<(), Invalid> {
+        let problem = match (self.switches, self.queued, self.tool_on) {
+            (true, Some(_), _) => {
+                "ends with an M62 or M63 that no motion follows: it never happens"
+            }
+            (true, None, true) => "ends with the tool on",
+            _ => return Ok(()),
+        };
+        Err(Invalid::whole("program", problem, "end it with M65 P0"))
     }
 
     fn here(&self, number: usize) -> Result<[f64; 2], Invalid> {
@@ -166,26 +221,119 @@ impl Machine {
     }
 }
 
+/// Ten times a code: they have at most one decimal. LinuxCNC takes what is within 0.0001 of a whole number.
+fn code(v: f64) -> Option<i64> {
+    let tenfold = 10.0 * v;
+    ((tenfold - tenfold.round()).abs() <= 1e-4).then_some(tenfold.round() as i64)
+}
+
+/// Refuses words that are not understood, that contradict each other, or that nothing uses.
+fn check_words(number: usize, words: &[(char, f64)]) -> Result<(), Invalid> {
+    let has = |letter: char, codes: &[i64]| {
+        words.iter().any(|w| w.0 == letter && code(w.1).is_some_and(|c| codes.contains(&c)))
+    };
+    let mut groups = Vec::new();
+    for (i, (letter, v)) in words.iter().enumerate() {
+        let not_understood = || wrong(number, format!("has {letter}{v}, which is not understood"));
+        match letter {
+            'G' | 'M' => {
+                let group = match (letter, code(*v).ok_or_else(not_understood)?) {
+                    ('G', 40) => "not modal",
+                    ('G', 0 | 10) => "motion",
+                    ('G', 170) => "plane",
+                    ('G', 210) => "unit",
+                    ('G', 400) => "cutter compensation",
+                    ('G', 490) => "tool length",
+                    ('G', 540) => "coordinate system",
+                    ('G', 610 | 640) => "path mode",
+                    ('G', 900) => "distance mode",
+                    ('G', 930 | 940) => "feed mode",
+                    ('G', 200) => return Err(wrong(number, "has G20: inches; write it in mm")),
+                    ('M', 20 | 300) => "end",
+                    ('M', 620 | 630 | 640 | 650) => "output",
+                    _ => return Err(not_understood()),
+                };
+                if groups.contains(&group) {
+                    return Err(wrong(
+                        number,
+                        format!("has {letter}{v} beside another word of its group ({group})"),
+                    ));
+                }
+                groups.push(group);
+            }
+            'X' | 'Y' | 'F' | 'P' | 'Q' => {
+                if words[..i].iter().any(|w| w.0 == *letter) {
+                    return Err(wrong(number, format!("has the word {letter} twice")));
+                }
+            }
+            'N' if i == 0 && *v >= 0.0 => {}
+            'N' => return Err(wrong(number, "has N not at its beginning, or below zero")),
+            _ => return Err(wrong(number, format!("has the word {letter}{v}"))),
+        }
+    }
+    let dwell = has('G', &[40]);
+    let output = has('M', &[620, 630, 640, 650]);
+    let blending = has('G', &[640]);
+    let given = |letter: char| words.iter().any(|w| w.0 == letter);
+    if dwell && (output || blending || given('X') || given('Y')) {
+        return Err(wrong(number, "has G4 with words that belong to something else"));
+    }
+    if given('P') && (output && blending || !(dwell || output || blending)) {
+        return Err(wrong(number, "has a word P that belongs to nothing, or to two things"));
+    }
+    if given('Q') && !blending {
+        return Err(wrong(number, "has a word Q that belongs to nothing"));
+    }
+    Ok(())
+}
+
+/// Most characters of a line.
+const MOST_CHARACTERS: usize = 256;
+
 /// Letters with their numbers, comments left out.
 fn words(number: usize, line: &str) -> Result<Vec<(char, f64)>, Invalid> {
+    if line.len() > MOST_CHARACTERS {
+        let problem =
+            format!("has {} characters, the controller takes {MOST_CHARACTERS}", line.len());
+        return Err(wrong(number, problem));
+    }
     let mut plain = String::new();
-    let mut depth = 0;
-    for c in line.split([';', '%']).next().unwrap_or_default().chars() {
+    let mut comment = false;
+    for c in line.chars() {
         match c {
-            '(' => depth += 1,
-            ')' => depth -= 1,
-            _ if depth == 0 && !c.is_whitespace() => plain.push(c.to_ascii_uppercase()),
-            _ => {}
+            '(' if comment => return Err(wrong(number, "has a comment within a comment")),
+            '(' => comment = true,
+            ')' if !comment => return Err(wrong(number, "has ) without a comment")),
+            ')' => comment = false,
+            _ if comment => {}
+            ';' => break,
+            '/' if plain.is_empty() => {
+                let problem = "begins with /: whether it runs depends on a switch of the machine";
+                return Err(wrong(number, problem));
+            }
+            _ if c.is_whitespace() => {}
+            _ => plain.push(c.to_ascii_uppercase()),
         }
+    }
+    if comment {
+        return Err(wrong(number, "has a comment that does not end"));
     }
     let mut words = Vec::new();
     let mut rest = plain.as_str();
     while let Some(letter) = rest.chars().next() {
         if !letter.is_ascii_alphabetic() {
-            return Err(wrong(number, format!("has \"{letter}\" where a letter should be")));
+            return Err(wrong(number, format!("has {letter:?} where a letter should be")));
         }
         let end = rest[1..].find(|c: char| c.is_ascii_alphabetic()).map_or(rest.len(), |e| e + 1);
-        words.push((letter, finite(number, &rest[1..end])?));
+        let digits = |c: char| c.is_ascii_digit() || "+-.".contains(c);
+        match &rest[1..end] {
+            "" => return Err(wrong(number, format!("has the word {letter} without a number"))),
+            text if text.chars().all(digits) => words.push((letter, finite(number, text)?)),
+            text => {
+                let short: String = text.chars().take(20).collect();
+                return Err(wrong(number, format!("has {short:?} where a number should be")));
+            }
+        }
         rest = &rest[end..];
     }
     Ok(words)

@@ -2,7 +2,12 @@
 //! a segment to a position (`ABS`) or by a distance (`INC`) with the velocity at its end, in mm per
 //! feedrate time unit. A velocity that is left out is zero, an axis that is left out stands still.
 //!
-//! Source: Turbo PMAC software reference, program commands PVT and {axis}{data}:{data}.
+//! `M<n>==1` and `M<n>==0` switch the tool with the start of the next move, `M<n>=0` and `M<n>=1` when the
+//! line is read, which is known before the first move only; `DWELL` stands and executes what is queued.
+//! A program without them has the tool on always; one that has them ends with the tool off.
+//!
+//! Source: Turbo PMAC software reference, program commands PVT, {axis}{data}:{data}, M{data}==, M{data}=,
+//! DWELL; Turbo PMAC user manual, Synchronous M-Variable Assignment.
 
 use planish_types::{Invalid, Trajectory};
 
@@ -21,6 +26,7 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
         Knot { time_s: 0.0, position_mm: start_mm, velocity_mm_per_s: [0.0; 2], tool_on: true };
     let mut knots = vec![last];
     let (mut segment_ms, mut absolute, mut total_ms) = (None, true, 0.0);
+    let mut output = Output::default();
     for (i, line) in text.lines().enumerate() {
         let line = line.split(';').next().unwrap_or_default().trim();
         match line {
@@ -28,12 +34,26 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
             "ABS" => absolute = true,
             "INC" => absolute = false,
             _ if line.starts_with("PVT") => {
-                let ms = finite(i + 1, line[3..].trim_matches(['(', ')']))?;
+                let ms = constant(i + 1, &line[3..])?;
                 if ms <= 0.0 {
                     return Err(wrong(i + 1, format!("lasts {ms} ms")));
                 }
                 segment_ms = Some(ms);
             }
+            _ if line.starts_with("DWELL") => {
+                let ms = constant(i + 1, &line[5..])?;
+                if ms < 0.0 || last.velocity_mm_per_s != [0.0; 2] {
+                    return Err(wrong(i + 1, format!("dwells for {ms} ms, or while it moves")));
+                }
+                output.execute();
+                if ms > 0.0 {
+                    knots.last_mut().expect("one knot").tool_on = output.on;
+                    total_ms += ms;
+                    last.time_s = total_ms / 1e3;
+                    knots.push(last);
+                }
+            }
+            _ if line.starts_with('M') => output.assign(i + 1, line, knots.len() > 1)?,
             _ => {
                 let Some(ms) = segment_ms else {
                     return Err(wrong(i + 1, "moves before PVT sets a time"));
@@ -42,6 +62,9 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
                 total_ms += ms;
                 last.time_s = total_ms / 1e3;
                 last.velocity_mm_per_s = [0.0; 2];
+                output.execute();
+                knots.last_mut().expect("one knot").tool_on = output.on;
+                let mut seen = [false; 2];
                 for word in line.split_whitespace() {
                     let axis = match word.as_bytes()[0] {
                         b'X' => 0,
@@ -53,6 +76,9 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
                             ));
                         }
                     };
+                    if std::mem::replace(&mut seen[axis], true) {
+                        return Err(wrong(i + 1, format!("has {} twice", &word[..1])));
+                    }
                     let (p, v) = word[1..].split_once(':').unwrap_or((&word[1..], "0"));
                     let (p, v) = (finite(i + 1, p)?, finite(i + 1, v)?);
                     last.position_mm[axis] = if absolute { p } else { last.position_mm[axis] + p };
@@ -62,7 +88,82 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
             }
         }
     }
+    output.end()?;
     through(&knots)
+}
+
+/// The M-variable that switches the tool.
+struct Output {
+    number: Option<u32>,
+    on: bool,
+    /// Assigned with the start of the next move.
+    queued: Option<bool>,
+}
+
+impl Default for Output {
+    fn default() -> Self {
+        Self { number: None, on: true, queued: None }
+    }
+}
+
+impl Output {
+    /// `M<n>==<0|1>` or `M<n>=<0|1>`.
+    fn assign(&mut self, line: usize, text: &str, moved: bool) -> Result<(), Invalid> {
+        let unknown = || wrong(line, format!("has {:?}, not M<n>==0 or M<n>==1", short(text)));
+        let (name, value) = text.split_once('=').ok_or_else(unknown)?;
+        let (value, synchronous) = match value.strip_prefix('=') {
+            Some(value) => (value, true),
+            None => (value, false),
+        };
+        let number = name[1..].trim().parse::<u32>().map_err(|_| unknown())?;
+        let on = match value.trim() {
+            "0" => false,
+            "1" => true,
+            _ => return Err(unknown()),
+        };
+        if self.number.is_some_and(|n| n != number) {
+            return Err(wrong(line, "switches another M-variable than the lines before it"));
+        }
+        if self.number.is_none() && moved {
+            return Err(wrong(
+                line,
+                "switches first here: whether the tool was on before is not known",
+            ));
+        }
+        self.number = Some(number);
+        match (synchronous, moved) {
+            (true, _) => self.queued = Some(on),
+            (false, false) => self.on = on,
+            (false, true) => {
+                return Err(wrong(
+                    line,
+                    "assigns with = among moves: that happens one or two moves early",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// A move or a dwell begins.
+    fn execute(&mut self) {
+        self.on = self.queued.take().unwrap_or(self.on);
+    }
+
+    fn end(&self) -> Result<(), Invalid> {
+        if self.number.is_some() && (self.on || self.queued.is_some()) {
+            let problem =
+                "ends with the tool on: what is assigned after the last move does not happen";
+            return Err(Invalid::whole("program", problem, "end with M<n>==0 and DWELL0"));
+        }
+        Ok(())
+    }
+}
+
+/// A number, in brackets or without.
+fn constant(line: usize, text: &str) -> Result<f64, Invalid> {
+    let text = text.trim();
+    let inner = text.strip_prefix('(').and_then(|t| t.strip_suffix(')')).unwrap_or(text);
+    finite(line, inner)
 }
 
 fn short(word: &str) -> String {

@@ -1,0 +1,89 @@
+//! The comment at the head of a program: what it is, in lines that the controller accepts.
+
+use crate::{About, decimal};
+
+/// Begins a line that goes on with the text of the one before. A comment of LinuxCNC that begins with a
+/// word like MSG is a command; these dots are none.
+const CONTINUED: &str = "... ";
+
+/// How a controller takes a comment.
+pub(crate) struct Comment {
+    pub open: &'static str,
+    pub close: &'static str,
+    /// Most characters of a line, `open` and `close` included.
+    pub line: usize,
+}
+
+impl About {
+    /// The lines of a header, each a whole comment.
+    ///
+    /// Names and paths are a user's: what is not a printable ASCII character, and what ends a comment or a
+    /// command somewhere (brackets, semicolon, the line continuation ` of a Galil), becomes `_`.
+    pub(crate) fn header(&self, comment: &Comment, units: &str) -> String {
+        let [x, y] = self.start_mm;
+        let mut lines = vec![
+            format!("{} for {}, written by {}", self.controller, self.machine, self.made_by),
+            format!("made from: {}", self.made_from),
+            format!("units: {units}"),
+            format!("start: x {} mm, y {} mm", decimal(x, 9), decimal(y, 9)),
+            format!("{} segments, total time {} s", self.segments, decimal(self.total_time_s, 9)),
+            format!("tool: {}", self.tool),
+        ];
+        if let (Some(segments), Some(s)) = (self.buffer_segments, self.buffer_lasts_s) {
+            lines.push(format!(
+                "buffer: {segments} segments, which last {} s at least: the host adds lines faster",
+                decimal(s, 6)
+            ));
+        }
+        lines.extend(self.warnings.iter().map(|w| format!("warning: {w}")));
+        let plain = |c: char| if (' '..='~').contains(&c) && !"();`".contains(c) { c } else { '_' };
+        let room = comment.line - comment.open.len() - comment.close.len();
+        let mut text = String::new();
+        for line in lines {
+            let line: Vec<char> = line.chars().map(plain).collect();
+            for part in parts(&line, room) {
+                text += comment.open;
+                text += &part;
+                text += comment.close;
+                text += "\n";
+            }
+        }
+        text
+    }
+}
+
+/// `line` in parts of at most `room` characters, cut at spaces where there are some.
+fn parts(line: &[char], room: usize) -> Vec<String> {
+    let mut parts = Vec::new();
+    let mut rest = line;
+    let mut room_now = room;
+    let mut begin = "";
+    while rest.len() > room_now {
+        let space = rest[..room_now].iter().rposition(|c| *c == ' ');
+        let end = space.filter(|s| *s >= room_now / 2).map_or(room_now, |s| s + 1);
+        let text: String = rest[..end].iter().collect();
+        parts.push(format!("{begin}{}", text.trim_end()));
+        rest = &rest[end..];
+        (begin, room_now) = (CONTINUED, room - CONTINUED.len());
+    }
+    let text: String = rest.iter().collect();
+    parts.push(format!("{begin}{text}"));
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_line_is_several_and_loses_nothing() {
+        let long: Vec<char> = "made from: ".chars().chain(std::iter::repeat_n('a', 100)).collect();
+        let parts = parts(&long, 40);
+        assert!(parts.iter().all(|p| p.len() <= 40), "{parts:?}");
+        let whole: String = parts.iter().map(|p| p.trim_start_matches(CONTINUED)).collect();
+        assert_eq!(whole.matches('a').count(), 101);
+        let words: Vec<char> = "one two three four five".chars().collect();
+        assert_eq!(super::parts(&words, 12), ["one two", "... three", "... four", "... five"]);
+        assert_eq!(super::parts(&[], 12), [""]);
+    }
+}

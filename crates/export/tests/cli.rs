@@ -1,0 +1,234 @@
+//! The binary: what it writes, and that whatever it refuses ends with 2, one message and no file.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use ndarray::{Array1, Array3};
+use planish_handoff::npy::ArrayData;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+/// A trajectory without a manifest, and a machine.
+struct Bench {
+    tmp: TempDir,
+}
+
+impl Bench {
+    fn new(times: &[f64], coefficients: &[[[f64; 4]; 2]], tool_on: &[u8]) -> Self {
+        let tmp = tempfile::tempdir().unwrap();
+        let dir = tmp.path().join("t");
+        fs::create_dir(&dir).unwrap();
+        let put = |name: &str, array: ArrayData| fs::write(dir.join(name), array.to_npy()).unwrap();
+        let n = coefficients.len();
+        let c = Array3::from_shape_fn((n, 2, 4), |(i, a, o)| coefficients[i][a][o]);
+        put("break_time_s.npy", ArrayData::F64(Array1::from(times.to_vec()).into_dyn()));
+        put("coefficient_mm.npy", ArrayData::F64(c.into_dyn()));
+        put("dwell_index.npy", ArrayData::I64(Array1::from(vec![0; n]).into_dyn()));
+        put("tool_on.npy", ArrayData::U8(Array1::from(tool_on.to_vec()).into_dyn()));
+        let bench = Self { tmp };
+        bench.machine("bench");
+        bench
+    }
+
+    /// From rest at (1, -2) by 1 mm along x to rest in 0.1 s, then 3 s of standing: v = 15, a = 600.
+    fn simple() -> Self {
+        let x = [1.0, 0.0, 300.0, -2000.0];
+        let y = [-2.0, 0.0, 0.0, 0.0];
+        Self::new(&[5.0, 5.1, 8.1], &[[x, y], [[2.0, 0.0, 0.0, 0.0], y]], &[1, 0])
+    }
+
+    fn machine(&self, name: &str) {
+        let axis = |axis: &str| json!({ "name": axis, "max_velocity_mm_per_s": 100, "max_acceleration_mm_per_s2": 1000 });
+        let machine = json!({ "name": name, "axes": [axis("x"), axis("y")] });
+        fs::write(self.path("m.json"), machine.to_string()).unwrap();
+    }
+
+    fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.tmp.path().join(name)
+    }
+
+    fn run(&self, controller: &str, trajectory: &str, more: &[&str]) -> (Option<i32>, String) {
+        let base = ["--trajectory", trajectory, "--machine", "m.json", "--out", "p/a.txt"];
+        let output = Command::new(env!("CARGO_BIN_EXE_planish-export"))
+            .current_dir(self.tmp.path())
+            .arg(controller)
+            .args(base)
+            .args(more)
+            .output()
+            .unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    }
+
+    fn done(&self, controller: &str, trajectory: &str, more: &[&str]) -> (String, Value) {
+        let (code, said) = self.run(controller, trajectory, &[more, &["--force"]].concat());
+        assert_eq!(code, Some(0), "{controller} {more:?}: {said}");
+        let text = fs::read_to_string(self.path("p/a.txt")).unwrap();
+        let about = fs::read_to_string(self.path("p/a.txt.json")).unwrap();
+        (text, serde_json::from_str(&about).unwrap())
+    }
+
+    /// What it says when it refuses; nothing is written.
+    fn refused(&self, controller: &str, more: &[&str]) -> String {
+        let (code, said) = self.run(controller, "t", more);
+        assert_eq!(code, Some(2), "{controller} {more:?}: {said}");
+        assert_eq!(said.trim_end().lines().count(), 1, "{controller} {more:?}: {said}");
+        assert!(!said.contains("panicked"), "{said}");
+        assert!(!self.path("p").exists(), "{controller} {more:?}");
+        said
+    }
+}
+
+#[test]
+fn the_program_and_what_it_is() {
+    let bench = Bench::simple();
+    let flags = ["--count-mm", "0.001,0.01", "--always-on"];
+    let (text, about) = bench.done("pmac", "t", &flags);
+    assert!(text.contains("; made from: trajectory t, BLAKE3 "), "{text}");
+    assert_eq!(about["start_mm"], json!([1.0, -2.0]));
+    assert_eq!(about["count_mm"], json!([0.001, 0.01]));
+    assert_eq!(about["feedrate_time_unit_s"], 1.0);
+    assert_eq!(about["program_blake3"], blake3::hash(text.as_bytes()).to_hex().as_str());
+    let largest = about["limits"]["largest"].as_array().unwrap();
+    let acceleration = largest.iter().find(|p| p["quantity"] == "x acceleration").unwrap();
+    assert!((acceleration["value"].as_f64().unwrap() - 600.0).abs() < 1e-6, "{acceleration}");
+    assert_eq!(acceleration["limit"], 1000.0);
+
+    let (code, said) = bench.run("pmac", "t", &flags);
+    assert!(code == Some(2) && said.contains("give --force"), "{said}");
+    let (code, said) = bench.run("pmac", "t", &["--always-on", "--force", "--count-mm", "-1"]);
+    assert!(code == Some(2) && said.contains("count_mm: is -1"), "{said}");
+    assert_eq!(fs::read_to_string(bench.path("p/a.txt")).unwrap(), text);
+}
+
+#[test]
+fn the_tool_is_off_before_and_after_the_program() {
+    let bench = Bench::simple();
+    let (text, _) = bench.done("gcode", "t", &[]);
+    let body: Vec<&str> = text.lines().filter(|l| !l.starts_with('(')).collect();
+    assert_eq!(body[0], "M65 P0");
+    assert!(
+        text.contains("M62 P0\nG1 X2 Y-2 F600\nM65 P0\nG4 P3\nM65 P0\nG94 F60\nM2\n"),
+        "{text}"
+    );
+    let (text, _) = bench.done("pmac", "t", &["--tool-output", "7"]);
+    assert!(text.contains("\nM7=0\nABS\nM7==1\nPVT100\nX2:0 Y-2:0\nM7==0\nPVT3000\n"), "{text}");
+    assert!(text.ends_with("M7==0\nDWELL0\n"), "{text}");
+    let (text, _) = bench.done("csv", "t", &[]);
+    assert!(text.ends_with("\n3.1,2,0,-2,0,0\n"), "{text}");
+}
+
+#[test]
+fn a_limit_within_a_segment_is_refused() {
+    // 10 mm in 0.125 s: v = 120 in the middle, a = 3840, rest at both ends.
+    let x = [0.0, 0.0, 30.0 / 0.125f64.powi(2), -20.0 / 0.125f64.powi(3)];
+    let bench = Bench::new(&[0.0, 0.125], &[[x, [0.0; 4]]], &[1]);
+    for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
+        let said = bench.refused(controller, &[]);
+        assert!(said.contains("segment[0]: x acceleration reaches 3840.000000 mm/s^2"), "{said}");
+        assert!(
+            said.contains(
+                "the limit is 1000 mm/s^2 (machine \"bench\"); schedule for this machine"
+            )
+        );
+    }
+    // Constant velocity from nothing, as average-velocity has it.
+    let bench = Bench::new(&[0.0, 1.0], &[[[0.0, 1.0, 0.0, 0.0], [0.0; 4]]], &[1]);
+    for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
+        let said = bench.refused(controller, &[]);
+        assert!(
+            said.contains("segment[0]: begins with a step of 1.000000 mm/s in the velocity"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
+fn absurd_numbers_are_one_message() {
+    let bench = Bench::simple();
+    for value in ["0", "-1", "NaN", "inf", "1e300", "1e-300", "1e-9"] {
+        for (controller, flag) in [
+            ("galil", "--sample-s"),
+            ("galil", "--count-mm"),
+            ("galil", "--max-step-s"),
+            ("xps", "--tick-s"),
+            ("xps", "--max-step-s"),
+            ("pmac", "--tick-s"),
+            ("pmac", "--feedrate-time-unit-s"),
+            ("gcode", "--tick-s"),
+            ("gcode", "--count-mm"),
+            ("gcode", "--max-step-s"),
+            ("csv", "--tick-s"),
+            ("csv", "--count-mm"),
+            ("csv", "--max-step-s"),
+        ] {
+            // 1e-9 is a nanosecond or a picometre, which a text with nine decimals holds; a step of 1e300 s is
+            // longer than any segment.
+            let fine = match flag {
+                "--max-step-s" => value == "1e300",
+                "--tick-s" => value == "1e-9" && controller != "pmac",
+                "--count-mm" => value == "1e-9" && controller != "galil",
+                _ => false,
+            };
+            if fine {
+                bench.done(controller, "t", &["--always-on", flag, value]);
+                fs::remove_dir_all(bench.path("p")).unwrap();
+                continue;
+            }
+            let said = bench.refused(controller, &["--always-on", flag, value]);
+            assert!(
+                said.contains(';') || said.contains("try"),
+                "{controller} {flag} {value}: {said}"
+            );
+        }
+    }
+    let said = bench.refused("galil", &["--always-on", "--sample-s", "1e-9"]);
+    assert!(said.contains("sample_s: is 0.000000001, TM goes from 31.25"), "{said}");
+    let said = bench.refused("csv", &["--max-step-s", "1e-9"]);
+    assert!(said.contains("program segments: would have 3.1") && said.contains("GiB"), "{said}");
+    for value in ["-1", "NaN", "inf"] {
+        assert!(
+            bench
+                .refused("gcode", &["--path-tolerance-mm", value])
+                .contains("path_tolerance_mm: is")
+        );
+    }
+    assert!(
+        bench.refused("pmac", &["--tool-output", "8192"]).contains("the last M-variable is M8191")
+    );
+}
+
+/// Names are a user's: no line may end or begin something else, and none may be too long.
+#[test]
+fn names_and_paths_stay_within_a_comment() {
+    let bench = Bench::simple();
+    bench.machine("a) M64 P0\nG0 X9\r\x1b[31m;PVA=9,9,9` ß (MSG, b) %");
+    let long = format!("t) ; x\n{}", "d".repeat(200));
+    fs::rename(bench.path("t"), bench.path(&long)).unwrap();
+    for (controller, open, close, most) in [
+        ("galil", "' ", "", 80),
+        ("pmac", "; ", "", 80),
+        ("gcode", "(", ")", 255),
+        ("csv", "# ", "", 120),
+    ] {
+        let (text, about) = bench.done(controller, &long, &["--always-on"]);
+        assert!(about["machine"].as_str().unwrap().contains('\u{1b}'));
+        let mut inside = 0;
+        for line in text.split('\n') {
+            assert!(
+                line.len() <= most && line.chars().all(|c| (' '..='~').contains(&c)),
+                "{line:?}"
+            );
+            if let Some(comment) = line.strip_prefix(open).and_then(|l| l.strip_suffix(close)) {
+                assert!(!comment.contains(['(', ')', ';', '`']), "{line}");
+                inside += comment.matches('d').count();
+            } else {
+                assert!(!line.contains("X9") && !line.contains("9,9"), "{line}");
+            }
+        }
+        assert!(inside >= 200, "the path is there: {text}");
+        fs::remove_dir_all(bench.path("p")).unwrap();
+    }
+}

@@ -1,0 +1,146 @@
+//! When the tool is on, in every program that switches it: replayed by controllers written here from the
+//! manuals alone, which know nothing of the writers.
+
+use planish_export::{Common, Controller, Origin, csv, gcode, pmac, program};
+use planish_types::{AxisLimits, Limits, Trajectory};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// What the axes do, and whether the tool is on while they do it.
+type Events = Vec<(String, bool)>;
+
+/// LinuxCNC, M-codes, "M62 - M65 Digital Output Control": M62 and M63 are queued, the change happens at the
+/// beginning of the next motion command, and if there is none it does not happen; M64 and M65 happen at once.
+/// A dwell (G4) is no motion command. The run before was aborted and has left the output on.
+fn linuxcnc(text: &str) -> Events {
+    let (mut on, mut queued) = (true, None);
+    let mut events = Events::new();
+    for line in text.lines().filter(|l| !l.starts_with('(')) {
+        let first = line.split(' ').next().unwrap();
+        match line {
+            "M62 P0" => queued = Some(true),
+            "M63 P0" => queued = Some(false),
+            "M64 P0" => on = true,
+            "M65 P0" => on = false,
+            "M2" => {
+                events.push(("end".into(), on));
+                return events;
+            }
+            _ if ["G0", "G1"].contains(&first) => {
+                on = queued.take().unwrap_or(on);
+                events.push((first.into(), on));
+            }
+            _ if first == "G4" => events.push(("G4".into(), on)),
+            _ => assert!(["G21", "G64", "G61", "G93", "G94"].contains(&first), "{line}"),
+        }
+    }
+    panic!("no end");
+}
+
+/// Turbo PMAC user manual, "Synchronous M-Variable Assignment": `==` is executed at the start of the next move
+/// or dwell, and not at all after the last one; `=` when the line is read, one or two moves early among moves.
+fn pmac(text: &str) -> Events {
+    let (mut on, mut queued) = (true, None);
+    let mut events = Events::new();
+    for line in text.lines().filter(|l| !l.starts_with(';')) {
+        match line {
+            "M7==1" => queued = Some(true),
+            "M7==0" => queued = Some(false),
+            "M7=0" => {
+                assert!(events.is_empty(), "would happen one or two moves early");
+                on = false;
+            }
+            "ABS" => {}
+            _ if line.starts_with("PVT") => {}
+            _ => {
+                on = queued.take().unwrap_or(on);
+                let what = if line.starts_with("DWELL") { "dwell" } else { "move" };
+                events.push((what.into(), on));
+            }
+        }
+    }
+    events.push(("end".into(), on));
+    events
+}
+
+/// Whoever sets the output at every row.
+fn table(text: &str) -> Events {
+    let rows = text.lines().filter(|l| l.starts_with(|c: char| c.is_ascii_digit()));
+    rows.map(|l| ("row".into(), l.ends_with(",1"))).collect()
+}
+
+fn limits() -> Limits {
+    let axis = |name: &str| AxisLimits {
+        name: name.into(),
+        max_velocity_mm_per_s: 100.0,
+        max_acceleration_mm_per_s2: 1000.0,
+        max_jerk_mm_per_s3: None,
+    };
+    Limits { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+}
+
+/// Moves from rest to rest (true) and stands (false).
+fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
+    let mut x = 0.0;
+    let coefficients = moves.iter().map(|moves| {
+        let d = if *moves { 1.0 } else { 0.0 };
+        let c = [[x, 0.0, 3.0 * d, -2.0 * d], [0.0; 4]];
+        x += d;
+        c
+    });
+    let coefficients = coefficients.collect();
+    let n = moves.len();
+    let times = (0..=n).map(|k| k as f64).collect();
+    Trajectory::new(times, coefficients, tool_on.to_vec(), vec![0; n]).unwrap()
+}
+
+fn text(plan: &Trajectory, controller: Controller) -> String {
+    let common = Common { count_mm: [1e-4; 2], max_step_s: None, always_on: false };
+    let origin = Origin { made_from: "a test".into(), made_by: "hand".into() };
+    program(plan, &limits(), &controller, &common, &origin).unwrap().text
+}
+
+fn states(events: &[(String, bool)]) -> Vec<bool> {
+    events.iter().map(|e| e.1).collect()
+}
+
+#[test]
+fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
+    let mut random = ChaCha8Rng::seed_from_u64(23);
+    for case in 0..300 {
+        let n = random.random_range(1..12);
+        let mut some = || (0..n).map(|_| random.random_range(0..2) == 1).collect::<Vec<bool>>();
+        let (moves, on) = (some(), some());
+        if moves.iter().all(|m| !m) {
+            continue;
+        }
+        let plan = motion(&moves, &on);
+        let name = format!("case {case}: moves {moves:?}, on {on:?}");
+        for feed in [gcode::Feed::InverseTime, gcode::Feed::PerMinute] {
+            let settings = gcode::Settings { feed, ..gcode::Settings::default() };
+            let events = linuxcnc(&text(&plan, Controller::Gcode(settings)));
+            // Off on the way to the start, as planned in every segment, off at the end.
+            assert_eq!(events[0], ("G0".into(), false), "{name}");
+            assert_eq!(states(&events[1..=n]), on, "{name}");
+            assert_eq!(events[n + 1..], [("end".into(), false)], "{name}");
+        }
+        let settings = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
+        let events = pmac(&text(&plan, Controller::Pmac(settings)));
+        assert_eq!(states(&events[..n]), on, "{name}");
+        assert_eq!(events[n..], [("dwell".into(), false), ("end".into(), false)], "{name}");
+        let events = table(&text(&plan, Controller::Csv(csv::Settings::default())));
+        assert_eq!(states(&events[..n]), on, "{name}");
+        assert_eq!(events[n..], [("row".into(), false)], "{name}");
+    }
+}
+
+/// How programs were written once: with synchronised switches only.
+#[test]
+fn synchronised_switches_alone_leave_the_tool_on() {
+    let old = "G21 G90 G17 G40 G49 G94\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 Y-2 F600\nM63 P0\nG4 P3\nM62 P0\n\
+               G1 X3 Y-2 F600\nM63 P0\nG94 F60\nM2\n";
+    let expected = [("G0", true), ("G1", true), ("G4", true), ("G1", true), ("end", true)];
+    assert_eq!(linuxcnc(old), expected.map(|(what, on)| (what.to_string(), on)));
+    let old = "ABS\nM7==1\nPVT100\nX2:0 Y-2:0\nM7==0\n";
+    assert_eq!(pmac(old), [("move".to_string(), true), ("end".to_string(), true)]);
+}
