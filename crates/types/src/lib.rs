@@ -21,6 +21,7 @@ mod feed;
 mod grid;
 mod limits;
 mod surface;
+pub mod text;
 mod tif;
 mod tool_path;
 mod trajectory;
