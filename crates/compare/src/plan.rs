@@ -14,6 +14,9 @@ use serde_json::Value;
 
 use crate::summary::IDEAL;
 
+/// A part of the objective below which a difference is the rounding of its sum.
+const ROUNDING: f64 = 1e-12;
+
 /// The word for a motion that was read back from a controller's program.
 pub const PROGRAM: &str = "program";
 
@@ -99,8 +102,12 @@ impl Plan {
             _ => otherwise,
         };
         let gap = report["relative_gap"].as_f64().filter(|gap| gap.is_finite());
-        let proven = gap.map(|gap| {
-            format!("proven within {} of the least objective, relative to it", significant(gap, 2))
+        let proven = gap.map(|gap| match gap > ROUNDING {
+            true => {
+                let gap = significant(gap, 2);
+                format!("proven within {gap} of the least objective, relative to it")
+            }
+            false => "proven optimal to rounding".into(),
         });
         if outcome["status"] == "negative" {
             let reason = outcome["reason"].as_str().unwrap_or("it ended with a negative verdict");
@@ -171,6 +178,12 @@ mod tests {
                 State::Certified,
                 "certified",
                 "within 4.2e-5 of",
+            ),
+            (
+                done(json!({ "end": "optimal", "relative_gap": 7.4e-22 })),
+                State::Certified,
+                "certified",
+                "to rounding",
             ),
             (
                 done(json!({ "end": "optimal", "relative_gap": null })),

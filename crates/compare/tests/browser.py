@@ -596,6 +596,19 @@ def hostile(programs, run):
         check("the policy lets nothing run that is not the page's own", browser.js("window.hit === undefined"), browser.js("window.hit"))
         refused = [text for text in browser.complaints() if "Content Security Policy" in text]
         check("and says so", len(refused) >= 2, len(refused))
+        # Every method left out: the page says why and draws nothing.
+        for method in (copy / "methods").iterdir():
+            if method.name != "position":
+                shutil.rmtree(method)
+        shutil.rmtree(copy / "methods/position/verdict")
+        shutil.copytree(run / "methods/pvt/verdict", copy / "methods/position/verdict")
+        made = subprocess.run([programs.resolve() / "planish-compare", "report", copy, "--out", work / "none"], capture_output=True, text=True)
+        check("a report of nothing valid is negative", made.returncode == 1, made.stderr[-300:])
+        browser.events.clear()
+        browser.call("Page.navigate", url=(work / "none/report.html").resolve().as_uri())
+        browser.settle()
+        check("its page says why", "not valid: its verdict is of another trajectory" in browser.js("document.getElementById('notes').textContent"))
+        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 2, browser.complaints()[:3] or "")
         for svg in sorted((work / "report").glob("*.svg")):
             browser.call("Page.navigate", url=svg.resolve().as_uri())
             browser.settle()

@@ -880,7 +880,7 @@ function drawMotion() {
     const far = notes.filter((n) => !Array.isArray(n));
     axes(ctx, box, x, y, [far.length ? `time (s); ${far.join(", ")} beyond the axis` : "time (s)", label]);
     const i = Math.min(ranges.end.length - 1, Math.max(0, lastAtMost(ranges.end, state.hoverTime ?? state.time) + 1));
-    const range = ranges[name].map((r, axis) => `${["x", "y"][axis]} ${number(r.low[i], 3)} to ${number(r.high[i], 3)}`);
+    const range = ranges[name].map((r, axis) => `${["x", "y"][axis]} ${[r.low[i], r.high[i]].map((v) => number(Math.abs(v) < r.step ? 0 : v, 3)).join(" to ")}`);
     legend(ctx, box, [[range[0], theme.x], [range[1], theme.y], ...(other ? [[other.label, theme.soft]] : [])]);
     canvas.setAttribute("aria-label", label + " against time; arrows move the time, + and - zoom, 0 shows all");
   }
@@ -1070,10 +1070,15 @@ function fillSummary() {
       note(`${whose(left.name)}: ${bad ? "not valid" : "out of date, left out"}: ${left.reasons.join("; ")}`, bad);
     }
     for (const text of r.summary.remarks) note(RUNS.length > 1 ? `${r.name}: ${text}` : text, true);
-    for (const [name, m] of Object.entries(r.summary.methods)) {
-      note(`${whose(name)}: ${m.plan.word}: ${m.plan.text}`, m.plan.state === "unconverged");
-      for (const text of m.remarks) note(`${whose(name)}: ${text}`, false);
-    }
+    // Methods of which the same is said share a line.
+    const said = new Map();
+    for (const [name, m] of Object.entries(r.summary.methods))
+      for (const text of [`${m.plan.word}: ${m.plan.text}`, ...m.remarks]) {
+        const bad = m.plan.state === "unconverged" && text.startsWith(m.plan.word);
+        if (!said.has(text)) said.set(text, { names: [], bad });
+        said.get(text).names.push(whose(name));
+      }
+    for (const [text, { names, bad }] of said) note(`${names.join(", ")}: ${text}`, bad);
   }
   for (const e of ENTRIES) for (const text of e.method.violations)
     byId("violations").append(element("p", `${e.label}: ${text}`, { class: "violation" }));
