@@ -14,7 +14,7 @@ use planish_compare::{
     dwell::{Row, Solver},
     plan::Plan,
     report::{Frames, Rounds, Run, RunMethod},
-    summary::{LeftOut, Method, Summary, VerdictOutcome, WallTimes},
+    summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
 };
 use planish_handoff::{
     Arrays, Artifact, Failure, Stage,
@@ -278,9 +278,7 @@ impl Shared<'_> {
             &found.trajectory,
             dwell.as_ref(),
             &outcome,
-            found.wall,
-            plan,
-            remarks,
+            Told { wall: found.wall, plan, remarks },
         )
         .map_err(of_dir)?;
         let method = RunMethod {

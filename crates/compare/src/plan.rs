@@ -141,7 +141,7 @@ impl Plan {
                 Self::new(State::Converged, "converged", text)
             }
             (Some("converged"), _) | (None, Some(true)) => {
-                let text = "converged; no certificate of optimality";
+                let text = "ended by itself; no certificate of optimality";
                 Self::new(State::Converged, "converged", text)
             }
             (Some(other), _) => {

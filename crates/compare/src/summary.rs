@@ -12,7 +12,7 @@
 //! |---|---|---|---|
 //! | z | `residual` | (ny, nx) | nm |
 
-use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory};
+use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory, text::significant};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
 
@@ -35,6 +35,9 @@ const SAME_PIXEL: f64 = 1e-4;
 /// `residual = desired - removal` holds to this part of the largest of the three: the rounding
 /// of maps that passed through 32-bit floats (6e-8), and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
+
+/// A motion executes a dwell time to this, s: what a dwell solver takes for no change.
+const SAME_DWELL_S: f64 = 1e-6;
 
 /// Two durations are the same to this part: far above the rounding of a sum of segments.
 const SAME_TIME: f64 = 1e-9;
@@ -152,6 +155,17 @@ pub struct WallTimes {
     pub simulate_s: Option<f64>,
 }
 
+/// What is known of a method beside its arrays and its verdict.
+#[derive(Clone, Debug)]
+pub struct Told {
+    /// Seconds that its stages took.
+    pub wall: WallTimes,
+    /// How good its plan is known to be.
+    pub plan: Plan,
+    /// What else is worth knowing.
+    pub remarks: Vec<String>,
+}
+
 impl Method {
     /// Whether it may be recommended: a motion that keeps the limits.
     pub fn is_candidate(&self) -> bool {
@@ -166,10 +180,9 @@ impl Method {
         trajectory: &Trajectory,
         dwell: Option<&DwellTime>,
         verdict: &VerdictOutcome,
-        wall: WallTimes,
-        plan: Plan,
-        remarks: Vec<String>,
+        told: Told,
     ) -> Result<Self, Invalid> {
+        let Told { wall, plan, mut remarks } = told;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -180,6 +193,15 @@ impl Method {
                     verdict.total_time_s
                 ),
                 "verify this trajectory",
+            ));
+        }
+        let execution = Execution::of(trajectory, dwell)?;
+        let departure_s = execution.dwell_error_worst_s.map_or(0.0, f64::abs);
+        if plan.state == State::Certified && departure_s > SAME_DWELL_S {
+            remarks.push(format!(
+                "what is certified are the planned dwell times; the motion departs from one of them \
+                 by {} s",
+                significant(departure_s, 4)
             ));
         }
         let residual = removal.residual();
@@ -196,7 +218,7 @@ impl Method {
             limits_respected: verdict.limits_respected,
             schedule_wall_s: wall.schedule_s,
             simulate_wall_s: wall.simulate_s,
-            execution: Execution::of(trajectory, dwell)?,
+            execution,
             plan,
             remarks,
         })
@@ -349,7 +371,8 @@ mod tests {
     fn method() -> Result<Method, Invalid> {
         let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
-        Method::new(&desired(), &removal(), &trajectory(), None, &verdict, wall, plan(), vec![])
+        let told = Told { wall, plan: plan(), remarks: vec![] };
+        Method::new(&desired(), &removal(), &trajectory(), None, &verdict, told)
     }
 
     fn plan() -> Plan {
@@ -475,8 +498,8 @@ mod tests {
     fn what_does_not_belong_together_is_refused() {
         let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
         let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
-            let wall = WallTimes::default();
-            Method::new(desired, removal, &trajectory(), None, verdict, wall, plan(), vec![])
+            let told = Told { wall: WallTimes::default(), plan: plan(), remarks: vec![] };
+            Method::new(desired, removal, &trajectory(), None, verdict, told)
                 .unwrap_err()
                 .to_string()
         };

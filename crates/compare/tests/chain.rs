@@ -194,6 +194,8 @@ fn what_belongs_together_is_compared_and_its_plan_is_certified() {
         "{table}"
     );
     assert!(!table.contains("not checked") && table.contains("proven within 3e-5"), "{table}");
+    // 60 s at the first of two points that were planned 1 s each.
+    assert!(table.contains("the motion departs from one of them by 59 s"), "{table}");
     let found = lab.summary();
     assert_eq!((&found["best"], &found["left_out"]), (&json!("pvt"), &json!([])));
     assert_eq!(found["methods"]["pvt"]["plan"]["state"], "certified");
