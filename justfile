@@ -180,6 +180,7 @@ test-report: build browser
     target/python/bin/python crates/compare/tests/browser.py out/test-report/report out/test-report --shots out/test-report-pictures
     just run maze fixture=coupon out=out/test-report-maze
     target/release/planish-compare report out/test-report out/test-report-maze --out out/test-report-both --force
+    target/python/bin/python crates/compare/tests/browser.py --hostile target/release out/test-report
     target/python/bin/python crates/compare/tests/browser.py --several out/test-report-both --shots out/test-report-pictures
     target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
 

@@ -12,8 +12,13 @@
 //! | t | `dwell` | (n) | s |
 //! | l | `segment_length_mm` | (n) | mm |
 
-use planish_types::{DwellTime, Invalid, Removal, Surface, ToolPath};
+use planish_types::{
+    DwellTime, Invalid, Removal, Surface, ToolPath,
+    text::{fixed, visible},
+};
 use serde::Serialize;
+
+use crate::{plan::Plan, table::align};
 
 /// What one solver made of a mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,6 +43,8 @@ pub struct Solver {
     pub wall_s: Option<f64>,
     /// Most memory that it held, 2^20 bytes, `null` when not measured.
     pub peak_memory_mb: Option<f64>,
+    /// How good its dwell times are known to be.
+    pub plan: Plan,
 }
 
 /// A solver's numbers, or why it has none.
@@ -61,6 +68,7 @@ impl Solver {
         position: &Removal,
         executed: &Removal,
         executed_time_s: f64,
+        plan: Plan,
     ) -> Result<Self, Invalid> {
         let t = dwell.dwell_s();
         if t.len() != path.len() {
@@ -78,6 +86,7 @@ impl Solver {
             roughness: roughness(path, t),
             wall_s: None,
             peak_memory_mb: None,
+            plan,
         })
     }
 }
@@ -102,7 +111,7 @@ fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
 }
 
 /// Headings and units of the table.
-const HEADINGS: [[&str; 2]; 11] = [
+const HEADINGS: [[&str; 2]; 12] = [
     ["", "solver"],
     ["position", "RMS nm"],
     ["executed", "RMS nm"],
@@ -112,6 +121,7 @@ const HEADINGS: [[&str; 2]; 11] = [
     ["smallest", "s"],
     ["largest", "s"],
     ["", "roughness"],
+    ["", "plan"],
     ["wall", "s"],
     ["memory", "MB"],
 ];
@@ -120,26 +130,29 @@ const HEADINGS: [[&str; 2]; 11] = [
 pub fn table(fixture: &str, desired: &Surface, rows: &[(String, Row)]) -> String {
     let mut cells: Vec<Vec<String>> =
         (0..2).map(|line| HEADINGS.iter().map(|h| h[line].to_string()).collect()).collect();
-    let mut refused = String::new();
+    let (mut notes, mut refused) = (String::new(), String::new());
     for (name, row) in rows {
         match row {
-            Row::Solved(s) => cells.push(line(name, s)),
-            Row::Refused { refused: message } => refused += &format!("{name}: {message}\n"),
+            Row::Solved(s) => {
+                cells.push(line(name, s));
+                let note = format!("{name}: {}: {}", s.plan.word, s.plan.text);
+                notes += &format!("{}\n", visible(&note));
+            }
+            Row::Refused { refused: message } => {
+                refused += &format!("{}\n", visible(&format!("{name}: {message}")));
+            }
         }
     }
-    let width = |c: usize| cells.iter().map(|r| r[c].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..HEADINGS.len()).map(width).collect();
+    let initial = desired.statistics();
     let mut text = format!(
-        "{fixture}: initial surface {:.4} nm RMS, {:.2} nm PV\n\n",
-        desired.statistics().rms,
-        desired.statistics().pv
+        "{}: initial surface {} nm RMS, {} nm PV\n\n",
+        visible(fixture),
+        fixed(initial.rms, 4),
+        fixed(initial.pv, 2)
     );
-    for row in &cells {
-        let padded = row.iter().zip(&widths).enumerate().map(|(c, (cell, &w))| {
-            if c == 0 { format!("{cell:<w$}") } else { format!("{cell:>w$}") }
-        });
-        text += padded.collect::<Vec<_>>().join("  ").trim_end();
-        text.push('\n');
+    text += &align(&cells, 1);
+    if !notes.is_empty() {
+        text += &format!("\n{notes}");
     }
     if !refused.is_empty() {
         text += &format!("\nrefused:\n{refused}");
@@ -148,17 +161,18 @@ pub fn table(fixture: &str, desired: &Surface, rows: &[(String, Row)]) -> String
 }
 
 fn line(name: &str, s: &Solver) -> Vec<String> {
-    let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| format!("{v:.d$}"));
+    let or_dash = |v: Option<f64>, d: usize| v.map_or("-".into(), |v| fixed(v, d));
     vec![
-        name.to_string(),
-        format!("{:.4}", s.position_rms_nm),
-        format!("{:.4}", s.executed_rms_nm),
-        format!("{:.4}", s.executed_rms_detilted_nm),
-        format!("{:.2}", s.total_time_s),
-        format!("{:.2}", s.executed_time_s),
-        format!("{:.4}", s.smallest_dwell_s),
-        format!("{:.4}", s.largest_dwell_s),
-        format!("{:.4}", s.roughness),
+        visible(name).into_owned(),
+        fixed(s.position_rms_nm, 4),
+        fixed(s.executed_rms_nm, 4),
+        fixed(s.executed_rms_detilted_nm, 4),
+        fixed(s.total_time_s, 2),
+        fixed(s.executed_time_s, 2),
+        fixed(s.smallest_dwell_s, 4),
+        fixed(s.largest_dwell_s, 4),
+        fixed(s.roughness, 4),
+        s.plan.word.clone(),
         or_dash(s.wall_s, 2),
         or_dash(s.peak_memory_mb, 0),
     ]
@@ -167,6 +181,7 @@ fn line(name: &str, s: &Solver) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::State;
     use ndarray::array;
     use planish_types::{Axis, Grid};
 
@@ -186,18 +201,22 @@ mod tests {
         assert_eq!(roughness(&path(), &[0.5, 1.0, 0.0, 0.5, 0.0]), 0.0);
     }
 
+    fn plan() -> Plan {
+        Plan { state: State::Unconverged, word: "stagnated".into(), text: "why".into() }
+    }
+
     #[test]
     fn numbers_and_refusals_are_in_the_table() {
         let grid = Grid { x: Axis::new(0.0, 1.0, 2).unwrap(), y: Axis::new(0.0, 1.0, 2).unwrap() };
         let desired = Surface::new(grid, array![[11.0, 11.0], [9.0, 13.0]]).unwrap();
         let removal = Removal::new(&desired, ndarray::Array2::from_elem((2, 2), 3.0)).unwrap();
         let dwell = DwellTime::new(vec![0.1, 0.2, 0.3, 0.4, 0.5]).unwrap();
-        let solver = Solver::new(&path(), &dwell, &removal, &removal, 1.75).unwrap();
+        let solver = Solver::new(&path(), &dwell, &removal, &removal, 1.75, plan()).unwrap();
         assert_eq!((solver.smallest_dwell_s, solver.largest_dwell_s), (0.1, 0.5));
         // Mean 11, deviations 0, 0, -2, 2.
         assert!((solver.position_rms_nm - 2.0_f64.sqrt()).abs() < 1e-15);
         let other = DwellTime::new(vec![0.1]).unwrap();
-        let error = Solver::new(&path(), &other, &removal, &removal, 1.0).unwrap_err();
+        let error = Solver::new(&path(), &other, &removal, &removal, 1.0, plan()).unwrap_err();
         assert!(error.to_string().contains("has 1 elements for 5 dwell points"));
         let rows = [
             ("udo".to_string(), Row::Solved(Solver { wall_s: Some(0.5), ..solver })),
@@ -209,7 +228,8 @@ mod tests {
         // The plane through 0, 0, -2, 2 rises by 2 along x and leaves 1, -1, -1, 1.
         let words: Vec<&str> = udo.split_whitespace().collect();
         assert_eq!(words[1..8], ["1.4142", "1.4142", "1.0000", "1.50", "1.75", "0.1000", "0.5000"]);
-        assert_eq!(words[9..], ["0.50", "-"]);
+        assert_eq!(words[9..], ["stagnated", "0.50", "-"]);
+        assert!(text.contains("\nudo: stagnated: why\n"), "{text}");
         assert!(text.ends_with("refused:\nrifta: the TIF is larger\n"), "{text}");
         let json = serde_json::to_value(&rows[1].1).unwrap();
         assert_eq!(json["refused"], "the TIF is larger");

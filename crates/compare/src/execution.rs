@@ -14,10 +14,16 @@
 //! | c | `coefficient_mm` | (k, 2, 4) | mm/s^order |
 
 use planish_numerics::polynomial::{evaluate, range};
-use planish_types::{DwellTime, Invalid, Trajectory};
+use planish_types::{
+    DwellTime, Invalid, Trajectory,
+    text::{fixed, visible},
+};
 use serde::Serialize;
 
-use crate::{summary::Summary, table::align};
+use crate::{
+    summary::Summary,
+    table::{align, pair},
+};
 
 /// An excursion counts above this, mm: what `planish-verify` takes for the tolerance of a position.
 const OVERSHOOT_MM: f64 = 1e-6;
@@ -118,11 +124,7 @@ const HEADINGS: [[&str; 2]; 8] = [
 /// How the methods of one or several runs, each with its name, execute their plans; ends with a
 /// newline.
 pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
-    let pair = |[x, y]: [f64; 2], decimals: usize| format!("{x:.decimals$}, {y:.decimals$}");
-    // Rounding of 1e-16 s has no sign.
-    let ms = |s: Option<f64>| {
-        s.map_or("-".into(), |s| format!("{:.4}", if s.abs() < 1e-12 { 0.0 } else { 1e3 * s }))
-    };
+    let ms = |s: Option<f64>| s.map_or("-".into(), |s| fixed(1e3 * s, 4));
     let mut rows: Vec<Vec<String>> = (0..2)
         .map(|line| {
             let first = ["", "run"][line].to_string();
@@ -133,8 +135,8 @@ pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
         for (scheduler, m) in &summary.methods {
             let e = &m.execution;
             rows.push(vec![
-                name.to_string(),
-                scheduler.clone(),
+                visible(name).into_owned(),
+                visible(scheduler).into_owned(),
                 ms(e.dwell_error_rms_s),
                 ms(e.dwell_error_worst_s),
                 format!("{}, {}", e.overshoot_points[0], e.overshoot_points[1]),

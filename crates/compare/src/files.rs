@@ -9,14 +9,16 @@ use std::{
 
 use ndarray::Ix3;
 use planish_compare::{
+    chain::{self, Chain, MethodParts, Part, Record, RunParts, Standing},
     diff::Elements,
     dwell::{Row, Solver},
+    plan::Plan,
     report::{Frames, Rounds, Run, RunMethod},
-    summary::{Method, Summary, VerdictOutcome, WallTimes},
+    summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
 };
 use planish_handoff::{
     Arrays, Artifact, Failure, Stage,
-    artifact::MANIFEST,
+    artifact::{MANIFEST, Manifest},
     kind::{self, Dtype, Kind},
     npy::{self, ArrayData},
 };
@@ -41,13 +43,19 @@ pub fn read_run(
 ) -> Result<Run, Failure> {
     let mut provenance = Provenance::default();
     let role = number.to_string();
-    let desired: Surface = read_part(stage, &role, run, "surface", &mut provenance)?;
-    let path: Option<ToolPath> =
+    let desired: Known<Surface> = read_part(stage, &role, run, "surface", &mut provenance)?;
+    let path: Option<Known<ToolPath>> =
         read_optional_part(stage, &role, run, "tool_path", &mut provenance)?;
-    let plan: Option<DwellTime> = read_optional_part(stage, &role, run, "dwell", &mut provenance)?;
+    let plan: Option<Known<DwellTime>> =
+        read_optional_part(stage, &role, run, "dwell", &mut provenance)?;
     let measured = match names.measured {
         Some(dir) => Some(stage.read("measured", dir)?),
         None => None,
+    };
+    let parts = RunParts {
+        surface: desired.part,
+        tool_path: path.as_ref().map(|p| p.part.clone()),
+        dwell: plan.as_ref().map(|p| p.part.clone()),
     };
 
     let methods_dir = run.join("methods");
@@ -55,22 +63,44 @@ pub fn read_run(
         // A stage that runs writes into a sibling whose name begins with a dot.
         !name.starts_with('.') && methods_dir.join(name).is_dir()
     });
-    let (mut numbers, mut methods) = (Vec::new(), Vec::new());
+    let mut read = Vec::new();
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
-        let role = format!("{number}/{scheduler}");
-        let (number, method) = read_method(stage, &role, &dir, &desired, plan.as_ref())?;
-        numbers.push((scheduler.clone(), number));
-        methods.push(RunMethod { name: scheduler, ..method });
+        read.push(read_method(stage, &format!("{number}/{scheduler}"), &scheduler, dir)?);
     }
-    if methods.is_empty() {
+    if read.is_empty() {
         let message = "holds no method; schedule, simulate and verify at least one";
         return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
     }
+    let method_parts: Vec<MethodParts> = read.iter().map(|m| m.parts.clone()).collect();
+    let chains = chain::check(&parts, &method_parts);
+    let shared = Shared {
+        desired: &desired.value,
+        plan: plan.as_ref().map(|p| &p.value),
+        plan_manifest: manifest_of(&provenance, "dwell"),
+        plan_is_for_another: parts
+            .dwell
+            .as_ref()
+            .map_or(vec![], |dwell| chain::solved_for_another(&parts, dwell)),
+    };
+    let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
+    for (found, chain) in read.into_iter().zip(chains) {
+        if chain.standing == Standing::Valid {
+            let name = found.name.clone();
+            let (number, method) = shared.method(found, chain.remarks)?;
+            numbers.push((name, number));
+            methods.push(method);
+        } else {
+            let (name, Chain { standing, reasons, .. }) = (found.name, chain);
+            left_out.push(LeftOut { name, standing, reasons });
+        }
+    }
     let name = name_of(run);
     let pipeline = names.pipeline.unwrap_or(&name);
-    let summary = Summary::new(pipeline, names.fixture, &desired, numbers);
-    Ok(Run { name, summary, desired, measured, path, methods, provenance })
+    let remarks = chain::check_run(&parts);
+    let summary = Summary::new(pipeline, names.fixture, &desired.value, numbers, left_out, remarks);
+    let path = path.map(|p| p.value);
+    Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
 }
 
 /// What the user calls the runs.
@@ -87,6 +117,16 @@ pub struct Names<'a> {
 /// Manifests by role.
 type Provenance = Vec<(String, Value)>;
 
+fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Value> {
+    provenance.iter().find(|(r, _)| r == role).map(|(_, manifest)| manifest)
+}
+
+/// An artifact and what is known of where it comes from.
+struct Known<T> {
+    value: T,
+    part: Part,
+}
+
 /// Reads the artifact `name` in `dir` and keeps its manifest.
 fn read_part<T: Artifact>(
     stage: &mut Stage,
@@ -94,12 +134,38 @@ fn read_part<T: Artifact>(
     dir: &Path,
     name: &str,
     provenance: &mut Provenance,
-) -> Result<T, Failure> {
-    let (value, manifest) = stage.read_with_manifest(&format!("{role}/{name}"), &dir.join(name))?;
+) -> Result<Known<T>, Failure> {
+    let (role, path) = (format!("{role}/{name}"), dir.join(name));
+    let (value, manifest) = stage.read_with_manifest(&role, &path)?;
+    let digest = stage.digest(&role).unwrap_or_default().to_string();
+    let record = manifest.as_ref().map(record_of);
     if let Some(manifest) = manifest {
+        refuse_other_units(&path, T::KIND, &manifest)?;
         provenance.push((name.into(), serde_json::to_value(manifest)?));
     }
-    Ok(value)
+    Ok(Known { value, part: Part { digest, record } })
+}
+
+fn record_of(manifest: &Manifest) -> Record {
+    let inputs = manifest.inputs.iter().map(|i| (i.role.clone(), i.blake3.clone())).collect();
+    Record { tool: manifest.tool.clone(), key: manifest.key.clone(), inputs }
+}
+
+/// Refuses a manifest that gives its arrays other units than those in which they are read.
+fn refuse_other_units(path: &Path, kind: &Kind, manifest: &Manifest) -> Result<(), Failure> {
+    for (name, record) in &manifest.arrays {
+        if let Some(def) = kind.arrays.iter().find(|d| d.name == name && d.unit != record.unit) {
+            return Err(Failure::new(format!(
+                "{}: {MANIFEST} says that {name} is in {:?}, a {} holds it in {:?}; convert the \
+                 array and make the artifact again",
+                path.display(),
+                record.unit,
+                kind.name,
+                def.unit
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// The same, where there is one.
@@ -109,31 +175,43 @@ fn read_optional_part<T: Artifact>(
     dir: &Path,
     name: &str,
     provenance: &mut Provenance,
-) -> Result<Option<T>, Failure> {
+) -> Result<Option<Known<T>>, Failure> {
     let exists = dir.join(name).exists();
     exists.then(|| read_part(stage, role, dir, name, provenance)).transpose()
 }
 
-/// Reads what one method left in `dir`; its name is for the caller to fill in.
-fn read_method(
-    stage: &mut Stage,
-    role: &str,
-    dir: &Path,
-    desired: &Surface,
-    plan: Option<&DwellTime>,
-) -> Result<(Method, RunMethod), Failure> {
+/// What one method left.
+struct Found {
+    name: String,
+    dir: PathBuf,
+    trajectory: Trajectory,
+    removal: Removal,
+    /// Outcome of the verdict.
+    verdict: Value,
+    own_plan: Option<DwellTime>,
+    frames: Option<Frames>,
+    rounds: Option<Rounds>,
+    wall: WallTimes,
+    parts: MethodParts,
+    provenance: Provenance,
+}
+
+/// Reads what the method `name` left in `dir`.
+fn read_method(stage: &mut Stage, role: &str, name: &str, dir: PathBuf) -> Result<Found, Failure> {
     let mut provenance = Provenance::default();
-    let trajectory = read_part(stage, role, dir, "trajectory", &mut provenance)?;
-    let removal = read_part(stage, role, dir, "removal", &mut provenance)?;
+    let trajectory: Known<Trajectory> =
+        read_part(stage, role, &dir, "trajectory", &mut provenance)?;
+    let removal: Known<Removal> = read_part(stage, role, &dir, "removal", &mut provenance)?;
     let manifest =
         stage.read_manifest(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
-    let verdict = manifest.outcome.clone();
+    let (verdict, judged) = (manifest.outcome.clone(), record_of(&manifest));
     provenance.push(("verdict".into(), serde_json::to_value(manifest)?));
-    let own_plan = read_optional_part(stage, role, dir, "dwell", &mut provenance)?;
-    let frames: Option<FramesFile> =
-        read_optional_part(stage, role, dir, "frames", &mut provenance)?;
-    let rounds: Option<RoundsFile> =
-        read_optional_part(stage, role, dir, "iterations", &mut provenance)?;
+    let own_plan: Option<Known<DwellTime>> =
+        read_optional_part(stage, role, &dir, "dwell", &mut provenance)?;
+    let frames: Option<Known<FramesFile>> =
+        read_optional_part(stage, role, &dir, "frames", &mut provenance)?;
+    let rounds: Option<Known<RoundsFile>> =
+        read_optional_part(stage, role, &dir, "iterations", &mut provenance)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
@@ -143,25 +221,78 @@ fn read_method(
         Ok(Some(wall_s))
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
-    // A refined plan has dwell times of its own.
-    let dwell = own_plan.or_else(|| plan.cloned());
-    let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", dir.display()));
-    let outcome = VerdictOutcome::from_json(&verdict).map_err(of_dir)?;
-    let numbers = Method::new(desired, &removal, &trajectory, dwell.as_ref(), &outcome, wall)
-        .map_err(of_dir)?;
-    let best = provenance.iter().find(|(role, _)| role == "iterations");
-    let best = best.and_then(|(_, manifest)| manifest["outcome"]["best_round"].as_u64());
-    let method = RunMethod {
-        name: String::new(),
-        trajectory,
-        removal,
-        verdict,
-        dwell,
-        frames: frames.map(|f| f.0),
-        rounds: rounds.map(|r| Rounds { best, ..r.0 }),
-        provenance,
+    let outcome = |role: &str| manifest_of(&provenance, role).map(|m| &m["outcome"]);
+    let claimed = outcome("trajectory").and_then(|o| o["claim"]["limits_respected"].as_bool());
+    let best = outcome("iterations").and_then(|o| o["best_round"].as_u64());
+    let parts = MethodParts {
+        trajectory: trajectory.part,
+        removal: removal.part,
+        verdict: judged,
+        limits_kept: (verdict["limits_respected"] == true, claimed),
+        dwell: own_plan.as_ref().map(|p| p.part.clone()),
+        frames: frames.as_ref().map(|f| f.part.clone()),
+        iterations: rounds.as_ref().map(|r| r.part.clone()),
     };
-    Ok((numbers, method))
+    Ok(Found {
+        name: name.into(),
+        dir,
+        trajectory: trajectory.value,
+        removal: removal.value,
+        verdict,
+        own_plan: own_plan.map(|p| p.value),
+        frames: frames.map(|f| f.value.0),
+        rounds: rounds.map(|r| Rounds { best, ..r.value.0 }),
+        wall,
+        parts,
+        provenance,
+    })
+}
+
+/// What the methods of a run are measured by.
+struct Shared<'a> {
+    desired: &'a Surface,
+    plan: Option<&'a DwellTime>,
+    plan_manifest: Option<&'a Value>,
+    plan_is_for_another: Vec<&'static str>,
+}
+
+impl Shared<'_> {
+    /// The numbers of a method whose artifacts belong together, and the method.
+    fn method(&self, found: Found, remarks: Vec<String>) -> Result<(Method, RunMethod), Failure> {
+        let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", found.dir.display()));
+        let trajectory = manifest_of(&found.provenance, "trajectory");
+        // A refined plan has dwell times of its own.
+        let plan = match &found.own_plan {
+            Some(_) => {
+                Plan::of(&found.name, trajectory, manifest_of(&found.provenance, "dwell"), &[])
+            }
+            None => {
+                Plan::of(&found.name, trajectory, self.plan_manifest, &self.plan_is_for_another)
+            }
+        };
+        let dwell = found.own_plan.or_else(|| self.plan.cloned());
+        let outcome = VerdictOutcome::from_json(&found.verdict).map_err(of_dir)?;
+        let numbers = Method::new(
+            self.desired,
+            &found.removal,
+            &found.trajectory,
+            dwell.as_ref(),
+            &outcome,
+            Told { wall: found.wall, plan, remarks },
+        )
+        .map_err(of_dir)?;
+        let method = RunMethod {
+            name: found.name,
+            trajectory: found.trajectory,
+            removal: found.removal,
+            verdict: found.verdict,
+            dwell,
+            frames: found.frames,
+            rounds: found.rounds,
+            provenance: found.provenance,
+        };
+        Ok((numbers, method))
+    }
 }
 
 /// `kind::FRAMES` as an artifact.
@@ -243,14 +374,18 @@ fn read_solver(stage: &mut Stage, name: &str, dir: &Path, path: &ToolPath) -> Re
         let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
         return Ok(Row::Refused { refused: last.trim_start_matches("error: ").to_string() });
     }
-    let dwell: DwellTime = stage.read(&format!("{name}/dwell"), &dir.join("dwell"))?;
+    let (dwell, manifest): (DwellTime, _) =
+        stage.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;
+    let manifest = manifest.map(serde_json::to_value).transpose()?;
+    let plan = Plan::of(name, None, manifest.as_ref(), &[]);
     let position: Removal =
         stage.read(&format!("{name}/position"), &dir.join("position/removal"))?;
     let executed: Removal =
         stage.read(&format!("{name}/executed"), &dir.join("executed/removal"))?;
     let motion: Trajectory =
         stage.read(&format!("{name}/trajectory"), &dir.join("executed/trajectory"))?;
-    let mut solver = Solver::new(path, &dwell, &position, &executed, motion.total_time_s())
+    let time_s = motion.total_time_s();
+    let mut solver = Solver::new(path, &dwell, &position, &executed, time_s, plan)
         .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
     let wall = dir.join("dwell-wall.json");
     if wall.exists() {

@@ -5,11 +5,15 @@
 //! * [`dwell`]: dwell solvers side by side.
 //! * [`execution`]: dwell times kept, overshoot, jerk.
 //! * [`report`]: a page to look at, and its figures.
+//! * [`chain`]: whether the artifacts of a run belong together.
+//! * [`plan`]: how good a plan is known to be.
 //! * [`diff`]: how far two arrays are apart.
 
+pub mod chain;
 pub mod diff;
 pub mod dwell;
 pub mod execution;
+pub mod plan;
 pub mod report;
 pub mod summary;
 pub mod table;

@@ -2,10 +2,15 @@
 
 mod files;
 
-use std::{io::IsTerminal, path::PathBuf, process::ExitCode};
+use std::{
+    io::{IsTerminal, Write},
+    path::PathBuf,
+    process::ExitCode,
+};
 
 use clap::{Parser, Subcommand};
 use planish_compare::{
+    chain::Standing,
     diff::difference,
     dwell,
     execution::execution_table,
@@ -14,6 +19,7 @@ use planish_compare::{
     table::{table, table_of_runs},
 };
 use planish_handoff::{Begin, Failure, OutputArgs, Stage, Status, kind, run, stage::say};
+use planish_types::text::visible;
 use serde_json::json;
 
 use crate::files::Names;
@@ -99,10 +105,18 @@ struct Diff {
 
 fn main() -> ExitCode {
     let cli: Cli = planish_handoff::parse();
-    run(|| match &cli.command {
-        Command::Report(arguments) => report(arguments),
-        Command::Dwell(arguments) => dwell_solvers(arguments),
-        Command::Diff(arguments) => diff(arguments),
+    run(|| {
+        let ended = match &cli.command {
+            Command::Report(arguments) => report(arguments),
+            Command::Dwell(arguments) => dwell_solvers(arguments),
+            Command::Diff(arguments) => diff(arguments),
+        };
+        // Names of files and directories may command the terminal.
+        match ended {
+            Ok(Status::Negative(reason)) => Ok(Status::Negative(visible(&reason).into_owned())),
+            Err(failure) => Err(Failure::new(visible(&failure.to_string()))),
+            done => done,
+        }
     })
 }
 
@@ -124,6 +138,7 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
     let read = read.map(|(i, dir)| files::read_run(&mut stage, i, dir, &called));
     let read = read.collect::<Result<Vec<_>, _>>()?;
     let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
+    let status = status(&names, &summaries);
     let begin = stage.begin(&[""], &kind::REPORT)?;
 
     let plotted = match plots {
@@ -140,7 +155,7 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
         let page = page(&views, &summary);
         let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
         beside.extend(figures(&views).into_iter().map(|(name, svg)| (name, svg.into_bytes())));
-        stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
+        stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &status)?;
     }
     let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();
     say(match &summaries[..] {
@@ -151,9 +166,34 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
     if plotted {
         say(sparkline::plots(&views));
     }
-    say(output.out.join("summary.json").display());
-    say(output.out.join("report.html").display());
-    Ok(Status::Done)
+    for name in ["summary.json", "report.html"] {
+        say(visible(&output.out.join(name).to_string_lossy()));
+    }
+    for (name, left) in runs.iter().flat_map(|(n, s)| s.left_out.iter().map(move |l| (n, l))) {
+        if left.standing == Standing::OutOfDate {
+            let warning = format!("warning: {name}/methods/{} is out of date", left.name);
+            warn(&format!("{warning}: {}", left.reasons.join("; ")));
+        }
+    }
+    Ok(status)
+}
+
+/// Negative where a run has no plan that can be recommended without reserve.
+fn status(names: &[String], summaries: &[Summary]) -> Status {
+    let several = names.len() > 1;
+    let named = names.iter().zip(summaries).flat_map(|(name, summary)| {
+        let whose = if several { format!("{name}: ") } else { String::new() };
+        summary.reserves().into_iter().map(move |reserve| format!("{whose}{reserve}"))
+    });
+    match named.collect::<Vec<_>>() {
+        none if none.is_empty() => Status::Done,
+        reserves => Status::Negative(reserves.join("; ")),
+    }
+}
+
+/// One line on standard error; a closed pipe is not an error.
+fn warn(message: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", visible(message));
 }
 
 fn dwell_solvers(arguments: &Dwell) -> Result<Status, Failure> {
@@ -178,7 +218,7 @@ fn dwell_solvers(arguments: &Dwell) -> Result<Status, Failure> {
         stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
     }
     say(dwell::table(fixture, &surface, &rows));
-    say(output.out.join("summary.json").display());
+    say(visible(&output.out.join("summary.json").to_string_lossy()));
     Ok(Status::Done)
 }
 

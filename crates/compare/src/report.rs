@@ -14,14 +14,15 @@ pub mod sparkline;
 pub mod spectrum;
 
 use ndarray::Array3;
-use planish_types::{DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
+use planish_types::{DwellTime, Grid, Removal, Surface, ToolPath, Trajectory, text::escaped};
 use rayon::prelude::*;
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 
 use self::{
     map::{Histogram, ScreenMap, block_side, histogram, screen_map},
     motion::{Dwell, Line, Ranges},
-    pack::{Rounding, floats, pack, pack_between},
+    pack::{Rounding, base64, doubles, floats, pack, pack_between},
     spectrum::{BAND_PERIOD_MM, Spectrum, spectrum},
 };
 use crate::summary::Summary;
@@ -30,11 +31,11 @@ use crate::summary::Summary;
 const MAX_MAP_PIXELS: usize = 400_000;
 const MAX_ALL_PIXELS: usize = 2_000_000;
 
-/// Most points of the lines of all motions (12 bytes each, 16 in base64).
-const MAX_ALL_POINTS: usize = 100_000;
+/// Most points of the lines of all motions (16 bytes each, 22 in base64).
+const MAX_ALL_POINTS: usize = 75_000;
 
-/// Most pieces with ranges of all motions (28 bytes each, 38 in base64).
-const MAX_ALL_PIECES: usize = 24_000;
+/// Most pieces with ranges of all motions (32 bytes each, 43 in base64).
+const MAX_ALL_PIECES: usize = 21_000;
 
 /// Most dwell points of all plans (12 bytes each, 16 in base64).
 const MAX_ALL_DWELL: usize = 40_000;
@@ -236,12 +237,55 @@ pub fn page(views: &[View], summaries: &Value) -> String {
         "band_period_mm": BAND_PERIOD_MM,
         "colours": { "height": figure::HEIGHT_COLOURS, "speed": figure::SPEED_COLOURS },
     });
-    // Inside a script element only `</` could end it; the slash may be escaped in JSON.
-    let data = data.to_string().replace("</", "<\\/");
-    HTML.replace("{{title}}", &figure::escaped(&names.join(", ")))
-        .replace("{{css}}", CSS)
-        .replace("{{js}}", JS)
-        .replace("{{data}}", &data)
+    filled(
+        HTML,
+        &[
+            ("policy", &policy()),
+            ("title", &escaped(&names.join(", "))),
+            ("css", CSS),
+            ("js", JS),
+            ("data", &in_script(&data)),
+        ],
+    )
+}
+
+/// What the browser may run: the program and the style of this page, known by their hashes, and
+/// nothing else, whatever stands in the names and manifests of a run.
+fn policy() -> String {
+    let hash = |text: &str| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes())));
+    format!(
+        "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data: blob:; \
+         style-src {}; script-src {}",
+        hash(CSS),
+        hash(JS)
+    )
+}
+
+/// JSON inside a script element: nothing in it can end the element or open a comment.
+fn in_script(data: &Value) -> String {
+    let text = data.to_string();
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '<' | '>' | '&' | '\u{2028}' | '\u{2029}' => out += &format!("\\u{:04x}", c as u32),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// `template` with every `{{key}}` replaced by its value, which is not looked at again.
+fn filled(template: &str, values: &[(&str, &str)]) -> String {
+    let mut out = String::new();
+    let mut rest = template;
+    while let Some((before, after)) = rest.split_once("{{") {
+        let (key, behind) = after.split_once("}}").expect("a key of the template ends");
+        let value = values.iter().find(|(k, _)| *k == key).expect("every key has its value").1;
+        out += before;
+        out += value;
+        rest = behind;
+    }
+    out + rest
 }
 
 fn run_json(view: &View) -> Value {
@@ -249,7 +293,7 @@ fn run_json(view: &View) -> Value {
         "name": view.name,
         "pipeline": view.summary.pipeline,
         "fixture": view.summary.fixture,
-        "best": view.summary.best(),
+        "best": view.summary.best,
         "summary": view.summary,
         "desired": view.desired,
         "measured": view.measured,
@@ -273,12 +317,12 @@ fn method_json(m: &MethodView) -> Value {
             "every": m.line.every,
             "x_mm": axis(0),
             "y_mm": axis(1),
-            "time_s": floats(m.line.time_s.iter().copied()),
+            "time_s": doubles(m.line.time_s.iter().copied()),
             "speed_mm_per_s": floats(m.line.speed_mm_per_s.iter().copied()),
         },
         "ranges": ranges_json(&m.ranges),
         "limits": limits_json(&m.verdict),
-        "violations": m.verdict["violations"],
+        "violations": violations_json(&m.verdict),
         "dwell": m.dwell.as_ref().map(dwell_json),
         "frames": m.frames.as_ref().map(frames_json),
         "rounds": m.rounds.as_ref().map(|r| json!({
@@ -301,7 +345,7 @@ const STEPS: [&str; 2] = ["position_step_mm", "velocity_step_mm_per_s"];
 fn ranges_json(ranges: &Ranges) -> Value {
     let mut json = json!({
         "every": ranges.every,
-        "end_s": floats(ranges.end_s.iter().copied()),
+        "end_s": doubles(ranges.end_s.iter().copied()),
     });
     for (envelopes, (_, name)) in ranges.envelope.iter().zip(QUANTITIES) {
         json[name] = envelopes
@@ -319,28 +363,38 @@ fn ranges_json(ranges: &Ranges) -> Value {
     json
 }
 
+/// The sentences of a verdict about what exceeds a limit.
+fn violations_json(verdict: &Value) -> Value {
+    verdict["violations"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter(|v| v.is_string())
+        .cloned()
+        .collect()
+}
+
 /// Per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
-/// of the worst steps in position and velocity.
+/// of the worst steps in position and velocity. Only numbers, whatever else a verdict holds.
 fn limits_json(verdict: &Value) -> Value {
     let mut json = json!({});
+    let worst_of = |check: &Value| -> Vec<[f64; 2]> {
+        let places = check["worst"].as_array().into_iter().flatten();
+        places.filter_map(|p| Some([p["time_s"].as_f64()?, p["value"].as_f64()?])).collect()
+    };
     for (key, name) in QUANTITIES {
         let of_axis = |axis: usize| {
             let check = &verdict["axes"][axis][key];
-            let worst = check["worst"].as_array().into_iter().flatten();
             json!({
-                "limit": check["limit"],
-                "exceeding_count": check["exceeding_count"],
-                "worst": worst.map(|p| json!([p["time_s"], p["value"]])).collect::<Vec<_>>(),
+                "limit": check["limit"].as_f64().filter(|limit| *limit >= 0.0),
+                "exceeding_count": check["exceeding_count"].as_u64(),
+                "worst": worst_of(check),
             })
         };
         json[name] = json!([of_axis(0), of_axis(1)]);
     }
-    let mut steps = vec![];
-    for (axis, key) in [0, 1].into_iter().flat_map(|a| STEPS.map(|key| (a, key))) {
-        let worst = verdict["axes"][axis][key]["worst"].as_array().into_iter().flatten();
-        steps.extend(worst.map(|p| p["time_s"].clone()));
-    }
-    json["steps"] = steps.into();
+    let checks = [0, 1].into_iter().flat_map(|axis| STEPS.map(|key| &verdict["axes"][axis][key]));
+    json["steps"] = checks.flat_map(worst_of).map(|[time_s, _]| json!(time_s)).collect();
     json
 }
 
@@ -380,4 +434,55 @@ fn provenance_json(manifests: &[(String, Value)]) -> Value {
             shown
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_template_is_filled_in_one_pass() {
+        let values = [("a", "{{b}}<"), ("b", "{{a}}")];
+        assert_eq!(filled("1{{a}}2{{b}}3{{a}}", &values), "1{{b}}<2{{a}}3{{b}}<");
+        assert_eq!(filled("none", &values), "none");
+    }
+
+    #[test]
+    fn nothing_in_the_data_ends_its_element() {
+        let data = json!({ "</script><!--": "<img>&\u{2028}\u{2029}" });
+        let text = in_script(&data);
+        assert!(!text.contains(['<', '>', '&', '\u{2028}', '\u{2029}']), "{text}");
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), data);
+    }
+
+    #[test]
+    fn the_policy_names_the_program_of_the_page_by_its_hash() {
+        let page = page(&[], &json!({}));
+        let script = page.rsplit_once("<script>").unwrap().1.split_once("</script>").unwrap().0;
+        // FIPS 180-4 by the crate; that the browser agrees is checked in the browser.
+        let hash = base64(&Sha256::digest(script.as_bytes()));
+        assert!(page.contains(&format!("script-src 'sha256-{hash}'")));
+        assert!(!page.contains("unsafe-inline"));
+        // SHA-256 of the empty text, from the standard's examples.
+        assert_eq!(base64(&Sha256::digest(b"")), "47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=");
+    }
+
+    #[test]
+    fn only_numbers_of_a_verdict_reach_the_page() {
+        let check = json!({
+            "limit": "fast", "exceeding_count": -1,
+            "worst": [{ "time_s": null, "value": 1.0 }, { "time_s": 2.0, "value": 3.0 }, 7],
+        });
+        let axis = json!({ "velocity_mm_per_s": check, "position_step_mm": check });
+        let verdict = json!({ "axes": [axis, axis], "violations": ["x", 7, null] });
+        let found = limits_json(&verdict);
+        assert_eq!(
+            found["velocity"][0],
+            json!({ "limit": null, "exceeding_count": null, "worst": [[2.0, 3.0]] })
+        );
+        assert_eq!(found["steps"], json!([2.0, 2.0]));
+        assert_eq!(found["jerk"][1]["worst"], json!([]));
+        assert_eq!(violations_json(&verdict), json!(["x"]));
+        assert_eq!(violations_json(&json!({ "violations": "text" })), json!([]));
+    }
 }

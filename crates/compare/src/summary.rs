@@ -12,14 +12,18 @@
 //! |---|---|---|---|
 //! | z | `residual` | (ny, nx) | nm |
 
-use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory};
+use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory, text::significant};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
 
-use crate::execution::Execution;
+use crate::{
+    chain::Standing,
+    execution::Execution,
+    plan::{PROGRAM, Plan, State},
+};
 
 /// The scheduler whose numbers are the ideal: dwell at the dwell points, no dynamics.
-const IDEAL: &str = "position";
+pub const IDEAL: &str = "position";
 
 /// Order of the methods; others follow by name. A refined method follows its base.
 const ORDER: [&str; 6] =
@@ -31,6 +35,9 @@ const SAME_PIXEL: f64 = 1e-4;
 /// `residual = desired - removal` holds to this part of the largest of the three: the rounding
 /// of maps that passed through 32-bit floats (6e-8), and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
+
+/// A motion executes a dwell time to this, s: what a dwell solver takes for no change.
+const SAME_DWELL_S: f64 = 1e-6;
 
 /// Two durations are the same to this part: far above the rounding of a sum of segments.
 const SAME_TIME: f64 = 1e-9;
@@ -49,6 +56,23 @@ pub struct Summary {
     /// Methods by scheduler.
     #[serde(serialize_with = "as_map")]
     pub methods: Vec<(String, Method)>,
+    /// Methods that take no part in the comparison.
+    pub left_out: Vec<LeftOut>,
+    /// What is out of date in what the methods share.
+    pub remarks: Vec<String>,
+    /// The method that is recommended; `null` when there is none.
+    pub best: Option<String>,
+}
+
+/// A method whose artifacts do not belong to this run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LeftOut {
+    /// Name of the method.
+    pub name: String,
+    /// `not-valid` or `out-of-date`.
+    pub standing: Standing,
+    /// Why.
+    pub reasons: Vec<String>,
 }
 
 /// The desired removal before the run.
@@ -70,7 +94,7 @@ pub struct Ideal {
 }
 
 /// What one method made of the surface.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Method {
     /// RMS of the residual, mean removed, nm.
     pub rms_nm: f64,
@@ -96,6 +120,10 @@ pub struct Method {
     pub simulate_wall_s: Option<f64>,
     /// What the motion does with the plan.
     pub execution: Execution,
+    /// How good the plan is known to be.
+    pub plan: Plan,
+    /// What else is worth knowing.
+    pub remarks: Vec<String>,
 }
 
 /// What a verdict says, as far as the summary repeats it.
@@ -127,7 +155,23 @@ pub struct WallTimes {
     pub simulate_s: Option<f64>,
 }
 
+/// What is known of a method beside its arrays and its verdict.
+#[derive(Clone, Debug)]
+pub struct Told {
+    /// Seconds that its stages took.
+    pub wall: WallTimes,
+    /// How good its plan is known to be.
+    pub plan: Plan,
+    /// What else is worth knowing.
+    pub remarks: Vec<String>,
+}
+
 impl Method {
+    /// Whether it may be recommended: a motion that keeps the limits.
+    pub fn is_candidate(&self) -> bool {
+        self.limits_respected && self.plan.state != State::Ideal
+    }
+
     /// The numbers of one method; refuses a removal of another surface, a verdict on another
     /// trajectory and dwell times of another path.
     pub fn new(
@@ -136,8 +180,9 @@ impl Method {
         trajectory: &Trajectory,
         dwell: Option<&DwellTime>,
         verdict: &VerdictOutcome,
-        wall: WallTimes,
+        told: Told,
     ) -> Result<Self, Invalid> {
+        let Told { wall, plan, mut remarks } = told;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -148,6 +193,15 @@ impl Method {
                     verdict.total_time_s
                 ),
                 "verify this trajectory",
+            ));
+        }
+        let execution = Execution::of(trajectory, dwell)?;
+        let departure_s = execution.dwell_error_worst_s.map_or(0.0, f64::abs);
+        if plan.state == State::Certified && departure_s > SAME_DWELL_S {
+            remarks.push(format!(
+                "what is certified are the planned dwell times; the motion departs from one of them \
+                 by {} s",
+                significant(departure_s, 4)
             ));
         }
         let residual = removal.residual();
@@ -164,7 +218,9 @@ impl Method {
             limits_respected: verdict.limits_respected,
             schedule_wall_s: wall.schedule_s,
             simulate_wall_s: wall.simulate_s,
-            execution: Execution::of(trajectory, dwell)?,
+            execution,
+            plan,
+            remarks,
         })
     }
 }
@@ -176,7 +232,19 @@ impl Summary {
         fixture: impl Into<String>,
         desired: &Surface,
         mut methods: Vec<(String, Method)>,
+        left_out: Vec<LeftOut>,
+        remarks: Vec<String>,
     ) -> Self {
+        // A controller's program is as good as the plan that it was written from.
+        let plans: Vec<(String, Plan)> =
+            methods.iter().map(|(name, m)| (name.clone(), m.plan.clone())).collect();
+        for (name, method) in methods.iter_mut().filter(|(_, m)| m.plan.word == PROGRAM) {
+            let behind = name.rsplit_once('+').map(|(base, _)| base);
+            if let Some((base, plan)) = plans.iter().find(|(n, _)| Some(n.as_str()) == behind) {
+                method.plan = plan.clone();
+                method.plan.text = format!("the program of {base}: {}", plan.text);
+            }
+        }
         methods.sort_by_cached_key(|(name, _)| {
             let base = name.split('+').next().unwrap_or_default();
             let rank = ORDER.iter().position(|o| *o == base).unwrap_or(ORDER.len());
@@ -187,19 +255,39 @@ impl Summary {
             .find(|(name, _)| name == IDEAL)
             .map(|(_, m)| Ideal { rms_nm: m.rms_nm, total_time_s: m.total_time_s });
         let statistics = desired.statistics();
+        // The smallest RMS among those that keep the limits; the first of equals.
+        let best = methods
+            .iter()
+            .filter(|(_, m)| m.is_candidate())
+            .min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm))
+            .map(|(name, _)| name.clone());
         Self {
             pipeline: pipeline.into(),
             fixture: fixture.into(),
             initial: Initial { rms_nm: statistics.rms, pv_nm: statistics.pv },
             ideal,
             methods,
+            left_out,
+            remarks,
+            best,
         }
     }
 
-    /// The method with the smallest RMS among those that keep the limits; the first of equals.
-    pub fn best(&self) -> Option<&str> {
-        let kept = self.methods.iter().filter(|(_, m)| m.limits_respected);
-        kept.min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm)).map(|(name, _)| name.as_str())
+    /// Why the run has no plan to recommend without reserve; empty when it has one.
+    pub fn reserves(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        for m in self.left_out.iter().filter(|m| m.standing == Standing::NotValid) {
+            found.push(format!("{} is not valid: {}", m.name, m.reasons.join("; ")));
+        }
+        let best = self.methods.iter().find(|(name, _)| self.best.as_ref() == Some(name));
+        match best {
+            None => found.push("no method keeps the limits of the machine".into()),
+            Some((name, m)) if m.plan.state == State::Unconverged => {
+                found.push(format!("{name} is the best, but not optimal: {}", m.plan.text));
+            }
+            Some(_) => {}
+        }
+        found
     }
 }
 
@@ -283,7 +371,16 @@ mod tests {
     fn method() -> Result<Method, Invalid> {
         let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
-        Method::new(&desired(), &removal(), &trajectory(), None, &verdict, wall)
+        let told = Told { wall, plan: plan(), remarks: vec![] };
+        Method::new(&desired(), &removal(), &trajectory(), None, &verdict, told)
+    }
+
+    fn plan() -> Plan {
+        Plan { state: State::Certified, word: "certified".into(), text: "near".into() }
+    }
+
+    fn summary_of(methods: Vec<(String, Method)>) -> Summary {
+        Summary::new("raster", "coupon", &desired(), methods, vec![], vec![])
     }
 
     #[test]
@@ -305,10 +402,14 @@ mod tests {
             ("pvt".to_string(), method().unwrap()),
             ("position".to_string(), Method { total_time_s: 3.5, ..method().unwrap() }),
         ];
-        let summary = Summary::new("raster", "coupon", &desired(), methods);
+        let summary = summary_of(methods);
         let json = to_json(std::slice::from_ref(&summary));
         let keys = |v: &Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
-        assert_eq!(keys(&json), ["pipeline", "fixture", "initial", "ideal", "methods"]);
+        assert_eq!(
+            keys(&json),
+            ["pipeline", "fixture", "initial", "ideal", "methods", "left_out", "remarks", "best"]
+        );
+        assert_eq!(keys(&json["methods"]["pvt"]["plan"]), ["state", "word", "text"]);
         assert_eq!(keys(&json["initial"]), ["rms_nm", "pv_nm"]);
         assert_eq!(keys(&json["ideal"]), ["rms_nm", "total_time_s"]);
         assert_eq!(json["ideal"]["total_time_s"], 3.5);
@@ -328,6 +429,8 @@ mod tests {
                 "schedule_wall_s",
                 "simulate_wall_s",
                 "execution",
+                "plan",
+                "remarks",
             ]
         );
         for (key, expected) in [
@@ -340,7 +443,7 @@ mod tests {
         }
         assert_eq!(json["methods"]["pvt"]["schedule_wall_s"], 0.25);
         assert!(json["methods"]["pvt"]["simulate_wall_s"].is_null());
-        let without = Summary::new("raster", "coupon", &desired(), vec![]);
+        let without = summary_of(vec![]);
         let json = to_json(&[summary, without]);
         assert!(json["runs"][1]["ideal"].is_null());
         assert_eq!(json["runs"][0]["pipeline"], "raster");
@@ -351,22 +454,52 @@ mod tests {
         let with =
             |rms_nm, limits_respected| Method { rms_nm, limits_respected, ..method().unwrap() };
         let methods = vec![
-            ("position".to_string(), with(0.1, false)),
+            ("average-velocity".to_string(), with(0.1, false)),
             ("pvt".to_string(), with(0.3, true)),
             ("constant-acceleration".to_string(), with(0.2, true)),
         ];
-        let summary = Summary::new("", "", &desired(), methods);
-        assert_eq!(summary.best(), Some("constant-acceleration"));
-        let none = Summary::new("", "", &desired(), vec![("pvt".into(), with(0.1, false))]);
-        assert_eq!(none.best(), None);
+        let summary = summary_of(methods);
+        assert_eq!(summary.best.as_deref(), Some("constant-acceleration"));
+        assert!(summary.reserves().is_empty());
+        let none = summary_of(vec![("pvt".into(), with(0.1, false))]);
+        assert_eq!((none.best.as_deref(), none.reserves().len()), (None, 1));
+        // The ideal of a path on which it happens to keep the limits is still no plan.
+        let state = |state| Plan { state, ..plan() };
+        let mut ideal = with(0.1, true);
+        ideal.plan = state(State::Ideal);
+        let summary = summary_of(vec![("position".into(), ideal), ("pvt".into(), with(0.3, true))]);
+        assert_eq!(summary.best.as_deref(), Some("pvt"));
+        let mut stagnated = with(0.1, true);
+        stagnated.plan = state(State::Unconverged);
+        let summary = summary_of(vec![("pvt".into(), stagnated)]);
+        assert!(summary.reserves()[0].contains("pvt is the best, but not optimal"));
+    }
+
+    #[test]
+    fn a_program_is_as_good_as_the_plan_behind_it() {
+        let mut program = method().unwrap();
+        program.plan = Plan { state: State::Unknown, word: PROGRAM.into(), text: "".into() };
+        let methods = |base: &str| {
+            vec![
+                (base.to_string(), method().unwrap()),
+                ("pvt+refined+galil".to_string(), program.clone()),
+            ]
+        };
+        let found = summary_of(methods("pvt+refined")).methods.pop().unwrap().1.plan;
+        assert_eq!(
+            (found.state, found.text.as_str()),
+            (State::Certified, "the program of pvt+refined: near")
+        );
+        let alone = summary_of(methods("trig-spline")).methods.remove(0).1.plan;
+        assert_eq!(alone.state, State::Unknown);
     }
 
     #[test]
     fn what_does_not_belong_together_is_refused() {
         let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
         let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
-            let wall = WallTimes::default();
-            Method::new(desired, removal, &trajectory(), None, verdict, wall)
+            let told = Told { wall: WallTimes::default(), plan: plan(), remarks: vec![] };
+            Method::new(desired, removal, &trajectory(), None, verdict, told)
                 .unwrap_err()
                 .to_string()
         };

@@ -1,9 +1,14 @@
 //! The summary of one or several runs as a plain aligned table.
 
-use crate::summary::{Method, Summary};
+use planish_types::text::{fixed, visible};
+
+use crate::{
+    chain::Standing,
+    summary::{Method, Summary},
+};
 
 /// Columns: two lines of heading; the first column is aligned left, the others right.
-const HEADINGS: [[&str; 2]; 13] = [
+const HEADINGS: [[&str; 2]; 14] = [
     ["", "method"],
     ["RMS", "nm"],
     ["detilted", "nm"],
@@ -14,6 +19,7 @@ const HEADINGS: [[&str; 2]; 13] = [
     ["max a x, y", "mm/s^2"],
     ["v step x, y", "mm/s"],
     ["limits", "kept"],
+    ["", "plan"],
     ["schedule", "s"],
     ["simulate", "s"],
     ["", "best"],
@@ -40,7 +46,7 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     }
     text.push('\n');
 
-    let prefix = |cell: &str| named.then(|| cell.to_string());
+    let prefix = |cell: &str| named.then(|| visible(cell).into_owned());
     let mut rows: Vec<Vec<String>> = (0..2)
         .map(|line| {
             let first = prefix(["", "run"][line]);
@@ -48,19 +54,54 @@ fn render(runs: &[(&str, &Summary)]) -> String {
         })
         .collect();
     for (name, summary) in runs {
-        let best = summary.best();
         for (scheduler, method) in &summary.methods {
-            let mark = if best == Some(scheduler) { "*" } else { "" };
+            let mark = if summary.best.as_ref() == Some(scheduler) { "*" } else { "" };
             rows.push(prefix(name).into_iter().chain(cells(scheduler, method, mark)).collect());
+        }
+        for left in summary.left_out.iter().filter(|l| l.standing == Standing::NotValid) {
+            rows.push(prefix(name).into_iter().chain(cells_not_valid(&left.name)).collect());
         }
     }
     text += &align(&rows, if named { 2 } else { 1 });
-    if runs.iter().any(|(_, summary)| summary.best().is_some()) {
-        text += "\n* smallest RMS among the methods that keep the limits of the machine\n";
-    } else if runs.iter().any(|(_, summary)| !summary.methods.is_empty()) {
-        text += "\nno method keeps the limits of the machine\n";
+    text.push('\n');
+    if runs.iter().any(|(_, summary)| summary.best.is_some()) {
+        text += "* smallest RMS among the methods that keep the limits of the machine\n";
+    } else {
+        text += "no method keeps the limits of the machine\n";
+    }
+    for (name, summary) in runs {
+        let whose = if named { format!("{}: ", visible(name)) } else { String::new() };
+        for note in notes(summary) {
+            text += &format!("{whose}{}\n", visible(&note));
+        }
     }
     text
+}
+
+/// What the columns have no room for: how good the plans are, what is known besides, what is left
+/// out. Methods of which the same is said share a line.
+fn notes(summary: &Summary) -> Vec<String> {
+    let mut said: Vec<(String, Vec<&str>)> = Vec::new();
+    for (name, method) in &summary.methods {
+        let plan = format!("{}: {}", method.plan.word, method.plan.text);
+        for text in std::iter::once(plan).chain(method.remarks.iter().cloned()) {
+            match said.iter_mut().find(|(t, _)| *t == text) {
+                Some((_, names)) => names.push(name),
+                None => said.push((text, vec![name])),
+            }
+        }
+    }
+    let mut notes: Vec<String> =
+        said.into_iter().map(|(text, names)| format!("{}: {text}", names.join(", "))).collect();
+    for left in &summary.left_out {
+        let standing = match left.standing {
+            Standing::OutOfDate => "out of date, left out",
+            _ => "not valid",
+        };
+        notes.push(format!("{}: {standing}: {}", left.name, left.reasons.join("; ")));
+    }
+    notes.extend(summary.remarks.iter().cloned());
+    notes
 }
 
 /// Two lines: the desired removal, and what the dwell times alone would leave.
@@ -73,16 +114,17 @@ fn heading(name: &str, summary: &Summary) -> String {
         .map(|(_, part)| part)
         .collect();
     let mut text = format!(
-        "{}: initial surface {:.4} nm RMS, {:.2} nm PV",
-        title.join(", "),
-        summary.initial.rms_nm,
-        summary.initial.pv_nm
+        "{}: initial surface {} nm RMS, {} nm PV",
+        visible(&title.join(", ")),
+        fixed(summary.initial.rms_nm, 4),
+        fixed(summary.initial.pv_nm, 2)
     );
     match &summary.ideal {
         Some(ideal) => {
             text += &format!(
-                "; ideal (dwell at the dwell points) {:.4} nm RMS in {:.2} s\n",
-                ideal.rms_nm, ideal.total_time_s
+                "; ideal (dwell at the dwell points) {} nm RMS in {} s\n",
+                fixed(ideal.rms_nm, 4),
+                fixed(ideal.total_time_s, 2)
             );
         }
         None => text += "; no ideal (no method 'position')\n",
@@ -90,24 +132,39 @@ fn heading(name: &str, summary: &Summary) -> String {
     text
 }
 
-fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 13] {
-    let pair = |[x, y]: [f64; 2], decimals: usize| format!("{x:.decimals$}, {y:.decimals$}");
-    let wall = |s: Option<f64>| s.map_or("-".to_string(), |s| format!("{s:.3}"));
+fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 14] {
+    let wall = |s: Option<f64>| s.map_or("-".to_string(), |s| fixed(s, 3));
     [
-        scheduler.to_string(),
-        format!("{:.4}", m.rms_nm),
-        format!("{:.4}", m.rms_detilted_nm),
-        format!("{:.3}", m.pv_nm),
-        format!("{:.2}", m.total_time_s),
-        format!("{:.3}", m.total_time_s / 60.0),
+        visible(scheduler).into_owned(),
+        fixed(m.rms_nm, 4),
+        fixed(m.rms_detilted_nm, 4),
+        fixed(m.pv_nm, 3),
+        fixed(m.total_time_s, 2),
+        fixed(m.total_time_s / 60.0, 3),
         pair(m.max_velocity_mm_per_s, 2),
         pair(m.max_acceleration_mm_per_s2, 1),
         pair(m.max_velocity_step_mm_per_s, 3),
         if m.limits_respected { "yes" } else { "no" }.to_string(),
+        m.plan.word.clone(),
         wall(m.schedule_wall_s),
         wall(m.simulate_wall_s),
         mark.to_string(),
     ]
+}
+
+/// A row without numbers: none is known to be of this method.
+fn cells_not_valid(scheduler: &str) -> [String; 14] {
+    std::array::from_fn(|column| match HEADINGS[column][1] {
+        "method" => visible(scheduler).into_owned(),
+        "kept" => "not valid".into(),
+        "best" => String::new(),
+        _ => "-".into(),
+    })
+}
+
+/// Two numbers in one cell.
+pub(crate) fn pair([x, y]: [f64; 2], decimals: usize) -> String {
+    format!("{}, {}", fixed(x, decimals), fixed(y, decimals))
 }
 
 /// Pads every column to its widest cell; the first `left` columns are aligned left.
@@ -135,7 +192,10 @@ pub(crate) fn align(rows: &[Vec<String>], left: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::summary::{Ideal, Initial};
+    use crate::{
+        plan::{Plan, State},
+        summary::{Ideal, Initial, LeftOut},
+    };
 
     fn method(rms_nm: f64, limits_respected: bool) -> Method {
         Method {
@@ -151,6 +211,8 @@ mod tests {
             schedule_wall_s: Some(0.1234),
             simulate_wall_s: None,
             execution: Default::default(),
+            plan: Plan { state: State::Certified, word: "certified".into(), text: "near".into() },
+            remarks: vec![],
         }
     }
 
@@ -164,6 +226,9 @@ mod tests {
                 ("position".into(), method(0.1, false)),
                 ("pvt".into(), method(0.2, true)),
             ],
+            left_out: vec![],
+            remarks: vec![],
+            best: Some("pvt".into()),
         }
     }
 
@@ -173,12 +238,13 @@ mod tests {
         let expected = "raster, coupon: initial surface 6.3167 nm RMS, 37.00 nm PV; \
             ideal (dwell at the dwell points) 0.1000 nm RMS in 88.00 s \
             RMS detilted PV time max v x, y max a x, y v step x, y limits schedule simulate \
-            method nm nm nm s min mm/s mm/s^2 mm/s kept s s best \
+            method nm nm nm s min mm/s mm/s^2 mm/s kept plan s s best \
             position 0.1000 0.0750 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 no \
-            0.123 - \
+            certified 0.123 - \
             pvt 0.2000 0.1500 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 yes \
-            0.123 - * \
-            * smallest RMS among the methods that keep the limits of the machine";
+            certified 0.123 - * \
+            * smallest RMS among the methods that keep the limits of the machine \
+            position, pvt: certified: near";
         let found = table(&summary());
         let words = |t: &str| t.split_whitespace().map(String::from).collect::<Vec<_>>();
         assert_eq!(words(&found), words(expected));
@@ -192,6 +258,7 @@ mod tests {
         let second = Summary {
             ideal: None,
             methods: vec![("pvt".into(), method(0.05, false))],
+            best: None,
             ..summary()
         };
         let text = table_of_runs(&[("a", &summary()), ("long-name", &second)]);
@@ -209,7 +276,29 @@ mod tests {
 
     #[test]
     fn no_method_keeps_the_limits() {
-        let only = Summary { methods: vec![("pvt".into(), method(0.1, false))], ..summary() };
+        let methods = vec![("pvt".into(), method(0.1, false))];
+        let only = Summary { methods, best: None, ..summary() };
         assert!(table(&only).contains("no method keeps the limits"));
+    }
+
+    #[test]
+    fn what_is_left_out_has_no_numbers_and_its_reason() {
+        let left = |name: &str, standing, reason: &str| LeftOut {
+            name: name.into(),
+            standing,
+            reasons: vec![reason.into()],
+        };
+        let mut summary = summary();
+        summary.left_out = vec![
+            left("pvt\u{1b}[31m", Standing::NotValid, "its verdict is of another trajectory"),
+            left("old", Standing::OutOfDate, "other dwell times"),
+        ];
+        let text = table(&summary);
+        let row = text.lines().find(|l| l.starts_with(r"pvt\u{1b}[31m ")).unwrap();
+        assert!(!row.contains(|c: char| c.is_ascii_digit() && c != '1' && c != '3'), "{row}");
+        assert!(row.contains("not valid") && !text.contains('\u{1b}'));
+        assert!(text.contains("not valid: its verdict is of another trajectory\n"));
+        assert!(text.contains("old: out of date, left out: other dwell times\n"));
+        assert!(!text.lines().any(|l| l.starts_with("old ")), "{text}");
     }
 }

@@ -4,6 +4,7 @@ with the files beside it.
     browser.py REPORT_DIR RUN_DIR [--shots DIR]     a report of one run, and the run
     browser.py --several REPORT_DIR [--shots DIR]   a report of several runs
     browser.py --docs REPORT_DIR PICTURE_DIR        the pictures of docs/report.md
+    browser.py --hostile PLANISH_BIN_DIR RUN_DIR    a copy of the run with names that are programs
     browser.py --large PLANISH_BIN_DIR WORK_DIR     a mirror of 1641 x 1641 with 2.5e5 segments
 
 Needs chromium (Debian package), numpy and websocket-client. Exit code 1 when a check fails.
@@ -162,7 +163,8 @@ def check_table(browser, report):
     summary = json.loads((report / "summary.json").read_text())
     runs = summary.get("runs", [summary])
     methods = [m for run in runs for m in run["methods"].values()]
-    wanted = [{k: v for k, v in {**m, **m["execution"]}.items() if k != "execution"} for m in methods]
+    beside = ("execution", "remarks")
+    wanted = [{k: v for k, v in {**m, **m["execution"]}.items() if k not in beside} for m in methods]
     cells = browser.js("[...document.querySelectorAll('#summary td')].map((c) => [c.dataset.key, +c.dataset.entry, c.dataset.value, c.textContent, c.className])")
     shown = {(key, entry): (json.loads(value), text) for key, entry, value, text, _ in cells}
     check("the table has every number of every method", len(shown) == sum(len(m) for m in wanted), len(shown))
@@ -177,9 +179,15 @@ def check_table(browser, report):
                 if abs(float(text) - value) > 0.5000001 * 10**-decimals:
                     wrong.append((key, entry, text, value))
     check("the numbers equal summary.json", not wrong, wrong[:3] or f"{len(shown)} cells")
-    kept = [m for m in wanted if m["limits_respected"]] or wanted
+    kept = [m for m in wanted if m["limits_respected"] and m["plan"]["state"] != "ideal"] or wanted
     best = [(k, e) for k, e, _, _, c in cells if c == "best" and k == "rms_nm"]
     least = min(m["rms_nm"] for m in kept)
+    plans = [text for key, _, _, text, _ in cells if key == "plan"]
+    check("how good every plan is known to be stands in the table", plans == [m["plan"]["word"] for m in wanted], plans)
+    notes = browser.js("document.getElementById('notes').textContent")
+    check("and why, below it", all(m["plan"]["text"] in notes for m in wanted))
+    signed = browser.js("[...document.querySelectorAll('td, p, li, .read, output')].map((e) => e.textContent).filter((t) => /-0(\\.0+)?(?![\\d.e])/.test(t))")
+    check("no zero has a sign", signed == [], signed[:3] or "")
     check("the best of a row is marked", len(wanted) == 1 or all(wanted[e]["rms_nm"] == least for _, e in best) and best != [], best)
 
 
@@ -281,6 +289,8 @@ def check_playback(browser, run, entry):
             worst = np.nanmax(np.abs(np.where(np.isnan(wanted), 0, shown - wanted)))
             ok = kept[i] <= times[expected] + 1e-9 and worst <= 0.501 * step
             check(f"the frame at {part:.0%} of the time is the simulated one", ok, f"{worst:.1e} of {step:.1e} nm")
+            if part == 1.0:
+                check("the end of the slider is the last frame", i == len(kept) - 1, f"{i + 1} of {len(kept)}")
     browser.js("document.getElementById('time').focus()")
     browser.key("Home")
     place = browser.js("(() => { document.getElementById('play').scrollIntoView({block: 'center'}); const r = document.getElementById('play').getBoundingClientRect(); return [r.left + 5, r.top + 5]; })()")
@@ -500,7 +510,8 @@ def large(programs, work):
                     "--out", run / "methods/pvt/verdict"], check=False, capture_output=True)
     began = time.time()
     made = subprocess.run([programs / "planish-compare", "report", run, "--out", work / "report"], capture_output=True, text=True)
-    check("the report is made", made.returncode == 0, made.stderr[-300:] if made.returncode else f"{time.time() - began:.1f} s")
+    # The motion of this mirror exceeds the limits on purpose: negative, and made all the same.
+    check("the report is made", made.returncode == 1, made.stderr[-300:] if made.returncode != 1 else f"{time.time() - began:.1f} s")
     page = work / "report/report.html"
     check("the page is at most 10 MB", page.stat().st_size <= 10e6, f"{page.stat().st_size / 1e6:.2f} MB")
     browser = Browser()
@@ -539,6 +550,75 @@ def large(programs, work):
         browser.close()
 
 
+def hostile(programs, run):
+    """Names, settings and manifests that are programs: nothing of them runs, and the page works."""
+    work = pathlib.Path(tempfile.mkdtemp(prefix="planish-hostile-"))
+    name = "{{data}}<img src=x onerror=window.hit=1>\u001b[31m&quot;"
+    copy = work / name
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("report", "fixture"))
+    program = "</script><script>window.hit=2</script><svg onload=window.hit=3>"
+    for manifest in copy.rglob("manifest.json"):
+        data = json.loads(manifest.read_text())
+        data["command"] = data["tool_version"] = data["method"] = program
+        data["settings"] = {program: [program, "\u2028"]}
+        manifest.write_text(json.dumps(data))
+    (copy / "methods/pvt").rename(copy / "methods/pvt<svg onload=window.hit=4>\u0007")
+    made = subprocess.run([programs.resolve() / "planish-compare", "report", copy, "--out", work / "report", "--fixture", program,
+                           "--pipeline", "<!--<script>"], capture_output=True, text=True)
+    check("the report is made", made.returncode == 0, made.stderr[-300:])
+    check("no command reaches the terminal", not any(ord(c) < 32 and c != "\n" for c in made.stdout + made.stderr))
+    browser = Browser()
+    try:
+        browser.size(1280, 900)
+        browser.open(work / "report/report.html")
+        check("no program in a name has run", browser.js("window.hit === undefined"))
+        check("the names are shown as they are", name[:20] in browser.js("document.getElementById('names').textContent"))
+        check("so are the manifests", browser.js("document.getElementById('provenance').textContent").count(program) > 3)
+        check("there is no other element", browser.js("document.querySelectorAll('img, svg, iframe').length") == 0)
+        check_table(browser, work / "report")
+        check_playback(browser, copy, browser.js("planish.state.a"))
+        browser.js("(() => { const s = document.getElementById('b'); s.value = 0; s.dispatchEvent(new Event('change')); })()")
+        browser.settle()
+        check("another method can be chosen", not browser.js("planish.panels.find((p) => p.name === 'difference').figure.hidden"))
+        browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(work / "saved"))
+        browser.js("document.querySelector('figcaption button').click()")
+        for _ in range(100):
+            if list((work / "saved").glob("*.png")):
+                break
+            time.sleep(0.1)
+        saved = list((work / "saved").glob("*.png"))
+        check("a drawing is saved as PNG", len(saved) == 1 and saved[0].read_bytes()[:4] == b"\x89PNG", [p.name for p in saved])
+        check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
+        # The second wall: what did get into the page would not run either.
+        browser.js("document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=window.hit=5><a href=javascript:window.hit=6 id=bait>x</a>')")
+        browser.js("(() => { const s = document.createElement('script'); s.textContent = 'window.hit=7'; document.body.append(s); document.getElementById('bait').click(); })()")
+        browser.settle()
+        check("the policy lets nothing run that is not the page's own", browser.js("window.hit === undefined"), browser.js("window.hit"))
+        refused = [text for text in browser.complaints() if "Content Security Policy" in text]
+        check("and says so", len(refused) >= 2, len(refused))
+        # Every method left out: the page says why and draws nothing.
+        for method in (copy / "methods").iterdir():
+            if method.name != "position":
+                shutil.rmtree(method)
+        shutil.rmtree(copy / "methods/position/verdict")
+        shutil.copytree(run / "methods/pvt/verdict", copy / "methods/position/verdict")
+        made = subprocess.run([programs.resolve() / "planish-compare", "report", copy, "--out", work / "none"], capture_output=True, text=True)
+        check("a report of nothing valid is negative", made.returncode == 1, made.stderr[-300:])
+        browser.events.clear()
+        browser.call("Page.navigate", url=(work / "none/report.html").resolve().as_uri())
+        browser.settle()
+        check("its page says why", "not valid: its verdict is of another trajectory" in browser.js("document.getElementById('notes').textContent"))
+        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 2, browser.complaints()[:3] or "")
+        for svg in sorted((work / "report").glob("*.svg")):
+            browser.call("Page.navigate", url=svg.resolve().as_uri())
+            browser.settle()
+            broken = browser.js("document.documentElement.nodeName !== 'svg' || !!document.querySelector('parsererror') || window.hit !== undefined")
+            check(f"{svg.name} is a drawing", not broken)
+    finally:
+        browser.close()
+        shutil.rmtree(work, ignore_errors=True)
+
+
 def full_values(browser, run, height):
     root = browser.call("DOM.getDocument")["root"]["nodeId"]
     node = browser.call("DOM.querySelector", nodeId=root, selector="#npy")["nodeId"]
@@ -555,10 +635,13 @@ def main():
     parser.add_argument("--shots", type=pathlib.Path)
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--docs", action="store_true")
+    parser.add_argument("--hostile", action="store_true")
     parser.add_argument("--several", action="store_true")
     arguments = parser.parse_args()
     if arguments.large:
         large(arguments.first, arguments.second)
+    elif arguments.hostile:
+        hostile(arguments.first, arguments.second)
     elif arguments.several:
         several(arguments.first, arguments.shots)
     elif arguments.docs:

@@ -207,6 +207,11 @@ impl Stage {
         Ok((loaded.value, loaded.manifest))
     }
 
+    /// BLAKE3 of the content of the input that was read for this role.
+    pub fn digest(&self, role: &str) -> Option<&str> {
+        self.inputs.iter().find(|input| input.role == role).map(|input| input.blake3.as_str())
+    }
+
     /// Reads the manifest of an artifact whose kind keeps everything in its outcome.
     pub fn read_manifest(
         &mut self,

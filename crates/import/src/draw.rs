@@ -7,13 +7,19 @@ use std::fmt::Write;
 
 use ndarray::Array2;
 use planish_numerics::ticks::round_numbers;
-use planish_types::Grid;
+use planish_types::{
+    Grid,
+    text::{escaped, fixed, significant},
+};
 
 /// Larger side of the map, in pixels of the picture.
 const SIZE_PX: f64 = 800.0;
 
 /// Left, top, right, bottom of the map, in pixels of the picture.
 const MARGIN_PX: [f64; 4] = [80.0, 60.0, 170.0, 60.0];
+
+/// Least height of the bar of colours, in pixels of the picture: its two numbers stay apart.
+const BAR_PX: f64 = 100.0;
 
 /// Cells along the longer side; a cell is the mean of its valid pixels.
 const CELLS: usize = 200;
@@ -67,7 +73,7 @@ pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String 
              <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
              <text x=\"{left}\" y=\"24\">{2}</text>\n",
             (left + width + right).max(640.0),
-            top + height + bottom,
+            top + height.max(BAR_PX) + bottom,
             escaped(title)
         ),
     );
@@ -170,7 +176,7 @@ fn cells(
 }
 
 fn bar(out: &mut String, [x, top]: [f64; 2], height: f64, least: f64, most: f64, scale: Scale) {
-    let height = height.max(100.0);
+    let height = height.max(BAR_PX);
     let step = height / LEVELS as f64;
     for l in 0..LEVELS {
         put(
@@ -187,7 +193,10 @@ fn bar(out: &mut String, [x, top]: [f64; 2], height: f64, least: f64, most: f64,
         Scale::HeightNm => "nm",
         Scale::RateNmPerS => "nm/s",
     };
-    for (y, v) in [(top + 12.0, most), (top + height, least)] {
+    // A map without a valid pixel has no range.
+    for (y, v) in
+        [(top + 12.0, most), (top + height, least)].into_iter().filter(|e| e.1.is_finite())
+    {
         put(
             out,
             format_args!("<text x=\"{:.1}\" y=\"{y:.1}\">{} {unit}</text>\n", x + 26.0, short(v)),
@@ -198,8 +207,7 @@ fn bar(out: &mut String, [x, top]: [f64; 2], height: f64, least: f64, most: f64,
 /// Five digits.
 fn short(v: f64) -> String {
     let digits = if v == 0.0 { 0 } else { 4 - v.abs().log10().floor() as i32 };
-    let decimals = digits.clamp(0, 12) as usize;
-    format!("{v:.decimals$}")
+    if digits > 12 { significant(v, 5) } else { fixed(v, digits.max(0) as usize) }
 }
 
 fn colour(share: f64) -> String {
@@ -209,10 +217,6 @@ fn colour(share: f64) -> String {
     let [r, g, b] =
         [0, 1, 2].map(|k| (COLOURS[i][k] + f * (COLOURS[i + 1][k] - COLOURS[i][k])).round() as u8);
     format!("#{r:02x}{g:02x}{b:02x}")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// Writing to a string does not fail.

@@ -76,6 +76,24 @@ fn a_map_its_statement_and_its_picture() {
 }
 
 #[test]
+fn a_flat_strip_with_a_hostile_name_has_a_picture() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let name = "a<b>\u{1b}[31m\u{8}.csv";
+    let row = ["0"; 300].join(",");
+    fs::write(dir.join(name), format!("{row}\n{row}\n")).unwrap();
+    let flags = ["--unit", "nm", "--pitch-mm", "0.5", "--first-row", "top", "--picture", "a.svg"];
+    done(dir, &[&["surface", name][..], &flags, &["--out", "a"]].concat());
+    let picture = fs::read_to_string(dir.join("a.svg")).unwrap();
+    assert!(picture.contains(r"a&lt;b&gt;\u{1b}[31m\u{8}.csv: 300 x 2 pixels"), "{picture}");
+    assert!(!picture.contains(|c: char| c != '\n' && c.is_control()));
+    assert!(!picture.contains("NaN") && !picture.contains("inf"), "{picture}");
+    // The bar of colours (100 px below a margin of 60) is inside the picture.
+    let height = picture.split("height=\"").nth(1).unwrap().split('"').next().unwrap();
+    assert!(height.parse::<f64>().unwrap() >= 160.0, "{height}");
+}
+
+#[test]
 fn a_directory_of_npy_is_a_format_too() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();

@@ -7,7 +7,10 @@ use std::fmt::Write;
 
 use ndarray::{Array2, s};
 use planish_numerics::ticks::round_numbers;
-use planish_types::{Axis, Grid};
+use planish_types::{
+    Axis, Grid,
+    text::{escaped, fixed},
+};
 
 use crate::psd::Psd;
 
@@ -114,7 +117,7 @@ pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> String {
         }
     }
     area.lines(&mut out, &lines);
-    let title = format!("section at y = {y_mm:.3} mm");
+    let title = format!("section at y = {} mm", fixed(y_mm, 3));
     text(&mut out, area.left, area.top - 10.0, "start", &title);
     document(cell[0] * columns as f64, top + HEIGHT + MARGIN[1] + MARGIN[3], &out)
 }
@@ -187,10 +190,11 @@ fn edges(axis: &Axis) -> [f64; 2] {
     [axis.start_mm() - 0.5 * axis.step_mm(), axis.end_mm() + 0.5 * axis.step_mm()]
 }
 
-/// Height over width.
+/// Height over width of a drawing: that of the map, unless the map is a strip so narrow that the
+/// drawing would have no height, or more than a page of it.
 fn ratio(grid: &Grid) -> f64 {
     let length = |axis: &Axis| axis.len() as f64 * axis.step_mm();
-    length(&grid.y) / length(&grid.x)
+    (length(&grid.y) / length(&grid.x)).clamp(0.08, 2.0)
 }
 
 /// Means over blocks of pixels, few enough to draw; NaN where most are invalid.
@@ -292,7 +296,7 @@ fn colour_bar(out: &mut String, area: &Area, scale: [f64; 2], unit: &str) {
             ),
         );
     }
-    let digits = |v: f64| format!("{v:.*}", if scale[1] - scale[0] < 10.0 { 2 } else { 1 });
+    let digits = |v: f64| fixed(v, if scale[1] - scale[0] < 10.0 { 2 } else { 1 });
     text(out, left + 16.0, area.top + 11.0, "start", &digits(scale[1]));
     text(out, left + 16.0, area.top + 27.0, "start", unit);
     text(out, left + 16.0, area.top + area.height, "start", &digits(scale[0]));
@@ -408,6 +412,9 @@ impl Area {
     fn lines(&self, out: &mut String, lines: &[Line]) {
         for (k, line) in lines.iter().enumerate() {
             let colour = LINES[k % LINES.len()];
+            if line.points.is_empty() {
+                continue;
+            }
             put(
                 out,
                 format_args!("<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\" d=\""),
@@ -472,10 +479,6 @@ fn text(out: &mut String, x: f64, y: f64, anchor: &str, words: &str) {
             escaped(words)
         ),
     );
-}
-
-fn escaped(words: &str) -> String {
-    words.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 fn document(width: f64, height: f64, content: &str) -> String {

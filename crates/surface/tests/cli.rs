@@ -358,3 +358,38 @@ fn bad_input_of_the_other_commands_ends_with_2_and_no_output() {
         assert!(!tmp.path().join("out").exists(), "{line}");
     }
 }
+
+#[test]
+fn strips_flat_maps_and_hostile_names_are_drawn() {
+    let tmp = tempfile::tempdir().unwrap();
+    let name = "a<b>&\u{1b}[31m\u{8}";
+    let strip = |name: &str, shape: (usize, usize), row: f64| {
+        let dir = tmp.path().join(name);
+        let mut map = Array2::from_elem(shape, -1e-9);
+        // A border, and the row of the section, without a valid pixel.
+        map.row_mut(shape.0 / 2).fill(row);
+        map.column_mut(0).fill(f64::NAN);
+        save(&dir, "height_nm", map.into_dyn());
+        let axis = |n: usize| Array1::from_iter((0..n).map(|i| 0.1 * i as f64)).into_dyn();
+        save(&dir, "x_mm", axis(shape.1));
+        save(&dir, "y_mm", axis(shape.0));
+    };
+    strip(name, (2, 400), f64::NAN);
+    strip("tall", (400, 2), -1e-9);
+    for (i, dir) in [name, "tall"].iter().enumerate() {
+        let out = format!("{i}.svg");
+        let output = surface_command(tmp.path(), &["draw", "--surface", dir, "--out", &out]);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let svg = fs::read_to_string(tmp.path().join(out)).unwrap();
+        for word in ["NaN", "inf", ">-0.0", "d=\"\""] {
+            assert!(!svg.contains(word), "{dir}: {word}");
+        }
+        assert!(!svg.contains(|c: char| c != '\n' && c.is_control()));
+        let height: f64 =
+            svg.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap();
+        // The map is at most two widths (1120 px) high and has at least the height of its scale.
+        assert!((400.0..2000.0).contains(&height), "{dir}: {height}");
+    }
+    let svg = fs::read_to_string(tmp.path().join("0.svg")).unwrap();
+    assert!(svg.contains(r"a&lt;b&gt;&amp;\u{1b}[31m\u{8}"), "{svg}");
+}

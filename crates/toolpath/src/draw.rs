@@ -58,8 +58,10 @@ impl Frame {
         let mut x_mm = over(0, aperture.map(|a| a.along(half[0])));
         let mut y_mm = over(1, aperture.map(|a| a.across(half[1])));
         let widest = (x_mm.high - x_mm.low).max(y_mm.high - y_mm.low);
-        // A path that is one point gets a frame of 1 mm.
-        let rim = if widest > 0.0 { 0.02 * widest } else { 0.5 };
+        // A path that is one point, but for rounding, gets a frame of 1 mm.
+        let ends = [x_mm.low, x_mm.high, y_mm.low, y_mm.high];
+        let rounding = 1e-12 * ends.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        let rim = if widest > rounding { 0.02 * widest } else { 0.5 };
         for i in [&mut x_mm, &mut y_mm] {
             (i.low, i.high) = (i.low - rim, i.high + rim);
         }

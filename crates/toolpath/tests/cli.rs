@@ -385,3 +385,21 @@ fn the_lines_of_the_published_raster_come_back() {
     }
     assert_eq!(path.point_mm().len(), 26 * 104);
 }
+
+#[test]
+fn a_path_of_one_point_but_for_rounding_is_drawn() {
+    let tmp = tempfile::tempdir().unwrap();
+    for (name, beyond) in [("point", 0.0), ("rounding", 1e-14)] {
+        let dir = tmp.path().join(name);
+        let points = Array2::from_shape_fn((3, 2), |(i, _)| 7.0 + beyond * i as f64);
+        save(&dir, "dwell_point_mm", points.slice(ndarray::s![..2, ..]).to_owned().into_dyn());
+        save(&dir, "point_mm", points.into_dyn());
+        let output =
+            call(tmp.path(), "draw", &["--tool-path", name, "--out", &format!("{name}.svg")]);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let svg = fs::read_to_string(tmp.path().join(format!("{name}.svg"))).unwrap();
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        // A frame of 1 mm about it, with round numbers.
+        assert!(svg.contains(">7</text>") && svg.contains(">6.8</text>"), "{svg}");
+    }
+}

@@ -22,6 +22,7 @@ mod grid;
 mod limits;
 pub mod plausible;
 mod surface;
+pub mod text;
 mod tif;
 mod tool_path;
 mod trajectory;

@@ -1,5 +1,7 @@
 //! Collects one quantity over all segments: its range, and where it exceeds its limit.
 
+use planish_types::text::significant;
+
 use crate::{
     LIMIT_ALLOWANCE,
     verdict::{Check, Place},
@@ -59,15 +61,20 @@ impl Bound {
         match self {
             Self::Within(limit) => format!(
                 "{name} reaches {value:.6} {unit} in segment {index} at {time_s:.6} s, \
-                 {excess:.6} times the limit of {limit} {unit} (segments that exceed it: {count})"
+                 {excess:.6} times the limit of {} {unit} (segments that exceed it: {count})",
+                significant(limit, 7)
             ),
             Self::StepWithin(tolerance) => format!(
-                "{name} steps by {value:.6e} {unit} at break {index} at {time_s:.6} s, where \
-                 {tolerance:.1e} {unit} is taken for rounding (breaks that exceed it: {count})"
+                "{name} steps by {} {unit} at break {index} at {time_s:.6} s, where {} {unit} is \
+                 taken for rounding (breaks that exceed it: {count})",
+                significant(*value, 7),
+                significant(tolerance, 2)
             ),
             Self::AtLeast(limit) => format!(
-                "{name} is {value:.6e} {unit} in segment {index} at {time_s:.6} s, below the \
-                 smallest of {limit} {unit} (segments that are: {count})"
+                "{name} is {} {unit} in segment {index} at {time_s:.6} s, below the \
+                 smallest of {} {unit} (segments that are: {count})",
+                significant(*value, 7),
+                significant(limit, 7)
             ),
         }
     }

@@ -4,9 +4,11 @@
 use std::fmt::Write;
 
 use planish_numerics::ticks::round_numbers;
+use planish_types::text::escaped;
 use rayon::prelude::*;
 
 use super::{MethodView, View, map::ScreenMap};
+use crate::summary::IDEAL;
 
 /// Blue, white, brown: heights below and above their mean.
 pub const HEIGHT_COLOURS: [&str; 7] =
@@ -21,6 +23,9 @@ const BINS: usize = 24;
 
 /// Largest number of points of a line in a picture.
 const MAX_POINTS: usize = 20_000;
+
+/// Differences below this part of the values are their rounding.
+const FLAT: f64 = 1e-12;
 
 /// Columns of a picture of ranges.
 const COLUMNS: usize = 900;
@@ -45,23 +50,19 @@ pub fn figures(views: &[View]) -> Vec<(&'static str, String)> {
     figures.into_par_iter().filter_map(|(name, figure)| Some((name, figure(views)?))).collect()
 }
 
-/// Text inside an element or an attribute.
-pub fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 // ---------------------------------------------------------------------------------------------
 // The figures
 
 /// Rows: methods. Columns: desired removal, predicted removal and residual on one scale, and the
 /// residual on its own.
 fn maps(views: &[View]) -> Option<String> {
+    methods(views).next()?;
     let mut sheet = Sheet::new(4, 300.0, aspect(&views.first()?.desired).clamp(0.15, 2.0) * 300.0);
     let mut panels = Vec::new();
     for view in views {
-        let common = scale_of(&view.desired).max(1e-12);
+        let common = scale_of(&view.desired);
         for m in &view.methods {
-            let own = scale_of(&m.residual).max(1e-12);
+            let own = scale_of(&m.residual);
             let of = label(views, view, m);
             panels.extend([
                 (&view.desired, common, "desired removal".to_string()),
@@ -84,6 +85,7 @@ fn maps(views: &[View]) -> Option<String> {
 }
 
 fn path(views: &[View]) -> Option<String> {
+    methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 1.2);
     let mut sheet = Sheet::new(1, 900.0, 900.0 * shape);
     for (view, m) in methods(views) {
@@ -125,6 +127,7 @@ fn path(views: &[View]) -> Option<String> {
 }
 
 fn motion(views: &[View]) -> Option<String> {
+    methods(views).next()?;
     let mut sheet = Sheet::new(3, 420.0, 240.0);
     for (view, m) in methods(views) {
         let ends = &m.ranges.end_s;
@@ -192,7 +195,10 @@ fn dwell(views: &[View]) -> Option<String> {
         let error: Vec<f64> = d.executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect();
         let gap = |p: &[[f64; 2]]| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1]);
         let gap_mm = quantile(&d.point_mm.windows(2).map(gap).collect::<Vec<_>>(), 0.5);
-        let top = quantile(&d.planned_s, 0.99).max(1e-12);
+        let top = match quantile(&d.planned_s, 0.99) {
+            0.0 => 1.0,
+            top => top,
+        };
         let reach = error.iter().fold(1e-6_f64, |m, e| m.max(e.abs()));
         let axis = |a: usize| bounds(d.point_mm.iter().map(|p| p[a]));
         let (x, y) = same_scale(axis(0), axis(1), shape);
@@ -262,7 +268,8 @@ fn spectra(views: &[View]) -> String {
         let positive = |f: fn(&super::Spectrum) -> &Vec<f64>| {
             let all = curves.iter().flat_map(move |(_, s)| f(s)).copied();
             let (low, high) = bounds(all.filter(|v| *v > 0.0));
-            if low < high { (low, high) } else { (1e-3, 1.0) }
+            let low = if low > 0.0 { low } else { 1e-3 * high };
+            if low < high { (low, high) } else { (0.5 * low, 2.0 * low) }
         };
         let x = positive(|s| &s.frequency_per_mm);
         let y = positive(|s| &s.psd_nm2_mm2);
@@ -329,7 +336,10 @@ fn methods(views: &[View]) -> impl Iterator<Item = (&View, &MethodView)> {
 }
 
 fn label(views: &[View], view: &View, m: &MethodView) -> String {
-    if views.len() > 1 { format!("{} / {}", view.name, m.name) } else { m.name.clone() }
+    let run = if views.len() > 1 { format!("{} / ", view.name) } else { String::new() };
+    // Nobody is to take it for a plan.
+    let ideal = if m.name == IDEAL { " (ideal)" } else { "" };
+    format!("{run}{}{ideal}", m.name)
 }
 
 fn title(views: &[View], view: &View) -> String {
@@ -350,9 +360,11 @@ fn aspect(map: &ScreenMap) -> f64 {
     (y.1 - y.0) / (x.1 - x.0)
 }
 
-/// Largest distance from the mean.
+/// Largest distance from the mean; 1 nm for a map that is flat but for rounding.
 fn scale_of(map: &ScreenMap) -> f64 {
-    (map.range_nm[1] - map.mean_nm).max(map.mean_nm - map.range_nm[0])
+    let [low, high] = map.range_nm;
+    let reach = (high - map.mean_nm).max(map.mean_nm - low);
+    if reach > FLAT * low.abs().max(high.abs()) { reach } else { 1.0 }
 }
 
 fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
@@ -364,7 +376,10 @@ fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
 
 /// Grows the shorter range so that a mm is as long on both axes of a panel of this shape.
 fn same_scale(x: (f64, f64), y: (f64, f64), shape: f64) -> ((f64, f64), (f64, f64)) {
-    let (w, h) = ((x.1 - x.0).max(1e-9), (y.1 - y.0).max(1e-9));
+    let (w, h) = (x.1 - x.0, y.1 - y.0);
+    // A path that is one point, but for rounding, gets a frame of 1 mm.
+    let far = [x.0, x.1, y.0, y.1].into_iter().fold(1.0, |m: f64, v| m.max(v.abs()));
+    let (w, h) = if w.max(h) > FLAT * far { (w, h) } else { (1.0, 1.0) };
     let width = 1.04 * w.max(h / shape);
     let around = |r: (f64, f64), size: f64| {
         let middle = 0.5 * (r.0 + r.1);
@@ -538,9 +553,11 @@ impl Panel {
             let [x, y] = self.at(p);
             let _ = write!(d, "{x:.1} {y:.1} ");
         }
-        self.put(format_args!(
-            "<path d=\"{d}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>"
-        ));
+        if d.len() > 1 {
+            self.put(format_args!(
+                "<path d=\"{d}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>"
+            ));
+        }
     }
 
     fn image(&mut self, png: &[u8], x: (f64, f64), y: (f64, f64)) {
@@ -634,7 +651,7 @@ impl Panel {
 
     fn legend(&mut self, entries: &[(&str, &str)]) {
         let ([x0, y0], [w, _]) = (self.origin, self.size);
-        let widest = entries.iter().map(|(n, _)| n.len()).max().unwrap_or(0) as f64;
+        let widest = entries.iter().map(|(n, _)| n.chars().count()).max().unwrap_or(0) as f64;
         let x = x0 + w - 40.0 - 7.5 * widest;
         for (i, (name, colour)) in entries.iter().enumerate() {
             let y = y0 + 16.0 + 17.0 * i as f64;
@@ -711,11 +728,6 @@ mod tests {
         assert_eq!(colour_at(&HEIGHT_COLOURS, 0.5), "#f7f7f7");
         assert_eq!(colour_at(&SPEED_COLOURS, 7.0), SPEED_COLOURS[5]);
         assert_eq!(colour_at(&["#000000", "#ff8000"], 0.5), "#804000");
-    }
-
-    #[test]
-    fn text_is_escaped() {
-        assert_eq!(escaped("a<b & \"c\">"), "a&lt;b &amp; &quot;c&quot;&gt;");
     }
 
     #[test]

@@ -93,8 +93,9 @@ const REACH_RMS: f64 = 4.0;
 /// Bins over four RMS on both sides of the mean.
 pub fn histogram(map: ArrayView2<f64>) -> Histogram {
     let s = statistics(map).expect("a map has a valid pixel");
-    // A flat map gets bins of some width all the same.
-    let reach = if s.rms > 0.0 { REACH_RMS * s.rms } else { 1e-6 };
+    // A map that is flat but for rounding gets bins of some width all the same.
+    let flat = s.rms <= 1e-12 * s.min.abs().max(s.max.abs());
+    let reach = if flat { 1e-6 } else { REACH_RMS * s.rms };
     let width_nm = 2.0 * reach / BINS as f64;
     let mut counts = vec![0_usize; BINS];
     let mut outside = 0_usize;

@@ -1,5 +1,5 @@
 //! Numbers as text in a page: base64 of little-endian 16-bit integers with a stated scale, or of
-//! 32-bit floats.
+//! 32-bit floats, or of 64-bit floats where they are times.
 //!
 //! ```text
 //! value = offset + scale q,   q = -32767 .. 32767,   q = -32768 stands for NaN
@@ -69,6 +69,11 @@ pub fn pack_between(
 /// Base64 of little-endian 32-bit floats.
 pub fn floats(values: impl Iterator<Item = f64>) -> String {
     base64(&values.flat_map(|v| (v as f32).to_le_bytes()).collect::<Vec<u8>>())
+}
+
+/// Base64 of little-endian 64-bit floats: times, of which the last must be the end of the motion.
+pub fn doubles(values: impl Iterator<Item = f64>) -> String {
+    base64(&values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
 /// RFC 4648, with padding.

@@ -24,6 +24,7 @@ function unpack(packed) {
 }
 
 const floats = (base64) => new Float32Array(bytesOf(base64).buffer);
+const doubles = (base64) => new Float64Array(bytesOf(base64).buffer);
 
 /** The function, computed once. */
 function once(make) {
@@ -34,12 +35,18 @@ function once(make) {
 // ------------------------------------------------------------------------------------------------
 // Runs and methods
 
+/** Largest distance from the mean; 1 nm for a map that is flat but for rounding. */
+function reachAround(mean, [low, high]) {
+  const reach = Math.max(high - mean, mean - low);
+  return reach > 1e-12 * Math.max(Math.abs(low), Math.abs(high)) ? reach : 1;
+}
+
 /** A map on the screen: pixel centres x0 + c dx, y0 + r dy, row 0 is the smallest y. */
 function layerOf(title, map) {
   return {
     title, x0: map.start_mm[0], y0: map.start_mm[1], dx: map.step_mm[0], dy: map.step_mm[1],
     nx: map.size[0], ny: map.size[1], every: map.every, mean: map.mean_nm, rms: map.rms_nm,
-    reach: Math.max(map.range_nm[1] - map.mean_nm, map.mean_nm - map.range_nm[0]),
+    reach: reachAround(map.mean_nm, map.range_nm),
     step: map.height_nm.scale, values: once(() => unpack(map.height_nm)),
   };
 }
@@ -48,15 +55,15 @@ function entryOf(run, method) {
   const frames = method.frames;
   return {
     run, method,
-    label: DATA.runs.length > 1 ? run.name + " / " + method.name : method.name,
+    label: (DATA.runs.length > 1 ? run.name + " / " : "") + method.name + (method.name === "position" ? " (ideal)" : ""),
     removal: layerOf("predicted removal", method.removal),
     residual: layerOf("residual", method.residual),
     line: once(() => ({
-      x: unpack(method.line.x_mm), y: unpack(method.line.y_mm), t: floats(method.line.time_s),
+      x: unpack(method.line.x_mm), y: unpack(method.line.y_mm), t: doubles(method.line.time_s),
       value: floats(method.line.speed_mm_per_s),
     })),
     ranges: once(() => {
-      const r = method.ranges, out = { end: floats(r.end_s) };
+      const r = method.ranges, out = { end: doubles(r.end_s) };
       for (const name of ["velocity", "acceleration", "jerk"])
         out[name] = r[name].map((e) => ({ low: unpack(e.low), high: unpack(e.high), step: e.low.scale }));
       return out;
@@ -70,7 +77,7 @@ function entryOf(run, method) {
       return { x, y, gap, planned, executed, error: executed.map((v, i) => v - planned[i]) };
     }),
     frames: frames && { time: frames.time_s, values: once(() => unpack(frames.residual_nm)), frame: frames },
-    total: floats(method.ranges.end_s).at(-1),
+    total: doubles(method.ranges.end_s).at(-1),
   };
 }
 
@@ -118,7 +125,7 @@ function differenceOf(a, b) {
   layer.mean = n ? sum / n : 0;
   for (const v of values()) if (!Number.isNaN(v)) squares += (v - layer.mean) ** 2;
   layer.rms = n ? Math.sqrt(squares / n) : 0;
-  layer.reach = n ? Math.max(high - layer.mean, layer.mean - low) : 1;
+  layer.reach = n ? reachAround(layer.mean, [low, high]) : 1;
   return layer;
 }
 const differences = new Map();
@@ -169,15 +176,20 @@ function readTheme() {
 }
 const LINES = () => [theme.ink, theme.x, theme.y, "#009e73", "#cc79a7", "#56b4e9", "#b8860b"];
 
+/** A number with so many decimals; zero has no sign. */
+function fixed(v, decimals) {
+  return (+v.toFixed(decimals) + 0).toFixed(decimals);
+}
 /** A number with `digits` significant ones. */
 function number(v, digits = 4) {
-  if (v === null || v === undefined || Number.isNaN(v)) return "-";
+  if (!Number.isFinite(v)) return "-";
   if (v === 0) return "0";
   const size = Math.abs(v);
   if (size < 1e-4 || size >= 1e6) return v.toExponential(digits - 1);
-  return v.toFixed(Math.max(0, Math.min(8, digits - 1 - Math.floor(Math.log10(size)))));
+  return fixed(v, Math.max(0, Math.min(8, digits - 1 - Math.floor(Math.log10(size)))));
 }
 function short(v) {
+  if (!Number.isFinite(v)) return "";
   if (Math.abs(v) < 1e-12) return "0";
   const size = Math.abs(v);
   if (size < 1e-3 || size >= 1e5) return v.toExponential(0);
@@ -249,7 +261,7 @@ function linear(low, high, from, to, most) {
 function logarithmic(low, high, from, to) {
   const at = (v) => from + (Math.log(v / low) / Math.log(high / low)) * (to - from);
   const all = [];
-  for (let e = Math.ceil(Math.log10(low)); 10 ** e <= high; e++) all.push(10 ** e);
+  if (low > 0 && high < Infinity) for (let e = Math.ceil(Math.log10(low)); 10 ** e <= high; e++) all.push(10 ** e);
   const every = Math.max(1, Math.ceil(all.length / (Math.abs(to - from) / 40)));
   return { at, back: (p) => low * (high / low) ** ((p - from) / (to - from)), ticks: all.filter((_, i) => i % every === 0) };
 }
@@ -523,15 +535,15 @@ function moving() {
 /** Distance from the mean that gets the last colour. */
 function reachOf(layer) {
   if (state.scale === "common" && layer.title !== "difference of the residuals")
-    return Math.max(...RUNS.map((r) => r.desired.reach), 1e-12);
+    return Math.max(...RUNS.map((r) => r.desired.reach));
   if (state.scale === "own99") {
     if (layer.reach99 === undefined) {
       const sizes = Float64Array.from(layer.values()).filter((v) => !Number.isNaN(v)).map((v) => Math.abs(v - layer.mean)).sort();
-      layer.reach99 = sizes.length ? sizes[Math.floor(0.99 * (sizes.length - 1))] : 1;
+      layer.reach99 = (sizes.length && sizes[Math.floor(0.99 * (sizes.length - 1))]) || layer.reach;
     }
-    return Math.max(layer.reach99, 1e-12);
+    return layer.reach99;
   }
-  return Math.max(layer.reach, 1e-12);
+  return layer.reach;
 }
 
 /** The layer in colours, on the panel's own canvas; drawn anew when layer or scale change. */
@@ -868,7 +880,7 @@ function drawMotion() {
     const far = notes.filter((n) => !Array.isArray(n));
     axes(ctx, box, x, y, [far.length ? `time (s); ${far.join(", ")} beyond the axis` : "time (s)", label]);
     const i = Math.min(ranges.end.length - 1, Math.max(0, lastAtMost(ranges.end, state.hoverTime ?? state.time) + 1));
-    const range = ranges[name].map((r, axis) => `${["x", "y"][axis]} ${number(r.low[i], 3)} to ${number(r.high[i], 3)}`);
+    const range = ranges[name].map((r, axis) => `${["x", "y"][axis]} ${[r.low[i], r.high[i]].map((v) => number(Math.abs(v) < r.step ? 0 : v, 3)).join(" to ")}`);
     legend(ctx, box, [[range[0], theme.x], [range[1], theme.y], ...(other ? [[other.label, theme.soft]] : [])]);
     canvas.setAttribute("aria-label", label + " against time; arrows move the time, + and - zoom, 0 shows all");
   }
@@ -1013,6 +1025,7 @@ const ROWS = [
   ["dwell error, RMS (s)", "dwell_error_rms_s", 6], ["dwell error, worst (s)", "dwell_error_worst_s", 6],
   ["points with overshoot x, y", "overshoot_points", 0], ["largest overshoot x, y (mm)", "max_overshoot_mm", 6],
   ["limits of the machine", "limits_respected"],
+  ["plan", "plan"],
   ["schedule (s of computing)", "schedule_wall_s", 3], ["simulate (s of computing)", "simulate_wall_s", 3],
 ];
 
@@ -1023,31 +1036,51 @@ function fillSummary() {
   table.append(element("thead"), element("tbody"));
   table.tHead.append(head);
   const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]).map((m) => ({ ...m, ...m.execution }));
-  const kept = numbers.map((m) => m.limits_respected);
+  const kept = numbers.map((m) => m.limits_respected && m.plan.state !== "ideal");
   const rated = kept.some(Boolean) ? kept : kept.map(() => true);
   for (const [title, key, decimals] of ROWS) {
     const row = element("tr"), values = numbers.map((m) => m[key]);
     row.append(element("th", title, { scope: "row" }));
+    const inWords = { limits_respected: (v) => (v ? "kept" : "exceeded"), plan: (v) => v.word }[key];
     // Equal where the digits shown are: a step of 1e-13 is none.
     const size = (v) => +Math.max(...[v].flat().map(Math.abs)).toFixed(decimals);
     const counts = (i) => values[i] !== null && (key.endsWith("wall_s") || rated[i]);
-    const best = key === "limits_respected" ? null : Math.min(...values.filter((_, i) => counts(i)).map(size));
+    const best = inWords ? null : Math.min(...values.filter((_, i) => counts(i)).map(size));
     values.forEach((v, i) => {
-      const one = (u) => (u === null ? "-" : (+u.toFixed(decimals) + 0).toFixed(decimals)); // no -0
-      const text = key === "limits_respected" ? (v ? "kept" : "exceeded") : Array.isArray(v) ? v.map(one).join(", ") : one(v);
-      const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: JSON.stringify(v) });
-      if (key === "limits_respected") cell.className = v ? "" : "bad";
-      else if (ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
+      const one = (u) => (u === null ? "-" : fixed(u, decimals));
+      const text = inWords ? inWords(v) : [v].flat().map(one).join(", ");
+      const exact = inWords ? v.text || text : [v].flat().map((u) => (u === null ? "-" : +u.toPrecision(9))).join(", ");
+      const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: exact });
+      if (key === "limits_respected" ? !v : key === "plan" && v.state === "unconverged") cell.className = "bad";
+      else if (!inWords && ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
       row.append(cell);
     });
     table.tBodies[0].append(row);
   }
   byId("heading").textContent = RUNS.map((r) => {
-    const s = r.summary, ideal = s.ideal ? `; dwell at the dwell points alone would leave ${number(s.ideal.rms_nm)} nm RMS in ${s.ideal.total_time_s.toFixed(1)} s` : "";
+    const s = r.summary, ideal = s.ideal ? `; dwell at the dwell points alone would leave ${number(s.ideal.rms_nm)} nm RMS in ${fixed(s.ideal.total_time_s, 1)} s` : "";
     const name = [r.name, s.pipeline, s.fixture].filter((n, i, all) => n && all.indexOf(n) === i).join(", ");
     return `${name}: ${number(s.initial.rms_nm)} nm RMS, ${number(s.initial.pv_nm)} nm PV before${ideal}; best within the limits: ${r.best || "none"}`;
   }).join(". ") + ".";
-  for (const e of ENTRIES) for (const text of e.method.violations || [])
+  for (const r of RUNS) {
+    const whose = (name) => (RUNS.length > 1 ? r.name + " / " + name : name);
+    const note = (text, bad) => byId("notes").append(element("p", text, { class: bad ? "violation" : "note" }));
+    for (const left of r.summary.left_out) {
+      const bad = left.standing === "not-valid";
+      note(`${whose(left.name)}: ${bad ? "not valid" : "out of date, left out"}: ${left.reasons.join("; ")}`, bad);
+    }
+    for (const text of r.summary.remarks) note(RUNS.length > 1 ? `${r.name}: ${text}` : text, true);
+    // Methods of which the same is said share a line.
+    const said = new Map();
+    for (const [name, m] of Object.entries(r.summary.methods))
+      for (const text of [`${m.plan.word}: ${m.plan.text}`, ...m.remarks]) {
+        const bad = m.plan.state === "unconverged" && text.startsWith(m.plan.word);
+        if (!said.has(text)) said.set(text, { names: [], bad });
+        said.get(text).names.push(whose(name));
+      }
+    for (const [text, { names, bad }] of said) note(`${names.join(", ")}: ${text}`, bad);
+  }
+  for (const e of ENTRIES) for (const text of e.method.violations)
     byId("violations").append(element("p", `${e.label}: ${text}`, { class: "violation" }));
 }
 
@@ -1085,9 +1118,9 @@ function fillProvenance() {
     for (const m of r.methods) show(prefix + m.name + " / ", m.provenance);
   }
   const list = byId("contents");
-  const map = A().residual;
+  const map = ENTRIES.length ? A().residual : null;
   const add = (text) => list.append(element("li", text));
-  for (const r of RUNS) {
+  for (const r of map ? RUNS : []) {
     const l = r.desired, size = `${l.nx} x ${l.ny}`;
     const how = l.every === 1 ? "every pixel of the arrays" : `means over ${l.every} x ${l.every} pixels of the arrays`;
     add(`${RUNS.length > 1 ? r.name + ": " : ""}maps of ${size} pixels, ${how}, in steps of ${number(l.step, 2)} nm (desired removal) and ${number(map.step, 2)} nm (residual); RMS, PV, histogram and spectrum are of the whole arrays`);
@@ -1173,7 +1206,7 @@ function drawAll() {
     drawRounds();
   }
   const tool = toolAt(A(), state.time);
-  byId("now").textContent = `${state.time.toFixed(2)} of ${A().total.toFixed(2)} s, x ${tool.x.toFixed(2)}, y ${tool.y.toFixed(2)} mm`;
+  byId("now").textContent = `${fixed(state.time, 2)} of ${fixed(A().total, 2)} s, x ${fixed(tool.x, 2)}, y ${fixed(tool.y, 2)} mm`;
 }
 
 let last = 0;
@@ -1197,6 +1230,14 @@ function play(on) {
 
 function start() {
   readTheme();
+  fillSummary();
+  fillProvenance();
+  if (!ENTRIES.length) {
+    // Every method is left out, and why is said: there is nothing to draw.
+    byId("bar").hidden = true;
+    for (const section of document.querySelectorAll("section")) section.hidden = !section.querySelector("#summary, #provenance");
+    return;
+  }
   ENTRIES.forEach((e, i) => {
     byId("a").append(element("option", e.label, { value: i }));
     byId("b").append(element("option", e.label, { value: i }));
@@ -1237,8 +1278,6 @@ function start() {
   window.addEventListener("beforeprint", () => { document.documentElement.classList.add("paper"); readTheme(); drawAll(); });
   window.addEventListener("afterprint", () => { document.documentElement.classList.remove("paper"); themed(); });
   new ResizeObserver(redraw).observe(document.body);
-  fillSummary();
-  fillProvenance();
   const best = ENTRIES.findIndex((e) => e.method.name === e.run.best);
   showMethod(best < 0 ? ENTRIES.length - 1 : best, -1);
   drawAll();

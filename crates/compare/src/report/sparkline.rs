@@ -1,5 +1,7 @@
 //! Small plots of block characters for a terminal.
 
+use planish_types::text::{fixed, visible};
+
 use super::{View, map::Histogram, motion::Ranges};
 
 const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
@@ -23,8 +25,8 @@ pub fn plots(views: &[View]) -> String {
     let mut rows: Vec<[String; 3]> = Vec::new();
     for view in views {
         let name = |part: &str| match views.len() {
-            1 => part.to_string(),
-            _ => format!("{} {part}", view.name),
+            1 => visible(part).into_owned(),
+            _ => visible(&format!("{} {part}", view.name)).into_owned(),
         };
         rows.push([name("before"), heights(&view.before.0), of_heights(&view.before.0)]);
         for m in &view.methods {
@@ -45,7 +47,8 @@ pub fn plots(views: &[View]) -> String {
 }
 
 fn of_heights(h: &Histogram) -> String {
-    format!("heights, {:.3} to {:.3} nm about the mean", h.low_nm, -h.low_nm)
+    let [low, high] = [h.low_nm, -h.low_nm].map(|nm| fixed(nm, 3));
+    format!("heights, {low} to {high} nm about the mean")
 }
 
 /// Means over equal parts of the bins.

@@ -1,0 +1,505 @@
+//! Whether the artifacts of a run belong together.
+//!
+//! Every artifact that a stage writes records what it was made from: role and BLAKE3 of each input.
+//! That hash must be the one of the artifact that stands there now.
+//!
+//! | artifact | records | must be |
+//! |---|---|---|
+//! | verdict | trajectory | the method's |
+//! | removal, frames | trajectory, surface, tif | the method's, the run's, the run's |
+//! | trajectory | tool-path, dwell; of a stage that also chooses the dwell times, surface and tif | the run's |
+//! | dwell of a method | surface, tif, tool-path | the run's |
+//!
+//! A verdict or a removal of something else says nothing about the method: it is not valid. A plan
+//! for other dwell times, another path, another surface is a plan, but not of this run: it is out of
+//! date. Arrays without a record cannot be checked, which is said.
+
+use std::collections::BTreeSet;
+
+use serde::Serialize;
+
+/// What an artifact says it was made from.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Record {
+    /// Program that made it.
+    pub tool: String,
+    /// Hash of program, settings and inputs: equal for what one run of a stage made.
+    pub key: String,
+    /// Role and BLAKE3 of the inputs.
+    pub inputs: Vec<(String, String)>,
+}
+
+impl Record {
+    fn input(&self, role: &str) -> Option<&str> {
+        self.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.as_str())
+    }
+}
+
+/// An artifact.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Part {
+    /// BLAKE3 of its content.
+    pub digest: String,
+    /// What it was made from; `None` for arrays without a manifest.
+    pub record: Option<Record>,
+}
+
+/// What the methods of a run share.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RunParts {
+    /// Desired removal.
+    pub surface: Part,
+    /// Path, where the run has one.
+    pub tool_path: Option<Part>,
+    /// Dwell times, where the run has them.
+    pub dwell: Option<Part>,
+}
+
+/// What a method consists of.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MethodParts {
+    /// Motion.
+    pub trajectory: Part,
+    /// Prediction.
+    pub removal: Part,
+    /// What the verdict was made from.
+    pub verdict: Record,
+    /// Whether the verdict finds the limits kept, and whether the schedule says so of itself.
+    pub limits_kept: (bool, Option<bool>),
+    /// Dwell times of its own.
+    pub dwell: Option<Part>,
+    /// Removal in the course of the run.
+    pub frames: Option<Part>,
+    /// Rounds of a refinement.
+    pub iterations: Option<Part>,
+}
+
+/// Whether a method takes part in the comparison.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Standing {
+    /// It does.
+    Valid,
+    /// It is a plan for something else than this run has now.
+    OutOfDate,
+    /// What is said about it was said of something else.
+    NotValid,
+}
+
+/// What the records of a method say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chain {
+    /// Whether it takes part.
+    pub standing: Standing,
+    /// Why not.
+    pub reasons: Vec<String>,
+    /// What is worth knowing of a method that does.
+    pub remarks: Vec<String>,
+}
+
+/// Checks every method of a run.
+pub fn check(run: &RunParts, methods: &[MethodParts]) -> Vec<Chain> {
+    // The tool of the run: that of its dwell times, else of its path, else of the first prediction.
+    let shared = run.dwell.iter().chain(&run.tool_path);
+    let tif = shared.chain(methods.iter().map(|m| &m.removal)).find_map(|p| record_input(p, "tif"));
+    let machines: BTreeSet<&str> =
+        methods.iter().filter_map(|m| m.verdict.input("machine")).collect();
+    let context = Context { run, tif, one_machine: machines.len() <= 1 };
+    methods.iter().map(|method| context.check(method)).collect()
+}
+
+/// What the dwell times of `part` were solved for that this run does not have: `surface`, `tif`,
+/// `tool-path`.
+pub fn solved_for_another(run: &RunParts, part: &Part) -> Vec<&'static str> {
+    let known = [
+        ("surface", Some(run.surface.digest.as_str())),
+        ("tool-path", run.tool_path.as_ref().map(|p| p.digest.as_str())),
+    ];
+    let other = |(role, digest): &(&str, Option<&str>)| differs(part, role, *digest);
+    known.iter().filter(|k| other(k)).map(|(role, _)| *role).collect()
+}
+
+/// What is out of date in what the methods share: sentences.
+pub fn check_run(run: &RunParts) -> Vec<String> {
+    let mut found = Vec::new();
+    let path = run.tool_path.as_ref();
+    if path.is_some_and(|path| differs(path, "surface", Some(&run.surface.digest))) {
+        found.push("the tool path was made for another surface; run planish-toolpath again".into());
+    }
+    let dwell = run.dwell.as_ref();
+    for role in dwell.map(|dwell| solved_for_another(run, dwell)).unwrap_or_default() {
+        let name = spoken(role);
+        found.push(format!("the dwell times are for another {name}; run the dwell solver again"));
+    }
+    found
+}
+
+struct Context<'a> {
+    run: &'a RunParts,
+    tif: Option<&'a str>,
+    one_machine: bool,
+}
+
+impl Context<'_> {
+    fn check(&self, m: &MethodParts) -> Chain {
+        let mut foreign = self.foreign(m);
+        let mut stale = self.stale(m);
+        let elsewhere = self.elsewhere(m);
+        let (standing, reasons) = if !foreign.is_empty() {
+            foreign.extend(elsewhere);
+            (Standing::NotValid, foreign)
+        } else if !stale.is_empty() {
+            stale.extend(elsewhere);
+            (Standing::OutOfDate, stale)
+        } else if !elsewhere.is_empty() {
+            (Standing::NotValid, elsewhere)
+        } else {
+            (Standing::Valid, vec![])
+        };
+        Chain { standing, reasons, remarks: self.remarks(m) }
+    }
+
+    /// Said of another motion.
+    fn foreign(&self, m: &MethodParts) -> Vec<String> {
+        let mut reasons = Vec::new();
+        let trajectory = m.trajectory.digest.as_str();
+        if m.verdict.input("trajectory").is_some_and(|digest| digest != trajectory) {
+            reasons.push("its verdict is of another trajectory: run planish-verify again".into());
+        }
+        if differs(&m.removal, "trajectory", Some(trajectory)) {
+            reasons.push("its removal is of another trajectory: run planish-simulate again".into());
+        }
+        if m.frames.as_ref().is_some_and(|f| differs(f, "trajectory", Some(trajectory))) {
+            let remedy = "run planish-simulate --frames again, or remove its frames";
+            reasons.push(format!("its frames are of another trajectory: {remedy}"));
+        }
+        let key = |part: &Option<Part>| {
+            let record = part.as_ref()?.record.as_ref()?;
+            Some((record.tool.clone(), record.key.clone()))
+        };
+        let (motion, rounds, dwell) =
+            (key(&Some(m.trajectory.clone())), key(&m.iterations), key(&m.dwell));
+        // Dwell times, motion and rounds of a refinement come from one run of it.
+        let torn = |other: &Option<(String, String)>| {
+            let same_tool = |(a, b): (&(String, String), &(String, String))| a.0 == b.0;
+            motion.as_ref().zip(other.as_ref()).is_some_and(|(a, b)| same_tool((a, b)) && a != b)
+        };
+        if torn(&rounds) || torn(&dwell) {
+            reasons.push("its parts are of two refinements: run planish-refine again".into());
+        }
+        if let (Some(made), Some(own)) = (record_input(&m.trajectory, "dwell"), m.dwell.as_ref())
+            && dwell.as_ref().map(|d| &d.0) != motion.as_ref().map(|t| &t.0)
+            && made != own.digest
+        {
+            reasons
+                .push("its motion is of other dwell times than its own: schedule it again".into());
+        }
+        if !self.one_machine && self.machine_differs(m) {
+            let remedy = "run planish-verify again with the machine of the run";
+            reasons.push(format!(
+                "its verdict is about another machine than it was scheduled for: {remedy}"
+            ));
+        }
+        if m.limits_kept == (true, Some(false)) && !self.machine_differs(m) {
+            let problem =
+                "its verdict says that the limits are kept, its schedule that they are not";
+            reasons.push(format!("{problem}: run planish-verify again"));
+        }
+        reasons
+    }
+
+    /// Predicted with another surface or tool.
+    fn elsewhere(&self, m: &MethodParts) -> Vec<String> {
+        let mut reasons = Vec::new();
+        let surface = Some(self.run.surface.digest.as_str());
+        for (part, name, how) in [
+            (Some(&m.removal), "removal is", "planish-simulate"),
+            (m.frames.as_ref(), "frames are", "planish-simulate --frames"),
+        ] {
+            for (role, digest) in [("surface", surface), ("tif", self.tif)] {
+                if part.is_some_and(|part| differs(part, role, digest)) {
+                    let role = spoken(role);
+                    reasons.push(format!("its {name} of another {role}: run {how} again"));
+                }
+            }
+        }
+        reasons
+    }
+
+    /// Planned for something else.
+    fn stale(&self, m: &MethodParts) -> Vec<String> {
+        let run = self.run;
+        let mut of: Vec<&str> = Vec::new();
+        let path = run.tool_path.as_ref().map(|p| p.digest.as_str());
+        let known = [
+            ("surface", Some(run.surface.digest.as_str())),
+            ("tif", self.tif),
+            ("tool-path", path),
+        ];
+        for part in std::iter::once(&m.trajectory).chain(&m.dwell) {
+            of.extend(known.iter().filter(|(r, d)| differs(part, r, *d)).map(|(r, _)| *r));
+        }
+        // The dwell times that the motion, or the refinement, started from.
+        let from = record_input(&m.trajectory, "dwell");
+        let own = m.dwell.as_ref().map(|d| d.digest.as_str());
+        let shared = run.dwell.as_ref().map(|d| d.digest.as_str());
+        if from.is_some() && shared.is_some() && from != shared && from != own {
+            of.push("dwell");
+        }
+        of.sort_unstable();
+        of.dedup();
+        let remedy = "plan it again, or remove its directory";
+        of.iter()
+            .map(|role| match *role {
+                "dwell" => format!("it is a plan from other dwell times: {remedy}"),
+                role => format!("it is a plan for another {}: {remedy}", spoken(role)),
+            })
+            .collect()
+    }
+
+    fn remarks(&self, m: &MethodParts) -> Vec<String> {
+        let mut unknown: Vec<&str> = Vec::new();
+        let known = |part: &Part, role: &str| record_input(part, role).is_some();
+        if !known(&m.trajectory, "tool-path") && !known(&m.trajectory, "dwell") {
+            unknown.push("trajectory");
+        }
+        if !known(&m.removal, "trajectory") || !known(&m.removal, "surface") {
+            unknown.push("removal");
+        }
+        if m.verdict.input("trajectory").is_none() {
+            unknown.push("verdict");
+        }
+        let mut remarks = Vec::new();
+        if !unknown.is_empty() {
+            remarks.push(format!(
+                "not checked, because there is no record of what they were made from: {}",
+                unknown.join(", ")
+            ));
+        }
+        if self.machine_differs(m) {
+            remarks.push("its verdict is about another machine than it was scheduled for".into());
+        }
+        remarks
+    }
+
+    fn machine_differs(&self, m: &MethodParts) -> bool {
+        let (judged, planned) =
+            (m.verdict.input("machine"), record_input(&m.trajectory, "machine"));
+        judged.zip(planned).is_some_and(|(judged, planned)| judged != planned)
+    }
+}
+
+fn record_input<'a>(part: &'a Part, role: &str) -> Option<&'a str> {
+    part.record.as_ref()?.input(role)
+}
+
+/// Whether `part` was made from something else than `digest`; no where either is not known.
+fn differs(part: &Part, role: &str, digest: Option<&str>) -> bool {
+    record_input(part, role).zip(digest).is_some_and(|(recorded, digest)| recorded != digest)
+}
+
+fn spoken(role: &str) -> &str {
+    match role {
+        "tif" => "TIF",
+        "tool-path" => "tool path",
+        role => role,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(tool: &str, key: &str, inputs: &[(&str, &str)]) -> Record {
+        let inputs = inputs.iter().map(|(r, d)| (r.to_string(), d.to_string())).collect();
+        Record { tool: tool.into(), key: key.into(), inputs }
+    }
+
+    fn part(digest: &str, tool: &str, key: &str, inputs: &[(&str, &str)]) -> Part {
+        Part { digest: digest.into(), record: Some(record(tool, key, inputs)) }
+    }
+
+    fn run() -> RunParts {
+        let path = part("path", "planish-toolpath", "1", &[("surface", "surface"), ("tif", "tif")]);
+        let from = [("surface", "surface"), ("tif", "tif"), ("tool-path", "path")];
+        RunParts {
+            surface: Part { digest: "surface".into(), record: None },
+            tool_path: Some(path),
+            dwell: Some(part("dwell", "planish-dwell", "2", &from)),
+        }
+    }
+
+    fn scheduled() -> MethodParts {
+        let predicted = [("trajectory", "motion"), ("tif", "tif"), ("surface", "surface")];
+        let planned = [("tool-path", "path"), ("dwell", "dwell"), ("machine", "m")];
+        MethodParts {
+            trajectory: part("motion", "planish-schedule", "3", &planned),
+            removal: part("removal", "planish-simulate", "4", &predicted),
+            verdict: record("planish-verify", "5", &[("trajectory", "motion"), ("machine", "m")]),
+            limits_kept: (true, Some(true)),
+            dwell: None,
+            frames: Some(part("frames", "planish-simulate", "6", &predicted)),
+            iterations: None,
+        }
+    }
+
+    fn refined() -> MethodParts {
+        let from = [
+            ("surface", "surface"),
+            ("tif", "tif"),
+            ("tool-path", "path"),
+            ("machine", "m"),
+            ("dwell", "dwell"),
+        ];
+        let made = |digest| part(digest, "planish-refine", "7", &from);
+        MethodParts {
+            trajectory: made("motion"),
+            dwell: Some(made("better")),
+            iterations: Some(made("rounds")),
+            ..scheduled()
+        }
+    }
+
+    fn set(part: &mut Part, role: &str, digest: &str) {
+        let record = part.record.as_mut().unwrap();
+        record.inputs.iter_mut().find(|(r, _)| r == role).unwrap().1 = digest.into();
+    }
+
+    fn one(run: &RunParts, method: MethodParts) -> (Standing, String) {
+        let found = check(run, &[method]).remove(0);
+        (found.standing, found.reasons.join("; "))
+    }
+
+    #[test]
+    fn what_belongs_together_is_valid_and_checked() {
+        for method in [scheduled(), refined()] {
+            let found = check(&run(), &[method]).remove(0);
+            assert_eq!(found.standing, Standing::Valid, "{found:?}");
+            assert!(found.reasons.is_empty() && found.remarks.is_empty(), "{found:?}");
+        }
+        assert!(check_run(&run()).is_empty());
+    }
+
+    #[test]
+    fn one_changed_hash_is_found_whichever_it_is() {
+        type Change = fn(&mut MethodParts);
+        let cases: [(Change, Standing, &str); 13] = [
+            (
+                |m| m.verdict.inputs[0].1 = "x".into(),
+                Standing::NotValid,
+                "verdict is of another traj",
+            ),
+            (
+                |m| set(&mut m.removal, "trajectory", "x"),
+                Standing::NotValid,
+                "removal is of another",
+            ),
+            (|m| set(&mut m.removal, "surface", "x"), Standing::NotValid, "another surface: run"),
+            (|m| set(&mut m.removal, "tif", "x"), Standing::NotValid, "removal is of another TIF"),
+            (
+                |m| set(m.frames.as_mut().unwrap(), "trajectory", "x"),
+                Standing::NotValid,
+                "frames are of another trajectory",
+            ),
+            (|m| m.trajectory.digest = "x".into(), Standing::NotValid, "verdict is of another"),
+            (
+                |m| m.limits_kept.1 = Some(false),
+                Standing::NotValid,
+                "its schedule that they are not",
+            ),
+            (|m| set(&mut m.trajectory, "dwell", "x"), Standing::OutOfDate, "other dwell times"),
+            (
+                |m| set(&mut m.trajectory, "tool-path", "x"),
+                Standing::OutOfDate,
+                "another tool path",
+            ),
+            (
+                |m| m.iterations.as_mut().unwrap().record.as_mut().unwrap().key = "x".into(),
+                Standing::NotValid,
+                "two refinements",
+            ),
+            (
+                |m| m.dwell.as_mut().unwrap().record.as_mut().unwrap().key = "x".into(),
+                Standing::NotValid,
+                "two refinements",
+            ),
+            (|m| set(&mut m.trajectory, "surface", "x"), Standing::OutOfDate, "another surface"),
+            (
+                |m| set(m.dwell.as_mut().unwrap(), "tif", "x"),
+                Standing::OutOfDate,
+                "a plan for another TIF",
+            ),
+        ];
+        for (i, (change, standing, words)) in cases.into_iter().enumerate() {
+            let mut method = refined();
+            change(&mut method);
+            let (found, reasons) = one(&run(), method);
+            assert!(found == standing && reasons.contains(words), "{i}: {found:?} {reasons}");
+        }
+    }
+
+    #[test]
+    fn a_refinement_left_over_from_another_surface_is_out_of_date() {
+        // Its prediction is of that surface too; nothing about it is false.
+        let run = RunParts { surface: Part { digest: "new".into(), record: None }, ..run() };
+        let (standing, reasons) = one(&run, refined());
+        assert_eq!(standing, Standing::OutOfDate, "{reasons}");
+        assert!(
+            reasons.contains("a plan for another surface") && reasons.contains("removal is of")
+        );
+        // A schedule knows no surface: its prediction alone is wrong.
+        assert_eq!(one(&run, scheduled()).0, Standing::NotValid);
+        let of_run = check_run(&run).join("; ");
+        assert!(of_run.contains("the dwell times are for another surface"), "{of_run}");
+        assert!(of_run.contains("the tool path was made for another surface"), "{of_run}");
+    }
+
+    #[test]
+    fn a_method_with_dwell_times_of_its_own_is_scheduled_from_them() {
+        let own = |digest: &str| {
+            let mut m = scheduled();
+            m.dwell = Some(Part { digest: digest.into(), record: None });
+            set(&mut m.trajectory, "dwell", "own");
+            m
+        };
+        assert_eq!(one(&run(), own("own")).0, Standing::Valid);
+        let (standing, reasons) = one(&run(), own("x"));
+        assert!(standing == Standing::NotValid && reasons.contains("than its own"), "{reasons}");
+    }
+
+    #[test]
+    fn arrays_without_a_record_are_not_checked_and_that_is_said() {
+        let bare = |digest: &str| Part { digest: digest.into(), record: None };
+        let method = MethodParts {
+            trajectory: bare("motion"),
+            removal: bare("removal"),
+            verdict: Record::default(),
+            limits_kept: (true, None),
+            ..MethodParts::default()
+        };
+        let found = check(&run(), &[method]).remove(0);
+        assert_eq!(found.standing, Standing::Valid);
+        assert!(found.remarks[0].ends_with("trajectory, removal, verdict"), "{found:?}");
+        // A script in the place of the dwell solver: everything behind it is checked all the same.
+        let run = RunParts { dwell: Some(bare("dwell")), ..run() };
+        assert!(check(&run, &[scheduled()])[0].remarks.is_empty());
+        let mut other = scheduled();
+        set(&mut other.trajectory, "dwell", "x");
+        assert_eq!(one(&run, other).0, Standing::OutOfDate);
+    }
+
+    #[test]
+    fn verdicts_of_one_run_are_about_one_machine() {
+        let lax = || {
+            let mut m = scheduled();
+            m.verdict.inputs[1].1 = "lax".into();
+            m
+        };
+        // All on another machine: a question that may be asked. One of them: no comparison.
+        let found = check(&run(), &[lax(), lax()]);
+        assert!(found.iter().all(|c| c.standing == Standing::Valid && c.remarks.len() == 1));
+        let found = check(&run(), &[lax(), scheduled()]);
+        assert_eq!(found[0].standing, Standing::NotValid);
+        assert_eq!(found[1].standing, Standing::Valid);
+    }
+}

@@ -1,0 +1,268 @@
+//! How good a plan is known to be: what the stage that chose the dwell times says of its own end.
+//!
+//! | state | what |
+//! |---|---|
+//! | certified | the objective is proven to be within a stated part of its minimum |
+//! | converged | the method ended by itself; nothing proves how near the optimum it is |
+//! | unconverged | it stagnated, reached a limit, or was solved for something else |
+//! | ideal | dwell times without a motion: nothing that runs |
+//! | unknown | no manifest says |
+
+use planish_types::text::significant;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::summary::IDEAL;
+
+/// A part of the objective below which a difference is the rounding of its sum.
+const ROUNDING: f64 = 1e-12;
+
+/// The word for a motion that was read back from a controller's program.
+pub const PROGRAM: &str = "program";
+
+/// How good a plan is known to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum State {
+    /// Proven to be near the optimum.
+    Certified,
+    /// Ended by itself, without a proof.
+    Converged,
+    /// Did not end by itself.
+    Unconverged,
+    /// Not a plan.
+    Ideal,
+    /// Nothing says.
+    Unknown,
+}
+
+/// What is known of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    /// How good.
+    pub state: State,
+    /// The same in a word or two.
+    pub word: String,
+    /// The same in a sentence.
+    pub text: String,
+}
+
+impl Plan {
+    fn new(state: State, word: &str, text: impl Into<String>) -> Self {
+        Self { state, word: word.into(), text: text.into() }
+    }
+
+    /// Of the method `name`, from the manifest of its trajectory, the manifest of the dwell times
+    /// that the trajectory was scheduled from, and what those were solved for that this run does not
+    /// have.
+    pub fn of(
+        name: &str,
+        trajectory: Option<&Value>,
+        dwell: Option<&Value>,
+        solved_for_another: &[&str],
+    ) -> Self {
+        if name == IDEAL {
+            let text = "the dwell times at the dwell points without a motion between them: the ideal \
+                        to compare with, not a plan; no machine can run it";
+            return Self::new(State::Ideal, "ideal", text);
+        }
+        match trajectory.and_then(|manifest| manifest["tool"].as_str()) {
+            Some("planish-refine" | "planish-bspline-feed") => {
+                return Self::of_manifest(trajectory.unwrap_or(&Value::Null));
+            }
+            Some("planish-import") => {
+                let text = "read back from a controller's program; how good the plan behind it is, \
+                            the plan says";
+                return Self::new(State::Unknown, PROGRAM, text);
+            }
+            _ => {}
+        }
+        let Some(dwell) = dwell else {
+            let text = "no manifest says how its dwell times were found";
+            return Self::new(State::Unknown, "not known", text);
+        };
+        if let Some(role) = solved_for_another.first() {
+            let role = role.replace('-', " ");
+            let text = format!("its dwell times were found for another {role}");
+            return Self::new(State::Unconverged, "other plan", text);
+        }
+        Self::of_manifest(dwell)
+    }
+
+    /// Of the artifact that a stage which chooses dwell times wrote.
+    pub fn of_manifest(manifest: &Value) -> Self {
+        let outcome = &manifest["outcome"];
+        let report = &outcome["report"];
+        let end = report["end"].as_str().or(outcome["end"].as_str());
+        let word = |otherwise| match end {
+            Some("stagnated") => "stagnated",
+            Some("iteration-limit") => "iteration limit",
+            Some("round-limit") => "round limit",
+            Some("step-limit") => "step limit",
+            _ => otherwise,
+        };
+        let gap = report["relative_gap"].as_f64().filter(|gap| gap.is_finite());
+        let proven = gap.map(|gap| match gap > ROUNDING {
+            true => {
+                let gap = significant(gap, 2);
+                format!("proven within {gap} of the least objective, relative to it")
+            }
+            false => "proven optimal to rounding".into(),
+        });
+        if outcome["status"] == "negative" {
+            let reason = outcome["reason"].as_str().unwrap_or("it ended with a negative verdict");
+            return Self::new(State::Unconverged, word("not converged"), reason);
+        }
+        let converged = report["converged"].as_bool();
+        match (end, converged) {
+            (Some("optimal"), _) => match proven {
+                Some(proven) => Self::new(State::Certified, "certified", proven),
+                None => {
+                    let text = "optimal to its tolerance, without a bound on what is left to gain";
+                    Self::new(State::Converged, "converged", text)
+                }
+            },
+            (Some("stagnated"), _) => {
+                let left =
+                    proven.map_or("no certificate".into(), |proven| format!("only {proven}"));
+                let text = format!("stagnated: the objective changes no more; {left}");
+                Self::new(State::Unconverged, word("stagnated"), text)
+            }
+            (Some("iteration-limit" | "round-limit" | "step-limit"), _) | (None, Some(false)) => {
+                let text = match end {
+                    Some("round-limit") => "the last round that was allowed still improved it",
+                    Some(_) => "the limit of its iterations was reached before it converged",
+                    None => "not converged",
+                };
+                Self::new(State::Unconverged, word("not converged"), text)
+            }
+            (Some("no-improvement"), _) => {
+                let text = "corrected until no round improved it; no certificate of optimality";
+                Self::new(State::Converged, "converged", text)
+            }
+            (Some("converged"), _) | (None, Some(true)) => {
+                let text = "ended by itself; no certificate of optimality";
+                Self::new(State::Converged, "converged", text)
+            }
+            (Some(other), _) => {
+                let text = format!("ended with `{other}`, of which nothing is known here");
+                Self::new(State::Unknown, "not known", text)
+            }
+            (None, None) => {
+                let by = match manifest["method"].as_str() {
+                    Some(method) => format!("by {method}, "),
+                    None => String::new(),
+                };
+                let text = format!("{by}which gives no certificate of optimality");
+                Self::new(State::Converged, "no certificate", text)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn dwell(outcome: Value) -> Value {
+        json!({ "tool": "planish-dwell", "method": "bounded-least-squares", "outcome": outcome })
+    }
+
+    #[test]
+    fn every_end_of_a_solver_is_said() {
+        let done = |report: Value| dwell(json!({ "status": "done", "report": report }));
+        for (manifest, state, word, text) in [
+            (
+                done(json!({ "end": "optimal", "relative_gap": 4.2e-5 })),
+                State::Certified,
+                "certified",
+                "within 4.2e-5 of",
+            ),
+            (
+                done(json!({ "end": "optimal", "relative_gap": 7.4e-22 })),
+                State::Certified,
+                "certified",
+                "to rounding",
+            ),
+            (
+                done(json!({ "end": "optimal", "relative_gap": null })),
+                State::Converged,
+                "converged",
+                "without a bound",
+            ),
+            (
+                done(json!({ "end": "stagnated", "relative_gap": 0.25 })),
+                State::Unconverged,
+                "stagnated",
+                "only proven within 0.25",
+            ),
+            (
+                done(json!({ "end": "stagnated" })),
+                State::Unconverged,
+                "stagnated",
+                "no certificate",
+            ),
+            (done(json!({ "end": "converged" })), State::Converged, "converged", "no certificate"),
+            (
+                done(json!({ "gain": 1.0 })),
+                State::Converged,
+                "no certificate",
+                "by bounded-least-squares, which gives no certificate",
+            ),
+            (
+                dwell(json!({
+                    "status": "negative", "reason": "not converged: a dwell time would still move",
+                    "report": { "end": "iteration-limit", "relative_gap": 0.1 },
+                })),
+                State::Unconverged,
+                "iteration limit",
+                "would still move",
+            ),
+            (done(json!({ "end": "tired" })), State::Unknown, "not known", "`tired`"),
+        ] {
+            let plan = Plan::of("pvt", None, Some(&manifest), &[]);
+            assert_eq!((plan.state, plan.word.as_str()), (state, word), "{manifest}");
+            assert!(plan.text.contains(text), "{plan:?}");
+        }
+    }
+
+    #[test]
+    fn a_stage_that_chooses_dwell_times_speaks_for_itself() {
+        let made = |tool: &str, outcome: Value| json!({ "tool": tool, "outcome": outcome });
+        let certified = dwell(json!({ "report": { "end": "optimal", "relative_gap": 1e-5 } }));
+        for (trajectory, state, word) in [
+            (
+                made("planish-refine", json!({ "status": "done", "end": "no-improvement" })),
+                State::Converged,
+                "converged",
+            ),
+            (
+                made("planish-refine", json!({ "status": "done", "end": "round-limit" })),
+                State::Unconverged,
+                "round limit",
+            ),
+            (
+                made("planish-bspline-feed", json!({ "report": { "converged": false } })),
+                State::Unconverged,
+                "not converged",
+            ),
+            (
+                made("planish-bspline-feed", json!({ "report": { "converged": true } })),
+                State::Converged,
+                "converged",
+            ),
+            (made("planish-import", json!({})), State::Unknown, "program"),
+            (made("planish-schedule", json!({})), State::Certified, "certified"),
+        ] {
+            let plan = Plan::of("mine", Some(&trajectory), Some(&certified), &[]);
+            assert_eq!((plan.state, plan.word.as_str()), (state, word), "{trajectory}");
+        }
+        // The ideal is never taken for a plan, whatever its dwell times.
+        assert_eq!(Plan::of("position", None, Some(&certified), &[]).state, State::Ideal);
+        let other = Plan::of("pvt", None, Some(&certified), &["tool-path"]);
+        assert_eq!(other.state, State::Unconverged);
+        assert!(other.text.contains("another tool path"), "{other:?}");
+        assert_eq!(Plan::of("pvt", None, None, &[]).state, State::Unknown);
+    }
+}

@@ -1,0 +1,460 @@
+//! What the report says of artifacts that do not belong together, of plans that are not known to be
+//! good, and of names that are programs: through the binary.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use ndarray::{Array1, Array2, ArrayD};
+use planish_handoff::{OutputArgs, Stage, Status, kind, npy::ArrayData};
+use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
+use serde_json::{Value, json};
+
+fn compare(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-compare"))
+        .current_dir(dir)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// A run as the stages leave it: every manifest records its inputs.
+struct Lab {
+    run: PathBuf,
+    tool: PathBuf,
+    machine: PathBuf,
+}
+
+const END_S: f64 = 60.0;
+
+impl Lab {
+    /// Surface, tool, path, dwell times; in `name` under `dir`.
+    fn new(dir: &Path, name: &str, height_nm: f64) -> Self {
+        let lab =
+            Self { run: dir.join(name), tool: dir.join("tool"), machine: dir.join("machine.json") };
+        fs::write(&lab.machine, "{}").unwrap();
+        let axis = |n| Axis::new(0.0, 0.5, n).unwrap();
+        let grid = Grid { x: axis(3), y: axis(3) };
+        let tif = Tif::new(grid, Array2::ones((3, 3))).unwrap();
+        lab.stage("planish-fixture", &lab.tool).write("", &tif, json!({}), &Status::Done).unwrap();
+        lab.surface(height_nm);
+        lab.dwell(1.0, json!({ "end": "optimal", "relative_gap": 3e-5 }));
+        lab
+    }
+
+    fn stage(&self, tool: &'static str, out: &Path) -> Stage {
+        let output = OutputArgs { out: out.to_path_buf(), force: true, wall_time: None };
+        Stage::new(tool, "0", "test", &output)
+    }
+
+    fn surface(&self, height_nm: f64) {
+        let axis = |n| Axis::new(0.0, 0.5, n).unwrap();
+        let grid = Grid { x: axis(3), y: axis(2) };
+        let mut height = Array2::from_elem((2, 3), 5.0);
+        height[[0, 0]] += height_nm;
+        let surface = Surface::new(grid, height).unwrap();
+        let out = self.run.join("surface");
+        self.stage("planish-surface", &out).write("", &surface, json!({}), &Status::Done).unwrap();
+        let points = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]];
+        let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
+        let mut stage = self.stage("planish-toolpath", &self.run.join("tool_path"));
+        self.read(&mut stage, &["surface", "tif"]);
+        stage.write("", &path, json!({}), &Status::Done).unwrap();
+    }
+
+    fn dwell(&self, seconds: f64, report: Value) {
+        let mut stage = self.stage("planish-dwell", &self.run.join("dwell"));
+        self.read(&mut stage, &["surface", "tif", "tool-path"]);
+        let dwell = DwellTime::new(vec![seconds; 2]).unwrap();
+        stage.write("", &dwell, json!({ "report": report }), &Status::Done).unwrap();
+    }
+
+    fn read(&self, stage: &mut Stage, roles: &[&str]) {
+        for role in roles {
+            match *role {
+                "surface" => drop(stage.read::<Surface>(role, &self.run.join("surface")).unwrap()),
+                "tif" => drop(stage.read::<Tif>(role, &self.tool).unwrap()),
+                "tool-path" => {
+                    drop(stage.read::<ToolPath>(role, &self.run.join("tool_path")).unwrap());
+                }
+                "dwell" => drop(stage.read::<DwellTime>(role, &self.run.join("dwell")).unwrap()),
+                "machine" => drop(stage.read_json::<Value>(role, &self.machine).unwrap()),
+                other => panic!("{other}"),
+            }
+        }
+    }
+
+    fn method(&self, name: &str) -> PathBuf {
+        self.run.join("methods").join(name)
+    }
+
+    /// A motion that leaves after `away_mm`, so that every method has its own.
+    fn schedule(&self, name: &str, away_mm: f64) {
+        let mut stage = self.stage("planish-schedule", &self.method(name));
+        self.read(&mut stage, &["tool-path", "dwell", "machine"]);
+        let claim = json!({ "claim": { "limits_respected": true } });
+        stage.write("trajectory", &motion(away_mm), claim, &Status::Done).unwrap();
+    }
+
+    /// Dwell times, motion and rounds as planish-refine writes them.
+    fn refine(&self, name: &str, end: &str) {
+        let mut stage = self.stage("planish-refine", &self.method(name));
+        self.read(&mut stage, &["surface", "tif", "tool-path", "machine", "dwell"]);
+        let outcome = json!({ "end": end, "best_round": 1 });
+        let dwell = DwellTime::new(vec![0.5; 2]).unwrap();
+        stage.write("dwell", &dwell, outcome.clone(), &Status::Done).unwrap();
+        stage.write("trajectory", &motion(0.75), outcome.clone(), &Status::Done).unwrap();
+        let arrays = [
+            ArrayData::F64(ArrayD::from_elem(vec![2, 2], 0.5)),
+            ArrayData::F64(Array1::from(vec![2.0, 1.0]).into_dyn()),
+            ArrayData::F64(Array1::from(vec![END_S; 2]).into_dyn()),
+            ArrayData::I64(Array1::from(vec![0, 0]).into_dyn()),
+        ];
+        let part = "iterations";
+        stage.write_files(part, &kind::ITERATIONS, &arrays, &[], outcome, &Status::Done).unwrap();
+    }
+
+    /// Leaves `left` of the desired removal; the limits are kept or not.
+    fn judge(&self, name: &str, left: f64, kept: bool) {
+        let dir = self.method(name);
+        let trajectory = dir.join("trajectory");
+        let mut stage = self.stage("planish-simulate", &dir.join("removal"));
+        stage.read::<Trajectory>("trajectory", &trajectory).unwrap();
+        self.read(&mut stage, &["tif"]);
+        let desired: Surface = stage.read("surface", &self.run.join("surface")).unwrap();
+        let removal_nm = desired.height_nm().mapv(|z| (1.0 - left) * z);
+        let removal = Removal::new(&desired, removal_nm).unwrap();
+        stage.write("", &removal, json!({}), &Status::Done).unwrap();
+        let mut stage = self.stage("planish-verify", &dir.join("verdict"));
+        stage.read::<Trajectory>("trajectory", &trajectory).unwrap();
+        self.read(&mut stage, &["machine"]);
+        let outcome = json!({
+            "total_time_s": END_S, "max_velocity_mm_per_s": [1.0, 2.0],
+            "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],
+            "max_acceleration_step_mm_per_s2": [7.0, 8.0], "limits_respected": kept,
+        });
+        stage.write_files("", &kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
+    }
+
+    fn report(&self) -> Output {
+        let dir = self.run.parent().unwrap();
+        let run = self.run.file_name().unwrap().to_str().unwrap();
+        compare(dir, &["report", run, "--out", "report", "--force"])
+    }
+
+    fn summary(&self) -> Value {
+        let file = self.run.parent().unwrap().join("report/summary.json");
+        serde_json::from_slice(&fs::read(file).unwrap()).unwrap()
+    }
+}
+
+fn motion(away_mm: f64) -> Trajectory {
+    let c = [[0.0, away_mm / END_S, 0.0, 0.0], [0.0; 4]];
+    Trajectory::new(vec![0.0, END_S], vec![c], vec![true], vec![0]).unwrap()
+}
+
+/// A run with two schedules of which the second is the better one.
+fn lab(dir: &Path) -> Lab {
+    let lab = Lab::new(dir, "run", 3.0);
+    lab.schedule("constant-acceleration", 1.0);
+    lab.judge("constant-acceleration", 0.5, true);
+    lab.schedule("pvt", 0.5);
+    lab.judge("pvt", 0.25, true);
+    lab
+}
+
+fn replace(from: &Path, to: &Path) {
+    fs::remove_dir_all(to).unwrap();
+    fs::create_dir(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+    }
+}
+
+fn row<'a>(table: &'a str, start: &str) -> &'a str {
+    table.lines().find(|l| l.starts_with(start)).expect(table)
+}
+
+#[test]
+fn what_belongs_together_is_compared_and_its_plan_is_certified() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = lab(dir.path());
+    let made = lab.report();
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    let table = text(&made.stdout);
+    assert!(
+        row(&table, "pvt").contains("certified") && row(&table, "pvt").ends_with('*'),
+        "{table}"
+    );
+    assert!(!table.contains("not checked") && table.contains("proven within 3e-5"), "{table}");
+    // 60 s at the first of two points that were planned 1 s each.
+    assert!(table.contains("the motion departs from one of them by 59 s"), "{table}");
+    let found = lab.summary();
+    assert_eq!((&found["best"], &found["left_out"]), (&json!("pvt"), &json!([])));
+    assert_eq!(found["methods"]["pvt"]["plan"]["state"], "certified");
+}
+
+#[test]
+fn a_foreign_verdict_or_removal_or_motion_is_not_valid() {
+    type Break = fn(&Lab);
+    let cases: [(&str, Break); 4] = [
+        ("its verdict is of another trajectory: run planish-verify again", |lab| {
+            let verdict = lab.method("constant-acceleration").join("verdict");
+            replace(&verdict, &lab.method("pvt").join("verdict"));
+        }),
+        ("its removal is of another trajectory: run planish-simulate again", |lab| {
+            let removal = lab.method("constant-acceleration").join("removal");
+            replace(&removal, &lab.method("pvt").join("removal"));
+        }),
+        // The same command made another motion: array and manifest agree, the judges are old.
+        ("its verdict is of another trajectory: run planish-verify again", |lab| {
+            lab.schedule("pvt", 0.625);
+        }),
+        ("its removal is of another surface: run planish-simulate again", |lab| {
+            let (path, dwell) = (lab.run.join("tool_path"), lab.run.join("dwell"));
+            let keep = tempfile::tempdir().unwrap();
+            for part in [&path, &dwell] {
+                fs::rename(part, keep.path().join(part.file_name().unwrap())).unwrap();
+            }
+            lab.surface(4.0);
+            fs::remove_dir_all(&path).unwrap();
+            for part in [&path, &dwell] {
+                fs::rename(keep.path().join(part.file_name().unwrap()), part).unwrap();
+            }
+            lab.judge("constant-acceleration", 0.5, true);
+        }),
+    ];
+    for (reason, break_it) in cases {
+        let dir = tempfile::tempdir().unwrap();
+        let lab = lab(dir.path());
+        break_it(&lab);
+        let made = lab.report();
+        let (out, err) = (text(&made.stdout), text(&made.stderr));
+        assert_eq!(made.status.code(), Some(1), "{reason}: {out}{err}");
+        assert!(err.contains("verdict: pvt is not valid: ") && err.contains(reason), "{err}");
+        let row = row(&out, "pvt ");
+        assert!(row.contains("not valid") && !row.contains(['*', '0']), "{out}");
+        assert!(self::row(&out, "constant-acceleration").ends_with('*'), "{out}");
+        let found = lab.summary();
+        assert_eq!(found["best"], "constant-acceleration");
+        assert_eq!(found["left_out"][0]["standing"], "not-valid");
+        assert!(found["methods"]["pvt"].is_null());
+    }
+}
+
+#[test]
+fn a_refinement_of_older_dwell_times_is_out_of_date_and_no_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = lab(dir.path());
+    lab.refine("pvt+refined", "no-improvement");
+    lab.judge("pvt+refined", 0.125, true);
+    assert_eq!(lab.report().status.code(), Some(0));
+    assert_eq!(lab.summary()["best"], "pvt+refined");
+    // Another dwell solution, and no refinement of it.
+    lab.dwell(2.0, json!({ "end": "optimal", "relative_gap": 3e-5 }));
+    for name in ["constant-acceleration", "pvt"] {
+        lab.schedule(name, 0.5);
+        lab.judge(name, 0.25, true);
+    }
+    let made = lab.report();
+    let (out, err) = (text(&made.stdout), text(&made.stderr));
+    assert_eq!(made.status.code(), Some(0), "{err}");
+    let expected = "pvt+refined is out of date: it is a plan from other dwell times";
+    assert!(err.contains(&format!("warning: run/methods/{expected}")), "{err}");
+    assert!(out.contains("pvt+refined: out of date, left out"), "{out}");
+    assert!(!out.lines().any(|l| l.starts_with("pvt+refined ")), "{out}");
+    let found = lab.summary();
+    assert_eq!(found["left_out"][0]["standing"], "out-of-date");
+    assert_eq!(found["best"], "constant-acceleration");
+    // Nothing of the present dwell times: no plan.
+    fs::remove_dir_all(lab.method("constant-acceleration")).unwrap();
+    fs::remove_dir_all(lab.method("pvt")).unwrap();
+    let made = lab.report();
+    assert_eq!(made.status.code(), Some(1), "{}", text(&made.stderr));
+    assert!(lab.summary()["best"].is_null());
+    let page = fs::read_to_string(dir.path().join("report/report.html")).unwrap();
+    assert!(page.contains("out-of-date"));
+}
+
+#[test]
+fn a_plan_that_is_not_known_to_be_good_is_said_and_decides_the_exit_code() {
+    for (report, word, code) in [
+        (json!({ "end": "optimal", "relative_gap": 1e-5 }), "certified", 0),
+        (json!({ "end": "stagnated", "relative_gap": 0.2 }), "stagnated", 1),
+        (json!({ "end": "iteration-limit" }), "iteration limit", 1),
+        (json!({ "gain": 2.0 }), "no certificate", 0),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let lab = Lab::new(dir.path(), "run", 3.0);
+        lab.dwell(1.5, report);
+        lab.schedule("pvt", 1.0);
+        lab.judge("pvt", 0.5, true);
+        let made = lab.report();
+        assert_eq!(made.status.code(), Some(code), "{word}: {}", text(&made.stderr));
+        assert!(row(&text(&made.stdout), "pvt ").contains(word));
+        assert_eq!(lab.summary()["methods"]["pvt"]["plan"]["word"], word);
+        let says = text(&made.stderr).contains("pvt is the best, but not optimal");
+        assert_eq!(says, code == 1);
+        // Again, unchanged: the same end.
+        assert_eq!(lab.report().status.code(), Some(code));
+    }
+    for (end, word, code) in [("no-improvement", "converged", 0), ("round-limit", "round limit", 1)]
+    {
+        let dir = tempfile::tempdir().unwrap();
+        let lab = lab(dir.path());
+        lab.refine("pvt+refined", end);
+        lab.judge("pvt+refined", 0.125, true);
+        let made = lab.report();
+        assert_eq!(made.status.code(), Some(code), "{word}: {}", text(&made.stderr));
+        assert!(row(&text(&made.stdout), "pvt+refined ").contains(word));
+    }
+}
+
+#[test]
+fn the_ideal_is_no_plan_and_no_limits_kept_is_negative() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = Lab::new(dir.path(), "run", 3.0);
+    lab.schedule("position", 0.0);
+    lab.judge("position", 0.1, true);
+    lab.schedule("pvt", 1.0);
+    lab.judge("pvt", 0.5, false);
+    let made = lab.report();
+    assert_eq!(made.status.code(), Some(1));
+    let out = text(&made.stdout);
+    assert!(text(&made.stderr).contains("no method keeps the limits of the machine"));
+    assert!(row(&out, "position ").contains("ideal"), "{out}");
+    assert!(out.contains("not a plan; no machine can run it"), "{out}");
+    assert!(!out.contains('*'), "{out}");
+}
+
+#[test]
+fn a_script_in_the_place_of_the_dwell_solver_is_compared() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = lab(dir.path());
+    // The same content without a manifest, as numpy.save leaves it.
+    fs::remove_file(lab.run.join("dwell/manifest.json")).unwrap();
+    let made = lab.report();
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    let out = text(&made.stdout);
+    assert!(row(&out, "pvt ").contains("not known") && row(&out, "pvt ").ends_with('*'), "{out}");
+    // A removal of one's own cannot be checked; that is said.
+    fs::remove_file(lab.method("pvt").join("removal/manifest.json")).unwrap();
+    let out = text(&lab.report().stdout);
+    assert!(out.contains("pvt: not checked") && out.contains(": removal\n"), "{out}");
+}
+
+#[test]
+fn a_manifest_with_another_unit_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = lab(dir.path());
+    let file = lab.run.join("surface/manifest.json");
+    let manifest = fs::read_to_string(&file).unwrap().replace("\"nm\"", "\"furlong\"");
+    fs::write(&file, manifest).unwrap();
+    let made = lab.report();
+    assert_eq!(made.status.code(), Some(2));
+    let err = text(&made.stderr);
+    assert!(err.contains("run/surface") && err.contains("height_nm is in \"furlong\""), "{err}");
+    assert!(!dir.path().join("report").exists());
+}
+
+/// The text of an element of the page.
+fn element<'a>(page: &'a str, open: &str, close: &str) -> &'a str {
+    let start = page.find(open).expect(open) + open.len();
+    &page[start..start + page[start..].find(close).unwrap()]
+}
+
+#[test]
+fn names_that_are_programs_stay_names() {
+    let dir = tempfile::tempdir().unwrap();
+    let hostile = "{{data}}{{js}}<img src=x onerror=alert(1)>\u{1b}[31m\u{202e}&quot;\u{2028}";
+    let lab = Lab::new(dir.path(), hostile, 3.0);
+    let method = "pvt<svg onload=alert(2)>\u{1b}]0;title\u{7}\u{8}";
+    lab.schedule(method, 1.0);
+    lab.judge(method, 0.5, true);
+    let named = "</script><script>alert(3)</script>\u{1b}[2J";
+    let flags = ["--fixture", named, "--pipeline", "<!--<script>", "--plots", "always"];
+    let report = ["report", hostile, "--out", "report"];
+    let made = compare(dir.path(), &[&report[..], &flags].concat());
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    for stream in [&made.stdout, &made.stderr] {
+        let stream = text(stream);
+        let commands =
+            |c: char| c != '\n' && (c.is_control() || c == '\u{202e}' || c == '\u{2028}');
+        assert!(!stream.contains(commands), "{stream:?}");
+    }
+    assert!(text(&made.stdout).contains(r"\u{1b}[31m\u{202e}"));
+
+    let page = fs::read_to_string(dir.path().join("report/report.html")).unwrap();
+    // One script that runs, and it is the one that the policy names; the data are data.
+    assert_eq!(page.matches("<script").count(), 2);
+    assert_eq!((page.matches("<img").count(), page.matches("<!--").count()), (0, 0));
+    assert!(!page.contains("unsafe-inline") && page.contains("script-src 'sha256-"));
+    let data: Value = serde_json::from_str(element(&page, "id=\"data\">", "</script>")).unwrap();
+    assert_eq!(data["runs"][0]["name"], hostile);
+    assert_eq!(data["runs"][0]["fixture"], named);
+    assert_eq!(data["runs"][0]["methods"][0]["name"], method);
+    let title = element(&page, "<title>", "</title>");
+    assert!(
+        title.starts_with("Planish: {{data}}{{js}}&lt;img src=x onerror=alert(1)&gt;"),
+        "{title}"
+    );
+    assert!(title.contains("&amp;quot;") && !title.contains('\u{1b}'), "{title}");
+    for file in ["maps.svg", "path.svg", "motion.svg", "dwell.svg", "histogram.svg", "spectrum.svg"]
+    {
+        let svg = fs::read_to_string(dir.path().join("report").join(file)).unwrap();
+        assert!(!svg.contains(|c: char| c != '\n' && c.is_control()), "{file}");
+        assert!(!svg.contains("<svg onload") && svg.matches("<svg").count() == 1, "{file}");
+    }
+    // A message about such a name.
+    fs::remove_dir_all(lab.method(method).join("verdict")).unwrap();
+    let made = compare(dir.path(), &[&report[..], &["--force"]].concat());
+    assert_eq!(made.status.code(), Some(2));
+    let message = text(&made.stderr);
+    assert!(message.contains(r"\u{1b}]0;title\u{7}") && !message.contains('\u{1b}'), "{message:?}");
+}
+
+#[test]
+fn flat_maps_and_points_are_drawn_with_numbers_only() {
+    // A flat map, perfectly removed or not at all; a motion and a path of one point.
+    for (height_nm, left) in [(0.0, 0.0), (0.0, 1.0), (3.0, 0.0), (1e-13, 0.5)] {
+        let dir = tempfile::tempdir().unwrap();
+        let lab = Lab::new(dir.path(), "run", height_nm);
+        let path = ToolPath::through(vec![[7.0, 7.0]; 3], vec![true; 2], vec![0; 2]).unwrap();
+        let mut stage = lab.stage("planish-toolpath", &lab.run.join("tool_path"));
+        lab.read(&mut stage, &["surface", "tif"]);
+        stage.write("", &path, json!({}), &Status::Done).unwrap();
+        lab.dwell(0.0, json!({ "end": "optimal", "relative_gap": 0.0 }));
+        lab.schedule("pvt", 0.0);
+        lab.judge("pvt", left, true);
+        let made = compare(dir.path(), &["report", "run", "--out", "report", "--plots", "always"]);
+        assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+        let out = text(&made.stdout);
+        let odd =
+            |text: &str| ["NaN", "nan", "inf", "-0.0 ", "-0.00"].iter().any(|w| text.contains(w));
+        assert!(!odd(&out), "{out}");
+        for entry in fs::read_dir(dir.path().join("report")).unwrap() {
+            let path = entry.unwrap().path();
+            let content = fs::read_to_string(&path).unwrap();
+            if path.extension().is_some_and(|e| e == "svg") {
+                // Pictures in a picture are base64, in which any word may occur.
+                let drawn: Vec<&str> = content.split("href=\"data:").collect();
+                let drawn = drawn.iter().map(|d| d.split_once('"').map_or(*d, |(_, rest)| rest));
+                assert!(
+                    drawn.clone().all(|d| !odd(d) && !d.contains("null")),
+                    "{}",
+                    path.display()
+                );
+            }
+        }
+        let numbers = lab.summary().to_string();
+        // Only the two times that were not measured, and the method `position`, are absent.
+        assert_eq!(numbers.matches("null").count(), 3, "{numbers}");
+    }
+}
