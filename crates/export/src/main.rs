@@ -7,8 +7,8 @@ use std::{
 };
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use planish_export::{Common, Controller, Origin, Program, csv, galil, gcode, pmac, program, xps};
-use planish_handoff::{Failure, OutputArgs, Stage, Status, artifact, pair, run, stage::say};
+use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
+use planish_handoff::{Failure, OutputArgs, Stage, Status, pair, run, stage::say};
 use planish_types::{Limits, Trajectory};
 
 const EXAMPLES: &str = "Examples:\n\
@@ -142,26 +142,30 @@ fn main() -> ExitCode {
 fn export(controller: &Controller, args: &CommonArgs) -> Result<Status, Failure> {
     let out = &args.out;
     let about = PathBuf::from(format!("{}.json", out.display()));
-    for path in [out, &about] {
-        if path.is_dir() {
-            return Err(Failure::new(format!("{}: is a directory; give a file", path.display())));
-        }
-        if path.exists() && !args.force {
-            let problem = "exists; give --force to replace it, or another --out";
-            return Err(Failure::new(format!("{}: {problem}", path.display())));
-        }
-    }
-    let made = make(controller, args)?;
+    let version = env!("CARGO_PKG_VERSION");
+    let output = OutputArgs { out: out.clone(), force: args.force, wall_time: None };
+    let mut stage = Stage::new("planish-export", version, "program", &output);
+    let machine: Limits = stage.read_machine(&args.machine)?;
+    let trajectory: Trajectory = stage.read("trajectory", &args.trajectory)?;
+    stage.begin_file("--out", out, args.force)?;
+    stage.begin_file("--out", &about, args.force)?;
+    refuse_foreign_about(&about)?;
+
+    let digest = stage.digest("trajectory").unwrap_or_default();
+    let origin = Origin {
+        made_from: format!("trajectory {}, BLAKE3 {digest}", args.trajectory.display()),
+        made_by: format!("planish-export {version}"),
+    };
+    let common =
+        Common { count_mm: args.count_mm, max_step_s: args.max_step_s, always_on: args.always_on };
+    let made = program(&trajectory, &machine, controller, &common, &origin)?;
     for warning in &made.about.warnings {
         use std::io::Write;
         let _ = writeln!(std::io::stderr(), "warning: {warning}");
     }
-    if let Some(parent) = out.parent() {
-        fs::create_dir_all(parent)
-            .map_err(|e| Failure::new(format!("{}: cannot create: {e}", parent.display())))?;
-    }
-    put(out, &made.text)?;
-    put(&about, &format!("{}\n", serde_json::to_string_pretty(&made.about)?))?;
+    let about_text = format!("{}\n", serde_json::to_string_pretty(&made.about)?);
+    let files = [(out.as_path(), made.text.as_bytes()), (about.as_path(), about_text.as_bytes())];
+    stage.write_single_files(&files, args.force)?;
     let a = &made.about;
     say(format!(
         "planish-export: {} segments, {:.4} s, rounded by {:.1e} x {:.1e} mm and {:.1e} s at most -> {}",
@@ -175,26 +179,18 @@ fn export(controller: &Controller, args: &CommonArgs) -> Result<Status, Failure>
     Ok(Status::Done)
 }
 
-fn make(controller: &Controller, args: &CommonArgs) -> Result<Program, Failure> {
-    let output = OutputArgs { out: args.out.clone(), force: args.force, wall_time: None };
-    let version = env!("CARGO_PKG_VERSION");
-    let mut stage = Stage::new("planish-export", version, "program", &output);
-    let machine: Limits = stage.read_machine(&args.machine)?;
-    let loaded = artifact::read::<Trajectory>(&args.trajectory)?;
-    let origin = Origin {
-        made_from: format!("trajectory {}, BLAKE3 {}", args.trajectory.display(), loaded.digest),
-        made_by: format!("planish-export {version}"),
-    };
-    let common =
-        Common { count_mm: args.count_mm, max_step_s: args.max_step_s, always_on: args.always_on };
-    Ok(program(&loaded.value, &machine, controller, &common, &origin)?)
-}
-
-/// `X,Y`, or one number for both.
-/// A killed run leaves the old file or the new one.
-fn put(path: &Path, text: &str) -> Result<(), Failure> {
-    let beside = PathBuf::from(format!("{}.part", path.display()));
-    fs::write(&beside, text)
-        .and_then(|()| fs::rename(&beside, path))
-        .map_err(|e| Failure::new(format!("{}: cannot write: {e}", path.display())))
+/// The name of the file beside the program follows from that of the program; the user did not give it,
+/// so `--force` replaces there only what an export wrote.
+fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
+    let Ok(text) = fs::read_to_string(about) else { return Ok(()) };
+    let is_ours = serde_json::from_str::<serde_json::Value>(&text)
+        .is_ok_and(|json| json.get("controller").is_some() && json.get("segments").is_some());
+    match is_ours {
+        true => Ok(()),
+        false => Err(Failure::new(format!(
+            "{}: would be replaced by what planish-export says of its program, and Planish did not \
+             write it; give another --out",
+            about.display()
+        ))),
+    }
 }

@@ -257,6 +257,16 @@ impl Stage {
         Ok(bytes)
     }
 
+    /// Notes a file, given by the flag `--role`, that the command reads by itself, line by line: it is
+    /// not written to. For commands that write single files only, which have no manifest.
+    pub fn note_file(&mut self, role: &str, path: &Path) -> Result<(), HandoffError> {
+        if !fs::metadata(path).map_err(|e| HandoffError::io(path, "read", &e))?.is_file() {
+            return Err(HandoffError::new(path, "is not a file; give a regular file"));
+        }
+        self.record(role, path, "file", String::new());
+        Ok(())
+    }
+
     /// Reads the machine file given by `--machine`.
     pub fn read_machine(&mut self, path: &Path) -> Result<Limits, HandoffError> {
         let limits: Limits = self.read_json("machine", path)?;
@@ -306,11 +316,6 @@ impl Stage {
             kind: kind.into(),
             blake3,
         });
-    }
-
-    /// BLAKE3 of the input that was read as `role`.
-    pub fn digest(&self, role: &str) -> Option<&str> {
-        self.inputs.iter().find(|i| i.role == role).map(|i| i.blake3.as_str())
     }
 
     /// Refuses inputs that do not belong together: `made` (the manifest of the input `role`) was made

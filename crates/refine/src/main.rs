@@ -156,8 +156,9 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         SchedulerKind::Pvt => Scheduler::Pvt(cli.mode.on(&machine)),
     };
     stage.settings(Resolved { settings, stop_at_max_rounds: cli.max_rounds.is_some() });
-    let first: Option<DwellTime> =
-        cli.dwell.as_ref().map(|dir| stage.read("dwell", dir)).transpose()?;
+    let first = cli.dwell.as_ref().map(|dir| stage.read_with_manifest("dwell", dir)).transpose()?;
+    let (first, manifest): (Option<DwellTime>, _) = first.unzip();
+    stage.refuse_unrelated("dwell", manifest.flatten().as_ref(), "tool-path")?;
     let parts = [
         ("dwell", DwellTime::KIND),
         ("trajectory", Trajectory::KIND),

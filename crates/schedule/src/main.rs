@@ -375,7 +375,8 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
     let name = scheduler.name();
     let mut stage = Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), name, &common.output);
     let path: ToolPath = stage.read("tool-path", &common.tool_path)?;
-    let dwell: DwellTime = stage.read("dwell", &common.dwell)?;
+    let (dwell, manifest): (DwellTime, _) = stage.read_with_manifest("dwell", &common.dwell)?;
+    stage.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
     let machine = stage.read_machine(&common.machine)?;
     let method = scheduler.method(&machine)?;
     stage.settings(method.settings());

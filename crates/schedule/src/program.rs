@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Status, artifact, stage::say};
+use planish_handoff::{Failure, OutputArgs, Stage, Status, stage::say};
 use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
 use planish_types::{Feed, budget};
 
@@ -51,9 +51,11 @@ const PROGRAM_HEAD: &str = "\
 ";
 
 pub fn write(arguments: &Program) -> Result<Status, Failure> {
-    let feed = read_feed(&arguments.feed)?;
+    let mut stage = reader("program", &arguments.out, arguments.force);
+    let feed: Feed = stage.read("feed", &arguments.feed)?;
+    stage.begin_file("--out", &arguments.out, arguments.force)?;
     let mut count = 0;
-    replace_file(&arguments.out, arguments.force, |file| {
+    stage.write_single_file(&arguments.out, arguments.force, |file| {
         let mut to = BufWriter::new(file);
         to.write_all(PROGRAM_HEAD.as_bytes())?;
         for (number, record) in records(&feed).enumerate() {
@@ -70,9 +72,19 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
     let tick = |e| Failure::new(format!("--tick-s: {e}"));
     let mut interpolator = Interpolator::new(arguments.tick_s).map_err(tick)?;
     let table = Table::of(&arguments.out)?;
-    refuse_too_many(arguments, table)?;
+    let mut stage = reader("interpolate", &arguments.out, arguments.force);
+    let source = match (&arguments.program, &arguments.feed) {
+        (Some(program), _) => {
+            stage.note_file("program", program)?;
+            Source::Program(program)
+        }
+        (None, Some(dir)) => Source::Feed(stage.read("feed", dir)?, dir),
+        (None, None) => unreachable!("clap asks for one of them"),
+    };
+    stage.begin_file("--out", &arguments.out, arguments.force)?;
+    refuse_too_many(&source, arguments.tick_s, table)?;
     let (mut count, mut end_s) = (0_u64, 0.0);
-    replace_file(&arguments.out, arguments.force, |file| {
+    stage.write_single_file(&arguments.out, arguments.force, |file| {
         let mut to = BufWriter::new(file);
         table.begin(&mut to)?;
         let mut failed = None;
@@ -81,7 +93,7 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
             end_s = r.time_s;
             failed = failed.take().or(table.row(&mut to, &r).err());
         };
-        for_each_record(arguments, |record| interpolator.push(record, &mut emit))?;
+        source.for_each_record(|record| interpolator.push(record, &mut emit))?;
         interpolator.finish().into_iter().for_each(&mut emit);
         if let Some(e) = failed {
             return Err(e.into());
@@ -95,41 +107,48 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
     Ok(Status::Done)
 }
 
-fn read_feed(dir: &Path) -> Result<Feed, Failure> {
-    Ok(artifact::read::<Feed>(dir)?.value)
+/// A stage that reads artifacts and writes a single file.
+fn reader(method: &str, out: &Path, force: bool) -> Stage {
+    let output = OutputArgs { out: out.into(), force, wall_time: None };
+    Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), method, &output)
+}
+
+/// Where the records come from.
+enum Source<'a> {
+    Feed(Feed, &'a Path),
+    Program(&'a Path),
+}
+
+impl Source<'_> {
+    /// The records, in order.
+    fn for_each_record(
+        &self,
+        mut push: impl FnMut(&Record) -> Result<(), String>,
+    ) -> Result<(), Failure> {
+        match self {
+            Self::Program(path) => for_each_line(path, push),
+            Self::Feed(feed, dir) => {
+                for record in records(feed) {
+                    push(&record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
+                }
+                Ok(())
+            }
+        }
+    }
 }
 
 /// Runs the program without writing it: how long it takes decides how large the file becomes.
-fn refuse_too_many(arguments: &Interpolate, table: Table) -> Result<(), Failure> {
+fn refuse_too_many(source: &Source, tick_s: f64, table: Table) -> Result<(), Failure> {
     let mut whole = Interpolator::new(f64::MAX).map_err(Failure::new)?;
-    for_each_record(arguments, |record| whole.push(record, |_| ()))?;
-    let count = whole.duration_s() / arguments.tick_s + 1.0;
+    source.for_each_record(|record| whole.push(record, |_| ()))?;
+    let count = whole.duration_s() / tick_s + 1.0;
     let remedy = format!(
-        "the file would have {:.3e} positions in {:.3} s at a --tick-s of {}: give a longer one",
-        count,
+        "the file would have {count:.3e} positions in {:.3} s at a --tick-s of {tick_s}: give a longer \
+         one",
         whole.duration_s(),
-        arguments.tick_s
     );
     budget::affordable("positions", count, table.bytes_per_row(), &remedy)?;
     Ok(())
-}
-
-/// The records of the feed or the program, in order.
-fn for_each_record(
-    arguments: &Interpolate,
-    mut push: impl FnMut(&Record) -> Result<(), String>,
-) -> Result<(), Failure> {
-    match (&arguments.program, &arguments.feed) {
-        (Some(program), _) => for_each_line(program, push),
-        (None, Some(dir)) => {
-            let feed = read_feed(dir)?;
-            for record in records(&feed) {
-                push(&record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
-            }
-            Ok(())
-        }
-        (None, None) => unreachable!("clap asks for one of them"),
-    }
 }
 
 /// Longest line of a program, bytes: ten words of 30 digits.
@@ -241,28 +260,4 @@ fn npy_head(rows: u64) -> Vec<u8> {
     bytes.extend((length as u16).to_le_bytes());
     bytes.extend(format!("{header:<width$}\n", width = length - 1).into_bytes());
     bytes
-}
-
-/// Writes `path` through a temporary sibling: a run that fails or is killed leaves the old file.
-fn replace_file(
-    path: &Path,
-    force: bool,
-    write: impl FnOnce(&mut File) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let at = |e: std::io::Error| Failure::new(format!("{}: cannot write: {e}", path.display()));
-    if path.exists() && !force {
-        let message = "exists; give --force to replace it, or another --out";
-        return Err(Failure::new(format!("{}: {message}", path.display())));
-    }
-    if path.is_dir() {
-        return Err(Failure::new(format!("{}: is a directory; give a file", path.display())));
-    }
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let sibling = path.with_file_name(format!(".{name}.planish-{}.tmp", std::process::id()));
-    let mut file = File::create(&sibling).map_err(at)?;
-    let written = write(&mut file).and_then(|()| fs::rename(&sibling, path).map_err(at));
-    if written.is_err() {
-        let _ = fs::remove_file(&sibling);
-    }
-    written
 }

@@ -71,9 +71,13 @@ fn main() -> ExitCode {
             Some(count) => stage.settings(json!({ "method": settings, "frames": count })),
             None => stage.settings(settings),
         }
-        let trajectory: Trajectory = stage.read("trajectory", &cli.trajectory)?;
+        let (trajectory, manifest): (Trajectory, _) =
+            stage.read_with_manifest("trajectory", &cli.trajectory)?;
         let tif: Tif = stage.read("tif", &cli.tif)?;
         let surface: Surface = stage.read("surface", &cli.surface)?;
+        for other in ["tif", "surface"] {
+            stage.warn_unrelated("trajectory", manifest.as_ref(), other);
+        }
         let kind = if cli.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
         if let Begin::Unchanged(status) = stage.begin(&[""], kind)? {
             return Ok(status);
