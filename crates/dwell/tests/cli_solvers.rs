@@ -57,9 +57,15 @@ const SOLVERS: [&[&str]; 10] = [
     &["tikhonov-lsqr", "--min-dwell-s=0.05", "--damping=0.03"],
     &["tikhonov-lsqr", "--min-dwell-s=0.05", "--l-curve"],
     &["truncated-svd", "--min-dwell-s=0.05", "--cut=0.05"],
-    &["lucy-richardson", "--min-dwell-s=0.05", "--total-variation=0.01"],
-    &["lucy-richardson", "--min-dwell-s-per-mm=0.05", "--unknowns=map"],
-    &["lucy-richardson", "--min-dwell-s=0.05", "--unknowns=map", "--pixels-per-cell=2"],
+    &["lucy-richardson", "--min-dwell-s=0.05", "--total-variation=0.01", "--max-iterations=300"],
+    &["lucy-richardson", "--min-dwell-s-per-mm=0.05", "--unknowns=map", "--max-iterations=300"],
+    &[
+        "lucy-richardson",
+        "--min-dwell-s=0.05",
+        "--unknowns=map",
+        "--pixels-per-cell=2",
+        "--max-iterations=300",
+    ],
     &["rifta", "--min-dwell-s=0.05"],
     &["udo", "--min-dwell-s=0.05", "--floor=shift"],
 ];

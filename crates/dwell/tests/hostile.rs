@@ -131,7 +131,7 @@ fn a_limit_that_the_user_gives_is_an_end_and_one_that_he_does_not_is_a_verdict()
         ("lucy-richardson", &["--tolerance=1e-9"][..], 1, "iteration-limit"),
         ("lucy-richardson", &["--max-iterations=5"], 0, "steps-done"),
         ("lucy-richardson", &["--tolerance=0.5"], 0, "settled"),
-        ("udo", &[], 0, "rounds-done"),
+        ("udo", &["--max-iterations=2"], 0, "rounds-done"),
         ("udo", &["--threshold-nm=1e-9", "--max-iterations=3"], 1, "iteration-limit"),
         ("tikhonov-lsqr", &["--max-iterations=2"], 1, "iteration-limit"),
         ("truncated-svd", &["--max-steps=2"], 1, "step-limit"),

@@ -830,7 +830,7 @@ mod tests {
             (MazeSettings { tree: straight(f64::NAN), ..good.clone() }, "straightness: is NaN"),
             (MazeSettings { pitch_mm: 1e-9, ..good.clone() }, "more than 20000000"),
             (MazeSettings { step_mm: 1e-9, ..good.clone() }, "more than 20000000"),
-            (MazeSettings { overscan_mm: 1e300, ..good.clone() }, "more than 20000000"),
+            (MazeSettings { overscan_mm: 1e300, ..good.clone() }, "overscan_mm: is 1e300"),
         ];
         for (settings, message) in cases {
             let error = maze(&surface, &settings).unwrap_err().to_string();

@@ -679,7 +679,7 @@ mod tests {
             (RasterSettings { pitch_mm: 1e-9, ..good.clone() }, "more than 20000000"),
             (RasterSettings { step_mm: 1e-7, ..good.clone() }, "more than 20000000"),
             (RasterSettings { step_mm: 5e-324, ..good.clone() }, "more than 20000000"),
-            (RasterSettings { overscan_mm: 1e300, ..good.clone() }, "more than 20000000"),
+            (RasterSettings { overscan_mm: 1e300, ..good.clone() }, "overscan_mm: is 1e300"),
             (
                 RasterSettings { line_origin_mm: Some(1e308), pitch_mm: 1e-9, ..good.clone() },
                 "more",

@@ -99,7 +99,7 @@ const LONGEST_MM: f64 = 1e7;
 pub(crate) fn check_length(name: &'static str, mm: f64, zero: bool) -> Result<(), Invalid> {
     if mm > LONGEST_MM && mm.is_finite() {
         let remedy = "give mm, at most 1e7: no point of a path may be farther from the origin";
-        return Err(Invalid::whole(name, format!("is {mm}"), remedy));
+        return Err(Invalid::whole(name, format!("is {mm:e}"), remedy));
     }
     if mm.is_finite() && (mm > 0.0 || zero && mm == 0.0) {
         return Ok(());

@@ -203,7 +203,7 @@ mod tests {
             (settings(1.0, 1.0, -1.0), "overscan_mm: is -1"),
             (settings(1e-9, 1.0, 0.0), "more than 20000000"),
             (settings(1.0, 1e-9, 0.0), "more than 20000000"),
-            (settings(1.0, 1.0, 1e300), "more than 20000000"),
+            (settings(1.0, 1.0, 1e300), "overscan_mm: is 1e300"),
         ];
         for (settings, message) in cases {
             let error = spiral(&surface, &settings).unwrap_err().to_string();

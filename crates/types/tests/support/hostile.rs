@@ -28,13 +28,23 @@ pub const COUNTS: [&str; 5] = ["0", "1", "-1", "1000000000", "184467440737095516
 
 /// Writes numbers as an `.npy` file.
 pub fn npy(dir: &Path, name: &str, shape: &[usize], values: &[f64]) {
+    save(dir, name, "<f8", shape, values.iter().flat_map(|v| v.to_le_bytes()).collect());
+}
+
+/// The same for integers.
+pub fn integers(dir: &Path, name: &str, values: &[i64]) {
+    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    save(dir, name, "<i8", &[values.len()], bytes);
+}
+
+fn save(dir: &Path, name: &str, dtype: &str, shape: &[usize], data: Vec<u8>) {
     fs::create_dir_all(dir).unwrap();
     let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({shape}), }}");
+    let header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({shape}), }}");
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend(118_u16.to_le_bytes());
     bytes.extend(format!("{header:<117}\n").into_bytes());
-    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    bytes.extend(data);
     fs::write(dir.join(format!("{name}.npy")), bytes).unwrap();
 }
 
@@ -49,13 +59,19 @@ pub fn map(dir: &Path, name: &str, x: &[f64], y: &[f64], of: impl Fn(usize, usiz
     npy(dir, name, &[y.len(), x.len()], &all);
 }
 
-/// A path through points, the tool on.
+/// A path through points, the tool on; where y changes a pass begins.
 pub fn path(dir: &Path, points: &[[f64; 2]]) {
     let n = points.len() - 1;
     let middle = |w: &[[f64; 2]]| [0.5 * (w[0][0] + w[1][0]), 0.5 * (w[0][1] + w[1][1])];
     npy(dir, "point_mm", &[n + 1, 2], points.as_flattened());
     let middles: Vec<[f64; 2]> = points.windows(2).map(middle).collect();
     npy(dir, "dwell_point_mm", &[n, 2], middles.as_flattened());
+    let mut pass = 0;
+    let pass_of = |w: &[[f64; 2]]| {
+        pass += i64::from(w[0][1] != w[1][1]);
+        pass
+    };
+    integers(dir, "pass_idx", &points.windows(2).map(pass_of).collect::<Vec<i64>>());
 }
 
 fn steps(start: f64, step: f64, n: usize) -> Vec<f64> {
