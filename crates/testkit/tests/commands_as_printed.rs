@@ -18,17 +18,16 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// What is not run here, and why.
-const EXCEPTIONS: [(&str, &str); 6] = [
+const EXCEPTIONS: [(&str, &str); 5] = [
     ("cargo install --locked just && just test", "it runs this workspace's tests; .ci/run runs it"),
     ("just reproduce", "minutes; `just checks` runs it"),
     ("just reproduce pvt", "part of `just reproduce`"),
     ("PLANISH_REFERENCE=DIR just reproduce", "needs the reference mirror"),
     ("PLANISH_REFERENCE=DIR just paths-table", "needs the reference mirror"),
-    (
-        "planish-dwell lucy-richardson --unknowns map",
-        "a map of 2.7 million pixels: a minute and more",
-    ),
 ];
+
+/// Commands that may end with 1, done and not converged: a fixed number of steps is what they show.
+const MAY_NOT_CONVERGE: &str = "planish-dwell lucy-richardson --unknowns map --max-iterations 60 ";
 
 /// How much smaller the executed residual of docs/replace_a_stage.py must be than the surface error: it
 /// is 35 times smaller on this mirror, whose error is all within reach of the tool but a pit.
@@ -77,9 +76,7 @@ fn commands(text: &str) -> Vec<String> {
 /// Why a command is not run here.
 fn exception(command: &str) -> Option<&'static str> {
     let bare = command.split(" #").next().unwrap().trim();
-    let found = EXCEPTIONS.iter().find(|(excepted, _)| {
-        bare == *excepted || excepted.contains("--") && bare.starts_with(&format!("{excepted} "))
-    });
+    let found = EXCEPTIONS.iter().find(|(excepted, _)| bare == *excepted);
     found.map(|(_, reason)| *reason)
 }
 
@@ -153,8 +150,9 @@ impl Clone {
         println!("{place}, {:.1} s: {text}", started.elapsed().as_secs_f64());
         let (out, err) =
             (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        let negative = output.status.code() == Some(1) && text.starts_with(MAY_NOT_CONVERGE);
         assert!(
-            output.status.success(),
+            output.status.success() || negative,
             "{place}: {text}\nends with {}\n{out}\n{err}",
             output.status
         );
