@@ -4,30 +4,39 @@
 default:
     @just --list
 
-# Run a pipeline: just run raster pitch_mm=0.5 surface=DIR tif=DIR machine=FILE out=DIR
-run name *overrides: build
-    @just --justfile pipelines/{{ name }}.just --working-directory . {{ overrides }} run
+start := quote(justfile_directory() / "pipelines/start.sh")
+
+# Run a pipeline (bspline, compare-dwell, maze, multi-pitch, random-adaptive, raster, spiral, trig-spline): just run raster pitch_mm=0.5 fixture=coupon, or surface=DIR tif=DIR machine=FILE out=DIR
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+run pipeline *settings: build
+    @{{ start }} run "$@"
 
 # Every dwell solver on one mirror: just compare-dwell coupon-ring pitch_mm=0.5
-compare-dwell fixture="coupon" *overrides: build
-    @just --justfile pipelines/compare-dwell.just --working-directory . fixture={{ fixture }} {{ overrides }} run
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+compare-dwell fixture="coupon" *settings: build
+    @fixture=$1 && shift && {{ start }} run compare-dwell "fixture=$fixture" "$@"
 
 # Every scheduler on the same path and dwell times, along three paths: just compare coupon
-compare fixture="flat-92x16" *overrides: build
-    @for path in raster maze random-adaptive; do \
-        just --justfile "pipelines/$path.just" --working-directory . fixture={{ fixture }} out="out/compare/$path" {{ overrides }} compare || exit; \
-    done
-    @target/release/planish-compare report out/compare/raster out/compare/maze out/compare/random-adaptive --fixture {{ fixture }} --out out/compare/report --force
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+compare fixture="flat-92x16" *settings: build
+    @{{ quote(justfile_directory() / "pipelines/compare.sh") }} "$@"
 
 # Show a pipeline with its settings and their defaults
-show name:
-    @cat pipelines/{{ name }}.just pipelines/stages.just
+[positional-arguments]
+show pipeline:
+    @{{ start }} show "$@"
 
 # Build the stages
 build:
     @cargo build --quiet --release --locked --workspace --bins
 
-# Make every fixture mirror under out/fixtures
+# Make every fixture mirror (coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, flat-92x16, multi-cylinder, square-200) under out/fixtures
 fixtures: build
     @for recipe in fixtures/*.json; do \
         target/release/planish-fixture "$recipe" --force \
@@ -40,7 +49,7 @@ test:
 
 # Every scheduler along 1e5 random paths: about an hour of one core
 test-schedulers-long cases="14300" seed="1":
-    PLANISH_CASES={{ cases }} PLANISH_SEED={{ seed }} cargo test --release --locked -p planish-testkit --test schedulers
+    PLANISH_CASES={{ quote(cases) }} PLANISH_SEED={{ quote(seed) }} cargo test --release --locked -p planish-testkit --test schedulers
 
 # Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
 test-interop:
@@ -71,17 +80,17 @@ quantisation: build (reference-mirror "out/quantisation/mirror")
 # Surface and TIF of the mirror in PLANISH_REFERENCE, as artifacts without manifests
 [private]
 reference-mirror out:
-    @mkdir -p {{ out }}/surface {{ out }}/tif
+    @mkdir -p {{ quote(out) }}/surface {{ quote(out) }}/tif
     @for axis in x_mm y_mm; do \
-        cp "$PLANISH_REFERENCE/nsls2-mirror/$axis.npy" {{ out }}/surface; \
-        cp "$PLANISH_REFERENCE/nsls2-mirror/tif_$axis.npy" {{ out }}/tif/$axis.npy; \
+        cp "$PLANISH_REFERENCE/nsls2-mirror/$axis.npy" {{ quote(out) }}/surface; \
+        cp "$PLANISH_REFERENCE/nsls2-mirror/tif_$axis.npy" {{ quote(out) }}/tif/$axis.npy; \
     done
-    @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" {{ out }}/surface
-    @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" {{ out }}/tif/rate_nm_per_s.npy
+    @cp "$PLANISH_REFERENCE/nsls2-mirror/height_nm.npy" {{ quote(out) }}/surface
+    @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" {{ quote(out) }}/tif/rate_nm_per_s.npy
 
 # The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction.md
 reproduce paper="all":
-    @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ paper }}
+    @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ quote(paper) }}
 
 # Everything that must pass before a change lands
 ci: test checks
@@ -94,19 +103,34 @@ checks:
     just docs
     just reproduce
     git diff --exit-code docs
-    just run raster fixture=coupon out=out/ci
-    just run maze fixture=coupon refine=no export=galil out=out/ci-maze
-    just python-example
+    just test-pipelines
+    just test-commands
 
 # Residual against total time along a raster: prints the table, draws out/pareto/FIXTURE/curve/pareto.svg (just pareto reference: the mirror in PLANISH_REFERENCE)
 pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_s_per_mm="0.02": build
-    @{{ if fixture == "reference" { "just reference-mirror out/pareto/reference" } else { "target/release/planish-fixture fixtures/" + fixture + ".json --out out/pareto/" + fixture + " --force" } }}
-    @target/release/planish-toolpath raster --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --pitch-mm 1 --step-mm 1 --out out/pareto/{{ fixture }}/tool_path --force
-    @target/release/planish-refine pareto --surface out/pareto/{{ fixture }}/surface --tif out/pareto/{{ fixture }}/tif --tool-path out/pareto/{{ fixture }}/tool_path --machine {{ machine }} --min-dwell-s-per-mm {{ min_dwell_s_per_mm }} --out out/pareto/{{ fixture }}/curve --force
+    #!/bin/sh
+    set -eu
+    fixture={{ quote(fixture) }} machine={{ quote(machine) }} least={{ quote(min_dwell_s_per_mm) }}
+    at=out/pareto/$fixture
+    if [ "$fixture" = reference ]; then
+        just reference-mirror "$at"
+    else
+        target/release/planish-fixture "fixtures/$fixture.json" --out "$at" --force
+    fi
+    target/release/planish-toolpath raster --surface "$at/surface" --tif "$at/tif" --pitch-mm 1 --step-mm 1 --out "$at/tool_path" --force
+    target/release/planish-refine pareto --surface "$at/surface" --tif "$at/tif" --tool-path "$at/tool_path" --machine "$machine" --min-dwell-s-per-mm="$least" --out "$at/curve" --force
 
 # The tables of docs/refine.md; with PLANISH_REFERENCE set, also those of the reference mirror
 refine-table:
     @cargo run --quiet --release --locked -p planish-testkit --example refined
+
+# `just run` and its relatives as a user calls them: hostile settings, races, exit codes
+test-pipelines: build
+    cargo test --locked -p planish-testkit --test pipelines
+
+# Run the commands of README.md and docs/ as they are printed, in a copy of this folder (makes its own virtual environment)
+test-commands: build python
+    cargo test --locked -p planish-testkit --test commands_as_printed -- --nocapture
 
 # Write the generated pages and pictures in docs/
 docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "raster-angle" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --angle-deg 30") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
@@ -165,14 +189,10 @@ surface-pictures: build
 paths-table: build
     @sh docs/paths/table.sh
 
-# Run docs/replace_a_stage.py in the place of the dwell solver (makes its own virtual environment)
-python-example: build
+[private]
+python:
     @test -d target/python || python3 -m venv target/python
     @target/python/bin/pip install --quiet numpy
-    just run raster fixture=coupon out=out/python
-    target/python/bin/python docs/replace_a_stage.py out/python out/python-dwell
-    target/release/planish-schedule pvt --tool-path out/python/tool_path --dwell out/python-dwell \
-        --machine fixtures/machines/ion-beam.json --out out/python-trajectory --force
 
 # Use the report in headless Chromium (Debian package chromium) as a person would, and check it
 test-report: build browser
@@ -187,13 +207,12 @@ test-report: build browser
 # Write the pictures of docs/report.md
 report-pictures: build browser
     just run raster
-    target/python/bin/python crates/compare/tests/browser.py --docs out/raster/report docs/report
+    target/python/bin/python crates/compare/tests/browser.py --docs out/raster/flat-92x16/report docs/report
 
 [private]
-browser:
+browser: python
     @which chromium > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium)
-    @test -d target/python || python3 -m venv target/python
-    @target/python/bin/pip install --quiet numpy websocket-client
+    @target/python/bin/pip install --quiet websocket-client
 
 # Run the benchmarks
 bench:

@@ -11,7 +11,7 @@ for count in 0.0001 0.001; do
         planish-export "$controller" --trajectory "$run/methods/pvt/trajectory" --machine "$machine" --count-mm "$count" --out "$program" --force
         planish-import program "$program" --controller "$controller" --about "$program.json" --out "$run/methods/$name/trajectory" --force
         planish-simulate --trajectory "$run/methods/$name/trajectory" --tif "$tif" --surface "$run/surface" --out "$run/methods/$name/removal" --force
-        planish-verify --trajectory "$run/methods/$name/trajectory" --machine "$machine" --out "$run/methods/$name/verdict" --force || [ $? -eq 1 ]
+        planish-verify --trajectory "$run/methods/$name/trajectory" --machine "$machine" --out "$run/methods/$name/verdict" --force || [ $? -eq 1 ] || exit 2
     done
 done
 planish-compare report "$run" --pipeline raster --fixture mirror --out "$run/report" --force

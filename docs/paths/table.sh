@@ -14,9 +14,8 @@ cp "$mirror/tif_y_mm.npy" "$out/tif/y_mm.npy"
 # Name, pipeline and its settings; the paths share 5 mm of overscan.
 while read -r name pipeline settings; do
     eval "set -- $settings"
-    just --justfile "pipelines/$pipeline.just" --working-directory . \
-        surface="$out/map" tif="$out/tif" overscan_mm=5 refine=yes out="$out/$name" \
-        "$@" run >"$out/$name.log" 2>&1 || { cat "$out/$name.log"; exit 1; }
+    just run "$pipeline" surface="$out/map" tif="$out/tif" overscan_mm=5 refine=yes \
+        out="$out/$name" "$@" >"$out/$name.log" 2>&1 </dev/null || { cat "$out/$name.log"; exit 1; }
 done <<PATHS
 raster raster
 raster-angle raster scan=30

@@ -5,6 +5,8 @@
 //! * `schedulers`: random paths through every scheduler, judged by `planish-verify`.
 //! * `programs`: random motions exported to every controller and read back.
 //! * `end_to_end`: a fixture through all binaries.
+//! * `pipelines`: `just run` as a user calls it (`just test-pipelines`).
+//! * `commands_as_printed`: the commands of README.md and docs/ (`just test-commands`).
 //! * `reference`: the reference mirror, where `PLANISH_REFERENCE` names its folder.
 //!
 //! `examples/reproduce` computes the claims of the papers (docs/reproduction.md).

@@ -13,12 +13,13 @@ use planish_testkit::workspace;
 /// A folder under `crates/`, and the folders that it may name.
 type Room = (&'static str, &'static [&'static str]);
 
-/// Layers 0 to 2, the only stage that sees others, and the tests.
-const ROOMS: [Room; 5] = [
+/// Layers 0 to 2, the only stage that sees others, what runs several stages, and the tests.
+const ROOMS: [Room; 6] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("handoff", &["types"]),
     ("refine", &["numerics", "types", "handoff", "dwell", "schedule", "simulate", "verify"]),
+    ("run", &["types", "handoff"]),
     ("testkit", &ALL),
 ];
 
@@ -38,7 +39,7 @@ const STAGES: [&str; 11] = [
 ];
 const STAGE_MAY_NAME: [&str; 3] = ["numerics", "types", "handoff"];
 
-const ALL: [&str; 15] = [
+const ALL: [&str; 16] = [
     "numerics",
     "types",
     "handoff",
@@ -54,6 +55,7 @@ const ALL: [&str; 15] = [
     "export",
     "compare",
     "refine",
+    "run",
 ];
 
 /// Judges see nothing of what they judge, however many crates lie between.
@@ -328,14 +330,15 @@ fn every_crate_has_name_licence_description_and_the_lints() {
     for (folder, package) in packages() {
         let name = format!("planish-{folder}");
         assert_eq!(package.name.as_str(), name);
-        let stage = STAGES.contains(&folder.as_str()) || folder == "refine";
+        let program =
+            STAGES.contains(&folder.as_str()) || ["refine", "run"].contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets
             .iter()
             .filter(|t| t.kind.contains(&TargetKind::Bin))
             .map(|t| t.name.as_str())
             .collect();
-        assert_eq!(binaries, if stage { vec![name.as_str()] } else { vec![] }, "{folder}");
+        assert_eq!(binaries, if program { vec![name.as_str()] } else { vec![] }, "{folder}");
         assert_eq!(package.license.as_deref(), Some("MIT OR Apache-2.0"), "{folder}");
         let description = package.description.unwrap_or_default();
         assert!(description.len() > 20, "{folder}: description {description:?}");
@@ -376,6 +379,8 @@ fn a_forbidden_arrow_is_caught() {
         ("compare", "verify"),
         ("refine", "compare"),
         ("simulate", "refine"),
+        ("run", "compare"),
+        ("verify", "run"),
         ("newcomer", "types"),
     ] {
         let complaints = forbidden_arrows(&arrow(from, to));

@@ -1,0 +1,247 @@
+//! One run, one directory, one owner.
+
+use std::{
+    fs::{self, File, OpenOptions, TryLockError},
+    io::{ErrorKind, Read, Write},
+    path::{Path, PathBuf},
+    process,
+};
+
+use planish_handoff::{Failure, OutputArgs, Stage, Status};
+use planish_run::{
+    owner::{Mirror, Owner},
+    words,
+};
+
+use crate::Start;
+
+/// Says whose directory it is.
+const OWNER: &str = "run.json";
+/// [`OWNER`] while it is written.
+const OWNER_PART: &str = "run.json.part";
+/// Locked while a run has the directory; says which process that is. It stays when the run is over:
+/// to remove it would let two runs lock two files of the same name.
+const LOCK: &str = "run.lock";
+
+/// Checks what can be checked, takes the directory and becomes the command.
+pub fn start(arguments: &Start) -> Result<Status, Failure> {
+    let Start { out, machine, command, .. } = arguments;
+    for flags in &arguments.flags {
+        let (name, text) = flags.split_once('=').unwrap_or(("", flags));
+        words::split(text).map_err(|e| Failure::new(format!("{name}={text}: {e}")))?;
+    }
+    read_machine(machine, out)?;
+    let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
+    for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
+        path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
+    }
+    refuse_overlap(out, "machine", machine)?;
+
+    let lock = take(out, &owner, command)?;
+    Err(become_command(command, lock))
+}
+
+/// The machine file, by the reader of the stages.
+fn read_machine(machine: &Path, out: &Path) -> Result<(), Failure> {
+    let output = OutputArgs { out: out.into(), force: false, wall_time: None };
+    let mut stage = Stage::new("planish-run", env!("CARGO_PKG_VERSION"), "start", &output);
+    stage.read_machine(machine)?;
+    Ok(())
+}
+
+/// The mirror, which is there.
+fn mirror(arguments: &Start) -> Result<Mirror, Failure> {
+    match (&arguments.fixture, &arguments.surface, &arguments.tif) {
+        (Some(recipe), ..) => fixture(recipe).map(Mirror::Fixture),
+        (None, Some(surface), Some(tif)) => Ok(Mirror::Measured {
+            surface: existing("surface", surface)?,
+            tif: existing("tif", tif)?,
+        }),
+        (None, Some(_), None) => Err(Failure::new("surface is given without tif; give both")),
+        (None, None, Some(_)) => Err(Failure::new("tif is given without surface; give both")),
+        (None, None, None) => Err(Failure::new("no mirror; give surface and tif, or a fixture")),
+    }
+}
+
+/// The name of the recipe.
+fn fixture(recipe: &Path) -> Result<String, Failure> {
+    let name = |path: &Path| Some(path.file_stem()?.to_string_lossy().into_owned());
+    if let (true, Some(name)) = (recipe.is_file(), name(recipe)) {
+        return Ok(name);
+    }
+    let siblings = recipe.parent().and_then(|dir| fs::read_dir(dir).ok()).into_iter().flatten();
+    let siblings = siblings.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut names: Vec<String> = siblings
+        .filter(|path| path.extension().is_some_and(|e| e == "json"))
+        .filter_map(|path| name(&path))
+        .collect();
+    names.sort();
+    let there = match names.is_empty() {
+        true => "there are none beside it".into(),
+        false => format!("there are: {}", names.join(", ")),
+    };
+    let name = name(recipe).unwrap_or_default();
+    Err(Failure::new(format!("no fixture '{name}' ({}); {there}", recipe.display())))
+}
+
+/// The absolute path of an input that is there, without links.
+fn existing(role: &str, path: &Path) -> Result<String, Failure> {
+    let here = path.canonicalize().map_err(|e| {
+        Failure::new(format!(
+            "{role} {}: cannot read: {e}; give a directory or a file",
+            path.display()
+        ))
+    })?;
+    here.into_os_string().into_string().map_err(|path| {
+        Failure::new(format!("{role} {}: is not UTF-8; give another name", path.display()))
+    })
+}
+
+/// No output may be, contain or lie inside an input.
+fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
+    let (o, i) = (resolved(out), resolved(input));
+    let how = match () {
+        () if o == i => "is",
+        () if i.starts_with(&o) => "contains",
+        () if o.starts_with(&i) => "lies inside",
+        () => return Ok(()),
+    };
+    Err(Failure::new(format!(
+        "out {} {how} the {role} {}; give another out, a new directory",
+        out.display(),
+        input.display()
+    )))
+}
+
+/// The absolute path without links, as far as it is there.
+fn resolved(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
+    for there in path.ancestors() {
+        if let (Ok(real), Ok(rest)) = (there.canonicalize(), path.strip_prefix(there)) {
+            return if rest.as_os_str().is_empty() { real } else { real.join(rest) };
+        }
+    }
+    path
+}
+
+/// Locks the directory, and makes it the owner's when it is nobody's; the lock.
+fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> {
+    let failed = |doing: &str, e: std::io::Error| {
+        Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))
+    };
+    // Nothing is written into a directory that is somebody else's. Where there is a lock, another run
+    // may be about to say whose the directory is: that is looked at below.
+    if !out.join(LOCK).exists() {
+        owned(out, owner)?;
+    }
+    fs::create_dir_all(out).map_err(|e| failed("create", e))?;
+    let path = out.join(LOCK);
+    let options =
+        OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+    let mut lock = options.map_err(|e| failed("write in it", e))?;
+    match lock.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            let mut holder = String::new();
+            let read = lock.read_to_string(&mut holder);
+            let holder =
+                if read.is_ok() && !holder.is_empty() { holder.trim() } else { "another run" };
+            return Err(Failure::new(format!(
+                "{} is in use by {holder}; wait until it has ended, or give another out",
+                out.display()
+            )));
+        }
+        Err(TryLockError::Error(e)) => return Err(failed("lock it", e)),
+    }
+    if !owned(out, owner)? {
+        write_owner(out, owner).map_err(|e| failed("write in it", e))?;
+    }
+    // The command takes over the process, and its number.
+    let holder = format!("process {} ({})\n", process::id(), words::join(command));
+    lock.set_len(0)
+        .and_then(|()| lock.write_all(holder.as_bytes()))
+        .map_err(|e| failed("write in it", e))?;
+    Ok(lock)
+}
+
+/// Whether the directory is the owner's already; `false` where it is nobody's, an error where it is
+/// somebody else's.
+fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
+    let refused = |problem: String| Err(Failure::new(format!("{} {problem}", out.display())));
+    let text = match fs::read(out.join(OWNER)) {
+        Ok(text) => text,
+        Err(e) if e.kind() == ErrorKind::NotFound => {
+            return match foreign(out) {
+                Ok(None) => Ok(false),
+                Ok(Some(name)) => refused(format!(
+                    "holds {name} and no {OWNER}: it is not the directory of a run; give another out, a \
+                     new directory"
+                )),
+                Err(e) => refused(format!("cannot be read ({e}); give another out")),
+            };
+        }
+        Err(e) => return refused(format!("cannot be read ({e}); give another out")),
+    };
+    match serde_json::from_slice::<Owner>(&text) {
+        Ok(found) if found == *owner => Ok(true),
+        Ok(found) => refused(format!(
+            "belongs to another run ({}; this is {}); give another out, or remove it",
+            found.describe(),
+            owner.describe()
+        )),
+        Err(e) => {
+            refused(format!("holds a {OWNER} that no run has written ({e}); give another out"))
+        }
+    }
+}
+
+/// The first file, by name, that no start leaves in a directory; none where there is no directory.
+fn foreign(out: &Path) -> std::io::Result<Option<String>> {
+    let entries = match fs::read_dir(out) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == ErrorKind::NotFound && fs::symlink_metadata(out).is_err() => {
+            return Ok(None);
+        }
+        Err(e) => return Err(e),
+    };
+    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+    let mut names = names.collect::<std::io::Result<Vec<_>>>()?;
+    names.retain(|name| ![LOCK, OWNER_PART].contains(&name.as_str()));
+    Ok(names.into_iter().min())
+}
+
+/// Whole or not at all, also after a loss of power; the lock is held.
+fn write_owner(out: &Path, owner: &Owner) -> std::io::Result<()> {
+    let part = out.join(OWNER_PART);
+    let mut text = serde_json::to_string_pretty(owner)?;
+    text.push('\n');
+    let mut file = File::create(&part)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
+    fs::rename(&part, out.join(OWNER))?;
+    File::open(out)?.sync_all()
+}
+
+/// Runs the command in the place of this process, so that signals reach it and its exit code is the run's
+/// own. The open lock is inherited by all that it starts: the directory is free when the last of them
+/// has ended, and not before, whatever was killed. Returns only when the command cannot be run.
+#[cfg(unix)]
+fn become_command(command: &[String], lock: File) -> Failure {
+    use std::os::unix::process::CommandExt;
+    let error = match rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()) {
+        Ok(()) => process::Command::new(&command[0]).args(&command[1..]).exec(),
+        Err(error) => error.into(),
+    };
+    Failure::new(format!("cannot run {}: {error}", command[0]))
+}
+
+/// Where no process can take the place of another, this one waits with the lock.
+#[cfg(not(unix))]
+fn become_command(command: &[String], lock: File) -> Failure {
+    let status = process::Command::new(&command[0]).args(&command[1..]).status();
+    drop(lock);
+    match status {
+        Ok(status) => process::exit(status.code().unwrap_or(2)),
+        Err(error) => Failure::new(format!("cannot run {}: {error}", command[0])),
+    }
+}

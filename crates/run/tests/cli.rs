@@ -1,0 +1,314 @@
+//! The binary from its flags to its files and exit codes.
+#![cfg(unix)]
+
+use std::{
+    fs,
+    io::Write,
+    path::Path,
+    process::{Child, Command, Output, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde_json::json;
+use tempfile::TempDir;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_planish-run");
+/// Races of two starts; each is two processes of a few milliseconds.
+const RACES: usize = 40;
+/// Longer than any of the commands here takes on a loaded machine; a test that waits so long fails.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A directory with a machine, a recipe of the fixture `coupon` and a measured mirror.
+fn bench() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let axis = |name: &str| json!({"name": name, "max_velocity_mm_per_s": 10.0, "max_acceleration_mm_per_s2": 20.0});
+    let machine = json!({"name": "bench", "axes": [axis("x"), axis("y")]});
+    fs::write(dir.path().join("machine.json"), machine.to_string()).unwrap();
+    fs::create_dir(dir.path().join("fixtures")).unwrap();
+    for name in ["coupon", "disk"] {
+        fs::write(dir.path().join(format!("fixtures/{name}.json")), "{}").unwrap();
+    }
+    for name in ["mirror", "elsewhere/mirror", "tool"] {
+        fs::create_dir_all(dir.path().join(name)).unwrap();
+    }
+    dir
+}
+
+const FIXTURE: [&str; 2] = ["--fixture", "fixtures/coupon.json"];
+const MEASURED: [&str; 4] = ["--surface", "mirror", "--tif", "tool"];
+
+/// `planish-run start` with this mirror, for `command`.
+fn start(dir: &Path, out: &str, mirror: &[&str], command: &[&str]) -> Command {
+    let mut start = Command::new(PROGRAM);
+    start
+        .current_dir(dir)
+        .args(["start", "--out", out, "--pipeline", "raster", "--machine", "machine.json"])
+        .args(mirror)
+        .arg("--")
+        .args(command)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    start
+}
+
+fn run(dir: &Path, out: &str, mirror: &[&str], command: &[&str]) -> Output {
+    start(dir, out, mirror, command).output().unwrap()
+}
+
+fn message(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Exit code 2, and one line that holds all of `parts`.
+#[track_caller]
+fn refused(output: &Output, parts: &[&str]) {
+    let text = message(output);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert_eq!(text.lines().count(), 1, "{text}");
+    for part in parts {
+        assert!(text.contains(part), "no {part:?} in {text}");
+    }
+}
+
+/// Waits until `path` is there.
+fn wait_for(path: &Path) {
+    let since = Instant::now();
+    while !path.exists() {
+        assert!(since.elapsed() < PATIENCE, "{} never came", path.display());
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Starts anew until the directory is free: what a killed command has started ends a moment later.
+fn wait_until_free(dir: &Path) {
+    let since = Instant::now();
+    while !run(dir, "out", &FIXTURE, &["true"]).status.success() {
+        assert!(since.elapsed() < PATIENCE, "the directory is never free");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn the_command_gets_its_arguments_and_its_exit_code_is_the_runs() {
+    let dir = bench();
+    let hostile = "it's; touch PWNED $(touch PWNED2) `ls`\n{{ x }} \"é\" *";
+    let script = r#"printf '<%s>' "$@""#;
+    let done = run(dir.path(), "a/out", &FIXTURE, &["sh", "-c", script, "sh", hostile, "-x", ""]);
+    assert_eq!(done.status.code(), Some(0), "{}", message(&done));
+    assert_eq!(String::from_utf8(done.stdout).unwrap(), format!("<{hostile}><-x><>"));
+    let owner = fs::read_to_string(dir.path().join("a/out/run.json")).unwrap();
+    let owner: serde_json::Value = serde_json::from_str(&owner).unwrap();
+    assert_eq!(owner, json!({"pipeline": "raster", "mirror": {"fixture": "coupon"}}));
+    assert!(!dir.path().join("PWNED").exists() && !dir.path().join("PWNED2").exists());
+    for code in [1, 2, 7] {
+        let ended = run(dir.path(), "a/out", &FIXTURE, &["sh", "-c", &format!("exit {code}")]);
+        assert_eq!(ended.status.code(), Some(code));
+    }
+    refused(&run(dir.path(), "a/out", &FIXTURE, &["no-such-program"]), &["no-such-program"]);
+}
+
+#[test]
+fn mistakes_are_found_before_anything_is_written() {
+    let dir = bench();
+    let here = dir.path();
+    let none = ["--fixture", "fixtures/nosuch.json"];
+    refused(&run(here, "out", &none, &["true"]), &["no fixture 'nosuch'", "coupon, disk"]);
+    refused(&run(here, "out", &["--surface", "mirror"], &["true"]), &["without tif"]);
+    refused(&run(here, "out", &["--tif", "tool"], &["true"]), &["without surface"]);
+    refused(&run(here, "out", &[], &["true"]), &["no mirror"]);
+    let absent = ["--surface", "nowhere", "--tif", "tool"];
+    refused(&run(here, "out", &absent, &["true"]), &["surface nowhere: cannot read"]);
+    let flags = [&FIXTURE[..], &["--flags", "prepare=--name 'x"]].concat();
+    refused(&run(here, "out", &flags, &["true"]), &["prepare=--name 'x", "byte 7 is not closed"]);
+    fs::write(here.join("machine.json"), r#"{"name": "bench", "axes": []}"#).unwrap();
+    refused(&run(here, "out", &FIXTURE, &["true"]), &["machine.json"]);
+    fs::remove_file(here.join("machine.json")).unwrap();
+    refused(&run(here, "out", &FIXTURE, &["true"]), &["machine.json", "cannot read"]);
+    assert!(!here.join("out").exists());
+}
+
+#[test]
+fn a_directory_with_other_content_is_left_as_it_is() {
+    let dir = bench();
+    fs::create_dir_all(dir.path().join("proj/surface")).unwrap();
+    fs::write(dir.path().join("proj/surface/height_nm.npy"), "mine").unwrap();
+    let ended = run(dir.path(), "proj", &FIXTURE, &["touch", "ran"]);
+    refused(&ended, &["proj holds surface and no run.json", "give another out"]);
+    assert_eq!(fs::read_dir(dir.path().join("proj")).unwrap().count(), 1, "a file was added");
+    fs::write(dir.path().join("file"), "mine").unwrap();
+    refused(&run(dir.path(), "file", &FIXTURE, &["touch", "ran"]), &["file"]);
+    std::os::unix::fs::symlink("nowhere", dir.path().join("link")).unwrap();
+    refused(&run(dir.path(), "link", &FIXTURE, &["touch", "ran"]), &["link"]);
+    fs::create_dir(dir.path().join("strange")).unwrap();
+    fs::write(dir.path().join("strange/run.json"), "{}").unwrap();
+    refused(&run(dir.path(), "strange", &FIXTURE, &["touch", "ran"]), &["no run has written"]);
+    assert!(!dir.path().join("ran").exists());
+    // An empty one is nobody's.
+    fs::create_dir(dir.path().join("empty")).unwrap();
+    assert!(run(dir.path(), "empty", &FIXTURE, &["true"]).status.success());
+}
+
+#[test]
+fn another_mirror_and_another_pipeline_are_refused() {
+    let dir = bench();
+    let here = dir.path();
+    assert!(run(here, "out", &MEASURED, &["true"]).status.success());
+    // The same by another spelling.
+    let same = ["--surface", "elsewhere/../mirror/", "--tif", "./tool"];
+    assert!(run(here, "out", &same, &["true"]).status.success());
+    // The same file name elsewhere.
+    let other = ["--surface", "elsewhere/mirror", "--tif", "tool"];
+    let ended = run(here, "out", &other, &["touch", "ran"]);
+    refused(&ended, &["out belongs to another run", "elsewhere/mirror", "give another out"]);
+    refused(&run(here, "out", &FIXTURE, &["touch", "ran"]), &["fixture coupon"]);
+    let maze = [&MEASURED[..], &["--out", "out"]].concat();
+    let mut other = Command::new(PROGRAM);
+    other.current_dir(here).args(["start", "--pipeline", "maze", "--machine", "machine.json"]);
+    let ended = other.args(maze).args(["--", "touch", "ran"]).output().unwrap();
+    refused(&ended, &["pipeline raster", "pipeline maze"]);
+    assert!(!here.join("ran").exists());
+}
+
+#[test]
+fn no_output_is_contains_or_lies_inside_an_input() {
+    let dir = bench();
+    let here = dir.path();
+    for (out, how) in [("mirror", "is"), ("mirror/a/b", "lies inside"), ("elsewhere", "contains")] {
+        let surface = if out == "elsewhere" { "elsewhere/mirror" } else { "mirror" };
+        let mirror = ["--surface", surface, "--tif", "tool"];
+        refused(&run(here, out, &mirror, &["true"]), &[how, surface]);
+    }
+    refused(&run(here, "tool/out", &MEASURED, &["true"]), &["lies inside the tif"]);
+    refused(&run(here, ".", &FIXTURE, &["true"]), &["contains the machine"]);
+    assert_eq!(fs::read_dir(here.join("mirror")).unwrap().count(), 0);
+}
+
+#[test]
+fn of_two_starts_at_once_one_runs_and_the_other_says_who() {
+    let dir = bench();
+    for race in 0..RACES {
+        // The winner stays until the loser has ended.
+        let out = format!("out-{race}");
+        let script = format!("echo ran; until [ -e go-{race} ]; do sleep 0.01; done");
+        let begin = || start(dir.path(), &out, &FIXTURE, &["sh", "-c", &script]).spawn().unwrap();
+        let mut both = [begin(), begin()];
+        let since = Instant::now();
+        let loser = loop {
+            let ended = both.iter_mut().position(|child| child.try_wait().unwrap().is_some());
+            if let Some(index) = ended {
+                break index;
+            }
+            assert!(since.elapsed() < PATIENCE, "race {race}: both run");
+            thread::sleep(Duration::from_millis(1));
+        };
+        fs::write(dir.path().join(format!("go-{race}")), "").unwrap();
+        let [a, b] = both.map(|child| child.wait_with_output().unwrap());
+        let (winner, loser) = if loser == 0 { (b, a) } else { (a, b) };
+        assert_eq!(winner.status.code(), Some(0), "race {race}: {}", message(&winner));
+        assert_eq!(winner.stdout, b"ran\n");
+        refused(&loser, &[&out, "is in use by", "give another out"]);
+        assert!(loser.stdout.is_empty(), "race {race}: both ran");
+    }
+}
+
+#[test]
+fn the_holder_is_named_and_signals_reach_the_command() {
+    for signal in ["INT", "TERM", "KILL"] {
+        let dir = bench();
+        let command = ["sh", "-c", "touch holding; exec sleep 600"];
+        let stage = start(dir.path(), "out", &FIXTURE, &command).spawn().unwrap();
+        wait_for(&dir.path().join("holding"));
+        // The process that holds the directory is the command itself.
+        let name = format!("process {} (sh -c 'touch holding; exec sleep 600')", stage.id());
+        refused(&run(dir.path(), "out", &FIXTURE, &["true"]), &["out is in use by", &name]);
+        kill(signal, stage.id());
+        let ended = stage.wait_with_output().unwrap();
+        assert_eq!(ended.status.code(), None, "{signal}: not ended by the signal");
+        let next = run(dir.path(), "out", &FIXTURE, &["true"]);
+        assert_eq!(next.status.code(), Some(0), "after {signal}: {}", message(&next));
+    }
+}
+
+#[test]
+fn a_stage_that_outlives_a_killed_run_keeps_the_directory_until_it_ends() {
+    let dir = bench();
+    let stage = "touch stage-runs; until [ -e go ]; do sleep 0.01; done";
+    fs::write(dir.path().join("stage"), stage).unwrap();
+    let stages = start(dir.path(), "out", &FIXTURE, &["sh", "-c", "sh ./stage; true"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_for(&dir.path().join("stage-runs"));
+    kill("KILL", stages.id());
+    stages.wait_with_output().unwrap();
+    refused(&run(dir.path(), "out", &FIXTURE, &["true"]), &["is in use"]);
+    fs::write(dir.path().join("go"), "").unwrap();
+    wait_until_free(dir.path());
+}
+
+fn kill(signal: &str, process: u32) {
+    let status = Command::new("kill").args([&format!("-{signal}"), &process.to_string()]).status();
+    assert!(status.unwrap().success());
+}
+
+#[test]
+fn words_are_those_of_a_shell_and_nothing_is_evaluated() {
+    let text = "--unit m 'a b' \"it's\" $(touch PWNED) * #x";
+    let dir = bench();
+    let output = Command::new(PROGRAM).current_dir(dir.path()).args(["words", "--", text]).output();
+    let line = String::from_utf8(output.unwrap().stdout).unwrap();
+    assert_eq!(line, "--unit m 'a b' 'it'\\''s' '$(touch' 'PWNED)' '*' '#x'\n");
+    // A shell reads the line back as these words.
+    let mut shell =
+        Command::new("sh").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let script = format!("printf '<%s>' {line}");
+    shell.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
+    let read = String::from_utf8(shell.wait_with_output().unwrap().stdout).unwrap();
+    assert_eq!(read, "<--unit><m><a b><it's><$(touch><PWNED)><*><#x>");
+    for text in ["", "--help", "--completions", "-h"] {
+        let output = Command::new(PROGRAM).args(["words", "--", text]).output().unwrap();
+        assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{text}\n"));
+    }
+    let output = Command::new(PROGRAM).args(["words", "--", "a 'b"]).output().unwrap();
+    refused(&output, &["a 'b", "byte 2 is not closed"]);
+}
+
+#[test]
+fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
+    let dir = tempfile::tempdir().unwrap();
+    let artifact = |path: &str, outcome: serde_json::Value| {
+        let at = dir.path().join("run").join(path);
+        fs::create_dir_all(&at).unwrap();
+        let manifest = json!({
+            "kind": "dwell", "version": 1, "tool": "planish-stage", "tool_version": "0", "method": "m",
+            "command": "", "key": "", "frame": "", "settings": {}, "inputs": [], "outcome": outcome,
+            "arrays": {},
+        });
+        fs::write(at.join("manifest.json"), manifest.to_string()).unwrap();
+    };
+    let verdict = |plans: &[&str]| {
+        let mut command = Command::new(PROGRAM);
+        command.current_dir(dir.path()).args(["verdict", "--run", "run"]);
+        command.args(plans.iter().map(|plan| format!("--plan={plan}"))).output().unwrap()
+    };
+    artifact("surface", json!({"status": "done"}));
+    artifact("methods/pvt/verdict", json!({"status": "done"}));
+    artifact("methods/ideal/verdict", json!({"status": "negative", "reason": "it jumps"}));
+    fs::write(dir.path().join("run/run.lock"), "").unwrap();
+    let ended = verdict(&["methods/pvt"]);
+    assert_eq!((ended.status.code(), message(&ended).as_str()), (Some(0), ""));
+    assert_eq!(verdict(&["methods/ideal"]).status.code(), Some(1));
+
+    artifact("dwell", json!({"status": "negative", "reason": "not certified"}));
+    let ended = verdict(&["methods/pvt"]);
+    assert_eq!(ended.status.code(), Some(1));
+    assert_eq!(message(&ended), "verdict: run/dwell (planish-stage): not certified\n");
+    let both = message(&verdict(&["methods/pvt", "methods/ideal"]));
+    assert!(
+        both.contains("not certified; run/methods/ideal/verdict (planish-stage): it jumps"),
+        "{both}"
+    );
+    refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
+}

@@ -1,0 +1,251 @@
+//! Every command in README.md and docs/*.md, run as it is printed there, from top to bottom, in a copy of
+//! what a clone has: what a reader copies works. `just test-commands` runs this file; it needs `just`,
+//! the release build, and `target/python` with NumPy.
+//!
+//! What counts as a command: each line of a code block marked `sh`; the blocks marked `python` make the
+//! arrays that the next commands read. Files that a user would have are made by `stand_ins.py`.
+#![cfg(unix)]
+
+use std::{
+    fs,
+    os::unix::fs::{PermissionsExt, symlink},
+    path::{Path, PathBuf},
+    process::{Command, Output},
+    time::Instant,
+};
+
+use planish_testkit::workspace;
+use serde_json::Value;
+
+/// What is not run here, and why.
+const EXCEPTIONS: [(&str, &str); 5] = [
+    ("cargo install --locked just && just test", "it runs this workspace's tests; .ci/run runs it"),
+    ("just reproduce", "minutes; `just checks` runs it"),
+    ("just reproduce pvt", "part of `just reproduce`"),
+    ("PLANISH_REFERENCE=DIR just reproduce", "needs the reference mirror"),
+    ("PLANISH_REFERENCE=DIR just paths-table", "needs the reference mirror"),
+];
+
+/// Commands that may end with 1, done and not converged: a fixed number of steps is what they show.
+const MAY_NOT_CONVERGE: &str = "planish-dwell lucy-richardson --unknowns map --max-iterations 60 ";
+
+/// How much smaller the executed residual of docs/replace_a_stage.py must be than the surface error: it
+/// is 35 times smaller on this mirror, whose error is all within reach of the tool but a pit.
+const EXAMPLE_IMPROVES: f64 = 20.0;
+
+/// What the python block of README.md has in its variables.
+const ARRAYS: &str = "
+import os
+import numpy as np
+made = lambda name: np.load(f'made/{name}.npy')
+height, x, y = made('surface/height_nm'), made('surface/x_mm'), made('surface/y_mm')
+rate, dx, dy = made('tif/rate_nm_per_s'), made('tif/x_mm'), made('tif/y_mm')
+os.makedirs('mirror'), os.makedirs('tool')
+";
+
+/// A code block: its mark and its text.
+#[derive(Debug, PartialEq)]
+struct Block {
+    mark: String,
+    text: String,
+}
+
+/// The code blocks of a page.
+fn blocks(page: &str) -> Vec<Block> {
+    let mut blocks = Vec::new();
+    let mut open: Option<Block> = None;
+    for line in page.lines() {
+        match (line.strip_prefix("```"), &mut open) {
+            (Some(mark), None) => open = Some(Block { mark: mark.into(), text: String::new() }),
+            (Some(_), Some(_)) => blocks.extend(open.take()),
+            (None, Some(block)) => block.text.extend([line, "\n"]),
+            (None, None) => {}
+        }
+    }
+    assert!(open.is_none(), "a code block is not closed");
+    blocks
+}
+
+/// The commands of a block: its lines, where one that ends with a backslash goes on.
+fn commands(text: &str) -> Vec<String> {
+    let joined = text.replace("\\\n", "\\\0");
+    let lines = joined.lines().map(|line| line.replace('\0', "\n"));
+    lines.filter(|line| !line.trim().is_empty() && !line.starts_with('#')).collect()
+}
+
+/// Why a command is not run here.
+fn exception(command: &str) -> Option<&'static str> {
+    let bare = command.split(" #").next().unwrap().trim();
+    let found = EXCEPTIONS.iter().find(|(excepted, _)| bare == *excepted);
+    found.map(|(_, reason)| *reason)
+}
+
+/// README.md, then docs/*.md by name.
+fn pages() -> Vec<(String, String)> {
+    let mut names = vec!["README.md".to_string()];
+    let docs = fs::read_dir(workspace().join("docs")).unwrap();
+    let docs = docs.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut docs: Vec<_> = docs.filter(|name| name.ends_with(".md")).collect();
+    docs.sort();
+    names.extend(docs.into_iter().map(|name| format!("docs/{name}")));
+    let read = |name: String| {
+        let text = fs::read_to_string(workspace().join(&name)).unwrap();
+        (name, text)
+    };
+    names.into_iter().map(read).collect()
+}
+
+/// A copy of what a clone has, without the sources: a command of cargo runs in the workspace, so that
+/// nothing is built a second time.
+struct Clone {
+    dir: PathBuf,
+    path: String,
+}
+
+impl Clone {
+    fn new() -> Self {
+        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("commands");
+        let _ = fs::remove_dir_all(&dir);
+        fs::create_dir_all(dir.join("shims")).unwrap();
+        for part in ["README.md", "justfile", "docs", "fixtures", "pipelines"] {
+            let copy = Command::new("cp").arg("-r").arg(workspace().join(part)).arg(&dir).status();
+            assert!(copy.unwrap().success(), "{part}");
+        }
+        symlink(workspace().join("target"), dir.join("target")).unwrap();
+        let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
+        let shim = format!("#!/bin/sh\ncd '{}' && exec '{cargo}' \"$@\"\n", workspace().display());
+        let file = dir.join("shims/cargo");
+        fs::write(&file, shim).unwrap();
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o755)).unwrap();
+        let target = workspace().join("target");
+        let path = format!(
+            "{}:{}:{}:{}",
+            dir.join("shims").display(),
+            target.join("release").display(),
+            target.join("python/bin").display(),
+            std::env::var("PATH").unwrap()
+        );
+        Self { dir, path }
+    }
+
+    /// Runs `text` by `program`, which takes it from its last argument.
+    fn run(&self, program: &[&str], text: &str) -> Output {
+        let mut command = Command::new(program[0]);
+        // The commands find `cargo` and their own settings as a user's shell would.
+        for (name, _) in std::env::vars() {
+            if name.starts_with("CARGO_") && !name.starts_with("CARGO_HOME")
+                || name == "RUST_BACKTRACE"
+            {
+                command.env_remove(name);
+            }
+        }
+        command.args(&program[1..]).arg(text).current_dir(&self.dir).env("PATH", &self.path);
+        command.output().unwrap_or_else(|e| panic!("{}: {e}", program[0]))
+    }
+
+    /// [`Self::run`], which must succeed; says what runs, and for how long.
+    fn succeed(&self, place: &str, program: &[&str], text: &str) {
+        let started = Instant::now();
+        let output = self.run(program, text);
+        println!("{place}, {:.1} s: {text}", started.elapsed().as_secs_f64());
+        let (out, err) =
+            (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        let negative = output.status.code() == Some(1) && text.starts_with(MAY_NOT_CONVERGE);
+        assert!(
+            output.status.success() || negative,
+            "{place}: {text}\nends with {}\n{out}\n{err}",
+            output.status
+        );
+    }
+
+    fn rms_nm(&self, artifact: &str) -> f64 {
+        let text = fs::read_to_string(self.dir.join(artifact).join("manifest.json")).unwrap();
+        let manifest: Value = serde_json::from_str(&text).unwrap();
+        let outcome = &manifest["outcome"];
+        let rms_nm =
+            [&outcome["rms_nm"], &outcome["after"]["rms_nm"]].into_iter().find_map(Value::as_f64);
+        rms_nm.unwrap_or_else(|| panic!("no rms_nm in {outcome}"))
+    }
+}
+
+#[test]
+fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
+    let clone = Clone::new();
+    clone.succeed("stand-ins", &["bash", "-c"], "planish-fixture fixtures/coupon.json --out made");
+    let stand_ins = workspace().join("crates/testkit/tests/stand_ins.py");
+    clone.succeed("stand-ins", &["python3", stand_ins.to_str().unwrap()], "made");
+    fs::copy(clone.dir.join("fixtures/machines/ion-beam.json"), clone.dir.join("machine.json"))
+        .unwrap();
+
+    let mut count = 0;
+    for (name, page) in pages() {
+        for block in blocks(&page) {
+            match block.mark.as_str() {
+                "sh" => {
+                    for command in commands(&block.text) {
+                        match exception(&command) {
+                            Some(reason) => println!("{name}, left out ({reason}): {command}"),
+                            None => clone.succeed(&name, &["bash", "-c"], &command),
+                        }
+                        count += 1;
+                    }
+                }
+                "python" => {
+                    clone.succeed(&name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(count > 20, "only {count} commands are found");
+
+    // The stage of README.md's last section improves the mirror.
+    clone.succeed(
+        "replace_a_stage.py",
+        &["bash", "-c"],
+        "planish-simulate --trajectory out/my-trajectory --tif out/raster/flat-92x16/fixture/tif \
+         --surface out/raster/flat-92x16/surface --out out/my-removal",
+    );
+    let (before, after) =
+        (clone.rms_nm("out/raster/flat-92x16/surface"), clone.rms_nm("out/my-removal"));
+    println!("docs/replace_a_stage.py: {before:.4} nm RMS become {after:.4} nm");
+    assert!(after * EXAMPLE_IMPROVES < before, "{before} nm become {after} nm");
+}
+
+#[test]
+fn every_command_is_in_a_block_that_is_run_and_every_exception_is_needed() {
+    let pages = pages();
+    let all: Vec<String> = pages
+        .iter()
+        .flat_map(|(_, page)| blocks(page))
+        .filter(|block| block.mark == "sh")
+        .flat_map(|block| commands(&block.text))
+        .collect();
+    for (excepted, _) in EXCEPTIONS {
+        let used =
+            all.iter().any(|command| exception(command).is_some() && command.contains(excepted));
+        assert!(used, "no page has {excepted} any more");
+    }
+    for (name, page) in &pages {
+        for block in blocks(page).iter().filter(|block| block.mark != "sh") {
+            for line in block.text.lines() {
+                let first = line.split_whitespace().next().unwrap_or_default();
+                let program = first == "just"
+                    || first == "cargo"
+                    || first.starts_with("planish-") && !first.ends_with(':');
+                assert!(!program, "{name}: mark the block of `{line}` with sh");
+            }
+        }
+    }
+}
+
+#[test]
+fn blocks_and_commands_are_found() {
+    let page = "text\n```sh\na b \\\n    c\n\n# no\nd # e\n```\n```\nshown\n```\n";
+    let found = blocks(page);
+    assert_eq!(found.len(), 2);
+    assert_eq!((found[0].mark.as_str(), found[1].mark.as_str()), ("sh", ""));
+    assert_eq!(commands(&found[0].text), ["a b \\\n    c", "d # e"]);
+    assert!(exception("just reproduce     # minutes").is_some());
+    assert!(exception("just reproduce trig-spline").is_none());
+}

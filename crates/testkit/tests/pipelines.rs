@@ -1,0 +1,405 @@
+//! `just run` and its relatives as a user calls them. `just test-pipelines` runs this file: it needs
+//! `just` and the release build. Where `just` is not installed it says so and checks nothing.
+#![cfg(unix)]
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::Path,
+    process::{Child, Command, Output, Stdio},
+};
+
+use planish_testkit::workspace;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+/// Whole runs that begin at once on one directory: few, because each takes seconds;
+/// `crates/run/tests/cli.rs` has many races of short commands.
+const RACES: usize = 3;
+
+/// The smallest run: no closed loop, no pictures in time.
+const SMALL: [&str; 3] = ["fixture=coupon", "refine=no", "frames=0"];
+
+/// Whether `just` is there; says so when it is not.
+fn just_is_installed() -> bool {
+    let there = Command::new("just").arg("--version").output().is_ok();
+    if !there {
+        eprintln!("skipped: `just` is not installed (cargo install --locked just)");
+    }
+    there
+}
+
+/// `just` with these arguments, called by a user who stands in `dir`.
+fn just<S: AsRef<str>>(dir: &Path, arguments: &[S]) -> Command {
+    let mut command = Command::new("just");
+    command.current_dir(dir).arg("--justfile").arg(workspace().join("justfile"));
+    command.args(arguments.iter().map(S::as_ref)).stdin(Stdio::null());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn run<S: AsRef<str>>(dir: &Path, arguments: &[S]) -> Output {
+    just(dir, arguments).output().unwrap()
+}
+
+fn text(output: &Output) -> String {
+    let (out, err) = (&output.stdout, &output.stderr);
+    format!("{}\n{}", String::from_utf8_lossy(out), String::from_utf8_lossy(err))
+}
+
+#[track_caller]
+fn ended_with(output: &Output, code: i32) -> String {
+    let text = text(output);
+    assert_eq!(output.status.code(), Some(code), "{text}");
+    text
+}
+
+/// Names of the entries of `dir`.
+fn entries(dir: &Path) -> BTreeSet<String> {
+    let entries = fs::read_dir(dir).unwrap();
+    entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
+}
+
+fn manifest(artifact: &Path) -> Value {
+    let text = fs::read_to_string(artifact.join("manifest.json"));
+    serde_json::from_str(&text.unwrap_or_else(|e| panic!("{}: {e}", artifact.display()))).unwrap()
+}
+
+/// The names of the files in `folder` that end with `.extension`, without it.
+fn stems(folder: &str, extension: &str) -> BTreeSet<String> {
+    let names = entries(&workspace().join(folder)).into_iter();
+    names.filter_map(|n| Some(n.strip_suffix(extension)?.strip_suffix('.')?.to_string())).collect()
+}
+
+/// A user's folder with a measured mirror in `mirror` and its tool in `tool`: bare arrays.
+fn user(mirror: &str, tool: &str) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let made = Command::new(workspace().join("target/release/planish-fixture"))
+        .arg(workspace().join("fixtures/coupon.json"))
+        .arg("--out")
+        .arg(dir.path().join("made"))
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", text(&made));
+    for (part, name) in [("surface", mirror), ("tif", tool)] {
+        let to = dir.path().join(name);
+        fs::create_dir_all(to.parent().unwrap()).unwrap();
+        fs::rename(dir.path().join("made").join(part), &to).unwrap();
+        fs::remove_file(to.join("manifest.json")).unwrap();
+    }
+    fs::remove_dir_all(dir.path().join("made")).unwrap();
+    fs::copy(workspace().join("fixtures/machines/ion-beam.json"), dir.path().join("machine.json"))
+        .unwrap();
+    dir
+}
+
+#[test]
+fn any_characters_of_a_path_reach_the_stages_and_nothing_evaluates_them() {
+    if !just_is_installed() {
+        return;
+    }
+    for hostile in [
+        "it's; touch PWNED $(touch PWNED2)",
+        "a b\tc",
+        "\"double\" `touch PWNED`",
+        "{{ out }} $HOME ~ * ? [a] \\",
+        "line\nend; touch PWNED",
+        "-o && touch PWNED #",
+        "Größe 面 é",
+        "--force",
+        "%s'\"'\"'",
+    ] {
+        let dir = user(hostile, "tool");
+        let before = entries(dir.path());
+        let out = format!("{hostile}.out");
+        let settings = [
+            format!("surface={hostile}"),
+            "tif=tool".into(),
+            "machine=machine.json".into(),
+            format!("out={out}"),
+            "refine=no".into(),
+            "frames=0".into(),
+        ];
+        let run = [vec!["run".to_string(), "raster".into()], settings.into()].concat();
+        let output = just(dir.path(), &run).output().unwrap();
+        ended_with(&output, 0);
+        let mut after = before;
+        after.insert(out.clone());
+        assert_eq!(entries(dir.path()), after, "{hostile}");
+        let report = manifest(&dir.path().join(&out).join("report"));
+        assert_eq!(report["settings"]["fixture"], hostile, "{hostile}");
+    }
+}
+
+#[test]
+fn any_characters_of_a_setting_reach_one_flag() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let hostile = "1'; touch PWNED; $(touch PWNED) `touch PWNED` {{ out }}\n--help \"é\"";
+    // Each of these is refused by the stage that gets it, which says the value.
+    for (pipeline, setting) in [
+        ("raster", "pitch_mm"),
+        ("raster", "step_mm"),
+        ("raster", "overscan_mm"),
+        ("raster", "scan"),
+        ("raster", "turn"),
+        ("raster", "min_dwell_s"),
+        ("raster", "min_dwell_s_per_mm"),
+        ("raster", "mode"),
+        ("maze", "seed"),
+        ("maze", "tree"),
+        ("maze", "corner_radius_mm"),
+        ("random-adaptive", "contrast"),
+        ("random-adaptive", "construction"),
+        ("multi-pitch", "max_pitch_mm"),
+        ("raster", "fixture"),
+        ("raster", "machine"),
+        ("raster", "refine"),
+        ("raster", "export"),
+    ] {
+        let given = format!("{setting}={hostile}");
+        let output =
+            run(dir.path(), &["run", pipeline, "fixture=coupon", "refine=no", "out=o", &given]);
+        let text = ended_with(&output, 2);
+        assert!(
+            text.contains("$(touch PWNED) `touch PWNED` {{ out }}\n--help"),
+            "{setting}: {text}"
+        );
+        let left: Vec<_> = entries(dir.path()).into_iter().filter(|name| name != "o").collect();
+        assert!(left.is_empty(), "{setting}: {left:?}");
+        let _ = fs::remove_dir_all(dir.path().join("o"));
+    }
+    // A number below zero is a number, not a flag.
+    let text = ended_with(
+        &run(dir.path(), &["run", "raster", "fixture=coupon", "out=o", "pitch_mm=-1"]),
+        2,
+    );
+    assert!(text.contains("-1"), "{text}");
+}
+
+#[test]
+fn flags_in_a_setting_are_taken_apart_as_by_a_shell() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let settings = [
+        "run",
+        "raster",
+        "out=o",
+        "prepare=--mask-outliers --feature-mm '4'",
+        "variant=--line-order  bi-step\n",
+    ];
+    ended_with(&run(dir.path(), &[&settings[..], &SMALL].concat()), 0);
+    let surface = manifest(&dir.path().join("o/surface"));
+    assert!(
+        surface["command"].as_str().unwrap().contains("--mask-outliers --feature-mm 4 "),
+        "{surface}"
+    );
+    let path = manifest(&dir.path().join("o/tool_path"));
+    assert!(path["command"].as_str().unwrap().contains("--line-order bi-step "), "{path}");
+    // What a shell would evaluate is a word like any other.
+    fs::write(dir.path().join("4"), "").unwrap();
+    let settings = ["run", "raster", "out=o", "prepare=--feature-mm $(touch${IFS}PWNED) *"];
+    let text = ended_with(&run(dir.path(), &[&settings[..], &SMALL].concat()), 2);
+    assert!(text.contains("$(touch${IFS}PWNED)"), "{text}");
+    assert_eq!(entries(dir.path()), ["4", "o"].map(String::from).into());
+    let settings = ["run", "raster", "out=p", "prepare=--feature-mm '4"];
+    let text = ended_with(&run(dir.path(), &[&settings[..], &SMALL].concat()), 2);
+    assert!(text.contains("prepare=--feature-mm '4: the quotation mark"), "{text}");
+    assert!(!dir.path().join("p").exists());
+}
+
+#[test]
+fn what_the_terminal_shows_runs_again_when_it_is_copied() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = user("my mirror's", "tool");
+    let settings = [
+        "run",
+        "raster",
+        "surface=my mirror's",
+        "tif=tool",
+        "machine=machine.json",
+        "out=its out",
+        "refine=no",
+        "export=galil",
+    ];
+    let first = ended_with(&run(dir.path(), &settings), 0);
+    let shown: Vec<&str> = first
+        .lines()
+        .filter(|line| line.starts_with("planish-") && line.contains("--force"))
+        .collect();
+    assert!(shown.len() > 12, "{first}");
+    // No line does nothing, and none is left out by a colon.
+    for line in first.lines() {
+        assert!(!line.trim_start().starts_with(':') && line.trim() != "true", "{line}");
+    }
+    let path = format!(
+        "{}:{}",
+        workspace().join("target/release").display(),
+        std::env::var("PATH").unwrap()
+    );
+    for line in shown {
+        let copied = Command::new("sh")
+            .args(["-c", line])
+            .current_dir(dir.path())
+            .env("PATH", &path)
+            .output();
+        let text = ended_with(&copied.unwrap(), 0);
+        // An export is written anew, with the same bytes.
+        assert!(text.contains("unchanged") || line.starts_with("planish-export"), "{line}: {text}");
+    }
+}
+
+#[test]
+fn a_mistake_names_what_there_is() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let pipelines: Vec<_> =
+        stems("pipelines", "just").into_iter().filter(|p| p != "stages").collect();
+    let fixtures: Vec<_> = stems("fixtures", "json").into_iter().collect();
+    let text = ended_with(&run(dir.path(), &["run", "rastr"]), 2);
+    assert!(text.contains("no pipeline 'rastr'") && text.contains(&pipelines.join(" ")), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "../x; touch PWNED"]), 2);
+    assert!(text.contains("no pipeline '../x; touch PWNED'"), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "raster", "fixture=nosuch"]), 2);
+    assert!(text.contains("no fixture 'nosuch'") && text.contains(&fixtures.join(", ")), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "raster", "pitch=1"]), 2);
+    assert!(text.contains("no setting 'pitch'") && text.contains(" pitch_mm "), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "raster", "--dry-run"]), 2);
+    assert!(text.contains("'--dry-run' is not a setting"), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "bspline", "refine=yes"]), 2);
+    assert!(text.contains("corrects no dwell times"), "{text}");
+    // The machine file is read before anything else is done.
+    fs::write(dir.path().join("m.json"), "{}").unwrap();
+    let text = ended_with(&run(dir.path(), &["run", "raster", "machine=m.json", "out=o"]), 2);
+    assert!(text.contains("m.json") && !text.contains("planish-fixture"), "{text}");
+    assert_eq!(entries(dir.path()), ["m.json".to_string()].into());
+
+    let list = ended_with(&run(dir.path(), &["--list"]), 0);
+    assert!(list.contains(&pipelines.join(", ")) && list.contains(&fixtures.join(", ")), "{list}");
+}
+
+#[test]
+fn paths_begin_where_the_user_stands() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = user("sub/mirror", "sub/tool");
+    let settings = [
+        "run",
+        "raster",
+        "surface=mirror",
+        "tif=tool",
+        "machine=../machine.json",
+        "out=../o",
+        "refine=no",
+        "frames=0",
+    ];
+    ended_with(&run(&dir.path().join("sub"), &settings), 0);
+    assert!(dir.path().join("o/report/report.html").exists());
+    let owner: Value =
+        serde_json::from_str(&fs::read_to_string(dir.path().join("o/run.json")).unwrap()).unwrap();
+    let here = dir.path().canonicalize().unwrap();
+    let absolute = |part: &str| here.join("sub").join(part).display().to_string();
+    let measured = json!({"surface": absolute("mirror"), "tif": absolute("tool")});
+    assert_eq!(owner, json!({"pipeline": "raster", "mirror": {"measured": measured}}));
+    assert_eq!(entries(dir.path()), ["machine.json", "o", "sub"].map(String::from).into());
+}
+
+#[test]
+fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = user("proj/surface", "proj/tif");
+    let before = fs::read(dir.path().join("proj/surface/height_nm.npy")).unwrap();
+    let own = ["run", "raster", "surface=proj/surface", "tif=proj/tif", "refine=no", "frames=0"];
+    let text = ended_with(&run(dir.path(), &[&own[..], &["out=proj"]].concat()), 2);
+    assert!(text.contains("out proj contains the surface"), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "raster", "fixture=coupon", "out=proj"]), 2);
+    assert!(text.contains("proj holds surface and no run.json"), "{text}");
+    assert_eq!(entries(&dir.path().join("proj")), ["surface", "tif"].map(String::from).into());
+    assert_eq!(fs::read(dir.path().join("proj/surface/height_nm.npy")).unwrap(), before);
+
+    // A refined result survives a run without the refinement; another mirror does not take its place.
+    let refined = ["run", "raster", "fixture=coupon", "frames=0", "out=o"];
+    ended_with(&run(dir.path(), &refined), 0);
+    let dwell = dir.path().join("o/methods/pvt+refined/dwell/dwell_s.npy");
+    let kept = fs::read(&dwell).unwrap();
+    ended_with(&run(dir.path(), &[&refined[..], &["refine=no"]].concat()), 0);
+    assert_eq!(fs::read(&dwell).unwrap(), kept);
+    let text = ended_with(&run(dir.path(), &[&own[..], &["out=o"]].concat()), 2);
+    assert!(text.contains("o belongs to another run (pipeline raster, fixture coupon;"), "{text}");
+    let text = ended_with(&run(dir.path(), &["run", "maze", "fixture=coupon", "out=o"]), 2);
+    assert!(text.contains("this is pipeline maze"), "{text}");
+}
+
+#[test]
+fn of_whole_runs_at_once_one_wins() {
+    if !just_is_installed() {
+        return;
+    }
+    for race in 0..RACES {
+        let dir = tempfile::tempdir().unwrap();
+        let begin = |pitch: &str| -> Child {
+            let settings = [&["run", "raster", "out=o", pitch], &SMALL[..]].concat();
+            just(dir.path(), &settings).spawn().unwrap()
+        };
+        let both =
+            [begin("pitch_mm=1"), begin("pitch_mm=2")].map(|c| c.wait_with_output().unwrap());
+        let mut codes: Vec<_> = both.iter().map(|output| output.status.code()).collect();
+        let loser = both.iter().find(|output| output.status.code() == Some(2));
+        codes.sort();
+        assert_eq!(
+            codes,
+            [Some(0), Some(2)],
+            "race {race}: {}\n{}",
+            text(&both[0]),
+            text(&both[1])
+        );
+        let loser = text(loser.unwrap());
+        assert!(
+            loser.contains("o is in use by process") && loser.contains("give another out"),
+            "{loser}"
+        );
+    }
+}
+
+#[test]
+fn a_negative_verdict_on_the_plan_ends_the_run_with_1_after_the_report() {
+    if !just_is_installed() {
+        return;
+    }
+    // The ideals keep no limits, and do not count.
+    let dir = tempfile::tempdir().unwrap();
+    let settings = [&["run", "raster", "out=o"], &SMALL[..]].concat();
+    let text = ended_with(&run(dir.path(), &settings), 0);
+    assert!(text.contains("verdict: x position steps by"), "the ideal keeps no limits: {text}");
+
+    // One sweep is too few for the deconvolution: its feed has not converged. It is judged all the same,
+    // and the report is made.
+    let settings = [
+        "run",
+        "bspline",
+        "out=b",
+        "fixture=coupon",
+        "machine=machine.json",
+        "pitch_mm=1",
+        "step_mm=1",
+        "deconvolution=--max-sweeps 1",
+    ];
+    let machine = workspace().join("fixtures/machines/ion-beam.json");
+    fs::copy(machine, dir.path().join("machine.json")).unwrap();
+    for _ in 0..2 {
+        let text = ended_with(&run(dir.path(), &settings), 1);
+        assert!(text.contains("(planish-bspline-feed): "), "{text}");
+        assert!(text.contains("b/report/report.html"), "the report came first: {text}");
+    }
+}

@@ -1,0 +1,60 @@
+"""What a user would have who follows README.md and docs/: files of instruments, a map and a TIF as arrays.
+
+    python3 stand_ins.py FIXTURE_DIR
+
+makes them in the current directory out of a fixture's surface and tif: `mirror.datx`, `spot.mat`,
+`rates.mat`, `depth.datx`, `before.datx`, `after.datx`. A reader goes by the content and not by the name:
+what is called .datx here is FITS, which takes four lines to write and states its units as datx does.
+"""
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+
+
+def fits(path, height_nm, pitch_mm):
+    """A map in nm whose first row is the smallest y."""
+    ny, nx = height_nm.shape
+    cards = ["SIMPLE  = T", "BITPIX  = -64", "NAXIS   = 2", f"NAXIS1  = {nx}", f"NAXIS2  = {ny}", "BUNIT   = 'nm'",
+             f"CDELT1  = {pitch_mm!r}", f"CDELT2  = {pitch_mm!r}", "CUNIT1  = 'mm'", "CUNIT2  = 'mm'", "END"]
+    head = "".join(f"{card:<80}" for card in cards).encode()
+    data = np.ascontiguousarray(height_nm, ">f8").tobytes()
+    Path(path).write_bytes(head.ljust(-len(head) // 2880 * -2880) + data.ljust(-len(data) // 2880 * -2880, b"\0"))
+
+
+def mat(path, **arrays):
+    """MATLAB version 5: each matrix of doubles, column by column."""
+    def element(kind, data):
+        return struct.pack("<2I", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    content = b"MATLAB 5.0 MAT-file, made by a test".ljust(124) + b"\0\1IM"
+    for name, a in arrays.items():
+        content += element(14, element(6, struct.pack("<2I", 6, 0)) + element(5, struct.pack("<2i", *a.shape))
+                           + element(1, name.encode()) + element(9, a.astype("<f8").tobytes("F")))
+    Path(path).write_bytes(content)
+
+
+fixture = Path(sys.argv[1])
+height_nm, x_mm = (np.load(fixture / "surface" / f"{name}.npy") for name in ("height_nm", "x_mm"))
+rate_nm_per_s, dx_mm, dy_mm = (np.load(fixture / "tif" / f"{name}.npy") for name in ("rate_nm_per_s", "x_mm", "y_mm"))
+
+fits("mirror.datx", height_nm, float(x_mm[1] - x_mm[0]))
+x, y = np.meshgrid(dx_mm / 1e3, dy_mm / 1e3)
+for name in ("spot.mat", "rates.mat"):
+    mat(name, Xtif=x, Ytif=y, Ztif=rate_nm_per_s / 1e9)
+
+# A test piece of 25 mm, with a spot of 30 s; measured again with a shift of a tenth of a pixel.
+axis_mm = np.arange(-50, 51) * 0.25
+r2_mm2 = axis_mm[:, None] ** 2 + axis_mm[None] ** 2
+spot_nm = 300 * np.exp(-r2_mm2 / 2)
+
+
+def piece_nm(shift_mm):
+    return 20 * np.sin((axis_mm[:, None] - shift_mm) / 2) * np.cos((axis_mm[None] - shift_mm) / 3)
+
+
+fits("depth.datx", spot_nm, 0.25)
+fits("before.datx", piece_nm(0), 0.25)
+fits("after.datx", piece_nm(0.025) - spot_nm, 0.25)
