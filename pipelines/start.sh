@@ -4,7 +4,6 @@
 # as arguments, whatever they hold.
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
-just=${JUST:-just}
 
 refuse() {
     printf 'error: %s\n' "$1" >&2
@@ -29,7 +28,7 @@ if [ "$goal" = show ]; then
     exec cat "$file" "$root/pipelines/stages.just"
 fi
 
-settings=" $("$just" --justfile "$file" --variables) "
+settings=" $(just --justfile "$file" --variables) "
 for setting in "$@"; do
     case $setting in
     *=*) ;;
@@ -40,4 +39,4 @@ for setting in "$@"; do
     *) refuse "$name has no setting '${setting%%=*}'; there are:$settings" ;;
     esac
 done
-exec "$just" --justfile "$file" --working-directory . "$@" "$goal" "$@"
+exec just --justfile "$file" --working-directory . "$@" "$goal" "$@"
