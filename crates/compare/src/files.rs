@@ -140,7 +140,6 @@ fn read_part<T: Artifact>(
     let digest = stage.digest(&role).unwrap_or_default().to_string();
     let record = manifest.as_ref().map(record_of);
     if let Some(manifest) = manifest {
-        refuse_other_units(&path, T::KIND, &manifest)?;
         provenance.push((name.into(), serde_json::to_value(manifest)?));
     }
     Ok(Known { value, part: Part { digest, record } })
@@ -149,23 +148,6 @@ fn read_part<T: Artifact>(
 fn record_of(manifest: &Manifest) -> Record {
     let inputs = manifest.inputs.iter().map(|i| (i.role.clone(), i.blake3.clone())).collect();
     Record { tool: manifest.tool.clone(), key: manifest.key.clone(), inputs }
-}
-
-/// Refuses a manifest that gives its arrays other units than those in which they are read.
-fn refuse_other_units(path: &Path, kind: &Kind, manifest: &Manifest) -> Result<(), Failure> {
-    for (name, record) in &manifest.arrays {
-        if let Some(def) = kind.arrays.iter().find(|d| d.name == name && d.unit != record.unit) {
-            return Err(Failure::new(format!(
-                "{}: {MANIFEST} says that {name} is in {:?}, a {} holds it in {:?}; convert the \
-                 array and make the artifact again",
-                path.display(),
-                record.unit,
-                kind.name,
-                def.unit
-            )));
-        }
-    }
-    Ok(())
 }
 
 /// The same, where there is one.

@@ -355,7 +355,9 @@ fn a_manifest_with_another_unit_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let lab = lab(dir.path());
     let file = lab.run.join("surface/manifest.json");
-    let manifest = fs::read_to_string(&file).unwrap().replace("\"nm\"", "\"furlong\"");
+    // As another program would write it; with its seal the change itself is noticed.
+    let manifest = fs::read_to_string(&file).unwrap();
+    let manifest = manifest.replace("\"nm\"", "\"furlong\"").replace("\"seal\"", "\"note\"");
     fs::write(&file, manifest).unwrap();
     let made = lab.report();
     assert_eq!(made.status.code(), Some(2));

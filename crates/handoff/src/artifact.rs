@@ -245,7 +245,7 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
         converted.extend(note.map(|note| format!("{}.npy {note}", def.name)));
         check_shape(&path, def, array.shape(), &mut sizes)?;
         if let Some(manifest) = &manifest {
-            check_record(&path, manifest.arrays.get(def.name), &array, &hash)?;
+            check_record(&path, def, manifest.arrays.get(def.name), &array, &hash)?;
         }
         hasher.update(def.name.as_bytes()).update(hash.as_bytes());
         arrays.0.insert(def.name, array);
@@ -441,11 +441,20 @@ fn split_symbol(symbol: &'static str) -> (&'static str, usize) {
 
 fn check_record(
     path: &Path,
+    def: &ArrayDef,
     record: Option<&ArrayRecord>,
     array: &ArrayData,
     hash: &str,
 ) -> Result<(), HandoffError> {
     match record {
+        Some(r) if r.unit != def.unit => Err(HandoffError::new(
+            path,
+            format!(
+                "{MANIFEST} says that {} is in {:?}, it is read in {:?}; convert the array and make \
+                 the artifact again",
+                def.name, r.unit, def.unit
+            ),
+        )),
         Some(r) if r.blake3 == hash => Ok(()),
         Some(r) if r.shape != array.shape() => Err(HandoffError::new(
             path,

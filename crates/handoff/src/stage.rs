@@ -33,7 +33,7 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ndarray::{Array2, Ix2};
-use planish_types::Limits;
+use planish_types::{Limits, text};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -122,14 +122,19 @@ pub fn run(body: impl FnOnce() -> Result<Status, Failure> + panic::UnwindSafe) -
     }
 }
 
-/// One line on standard error; a closed pipe is not an error.
+/// Lines on standard error; a closed pipe is not an error.
 fn complain(message: &str) {
-    let _ = writeln!(std::io::stderr(), "{message}");
+    let _ = writeln!(std::io::stderr(), "{}", without_commands(message));
 }
 
-/// One line on standard output; a closed pipe is not an error.
+/// Lines on standard output; a closed pipe is not an error.
 pub fn say(message: impl Display) {
-    let _ = writeln!(std::io::stdout(), "{message}");
+    let _ = writeln!(std::io::stdout(), "{}", without_commands(&message.to_string()));
+}
+
+/// The lines of `message` with what could command a terminal spelt out: names of files are in it.
+fn without_commands(message: &str) -> String {
+    message.split('\n').map(text::visible).collect::<Vec<_>>().join("\n")
 }
 
 /// Whether there is work to do.
