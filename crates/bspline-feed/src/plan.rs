@@ -250,7 +250,7 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
     let (fit, least) = (settings.fit_tolerance_mm, arc_feed::LEAST_TOLERANCE_MM);
     if fit < least {
         let remedy = format!("give at least {least:e} mm: what is smaller is rounding");
-        return Err(Invalid::whole("fit_tolerance_mm", format!("is {fit}"), remedy));
+        return Err(Invalid::whole("fit_tolerance_mm", format!("is {fit:?}"), remedy));
     }
     let weights = [
         ("tikhonov", settings.tikhonov),
@@ -279,7 +279,7 @@ fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), In
     if spacing_mm < least {
         return Err(Invalid::whole(
             "knot_spacing_mm",
-            format!("is {spacing_mm} mm, far below the width of the TIF, {width_mm:.6} mm"),
+            format!("is {spacing_mm:?} mm, far below the width of the TIF, {width_mm:.6} mm"),
             format!(
                 "a tool does not see what is narrower than itself: give about {:.6} mm, at least \
                  {least:.6} mm; or is the TIF in um?",
@@ -310,7 +310,9 @@ fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
     }
     Err(Invalid::whole(
         "pitch_mm",
-        format!("is {pitch_mm} mm, but the passes of this path are {low:.6} to {high:.6} mm apart"),
+        format!(
+            "is {pitch_mm:?} mm, but the passes of this path are {low:.6} to {high:.6} mm apart"
+        ),
         "give the distance of neighbouring passes in mm, or leave it out",
     ))
 }

@@ -315,7 +315,7 @@ pub fn bounds(path: &ToolPath, settings: &Settings) -> Result<(Vec<f64>, Vec<f64
     };
     let lo = of("min_dwell", settings.min_dwell)?;
     if let Some(j) = lo.iter().position(|t| *t > LONGEST_FLOOR_S) {
-        let problem = format!("is {} s", lo[j]);
+        let problem = format!("is {:?} s", lo[j]);
         let remedy = format!("a least dwell time is at most {LONGEST_FLOOR_S:e} s; give seconds");
         return Err(Invalid::at("min_dwell", j, problem, remedy));
     }

@@ -183,7 +183,7 @@ pub fn schedule(
         ("fit_tolerance_mm", settings.fit_tolerance_mm),
     ] {
         if !(value.is_finite() && value >= arc_feed::LEAST_TOLERANCE_MM) {
-            let problem = format!("is {value}");
+            let problem = format!("is {value:?}");
             let least = arc_feed::LEAST_TOLERANCE_MM;
             let remedy = format!("a tolerance is positive and finite, at least {least:e} mm");
             return Err(Invalid::whole(name, problem, remedy).into());

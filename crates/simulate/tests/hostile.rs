@@ -14,7 +14,7 @@ fn lines(dir: &Path, line_s: f64) {
     let motion = dir.join("trajectory");
     let at = |k: usize| [-2.0, 14.0 / line_s, 0.0, 0.0, k as f64 - 1.0, 0.0, 0.0, 0.0];
     let coefficients: Vec<f64> = (0..10).flat_map(at).collect();
-    let breaks: Vec<f64> = (0..=10).map(|k| line_s * k as f64).collect();
+    let breaks: Vec<f64> = (0..=10).map(|k| line_s * f64::from(k)).collect();
     npy(&motion, "break_time_s", &[11], &breaks);
     npy(&motion, "coefficient_mm", &[10, 2, 4], &coefficients);
     integers(&motion, "dwell_index", &(0..10).collect::<Vec<i64>>());

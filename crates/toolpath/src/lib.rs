@@ -45,7 +45,7 @@ pub enum ToolPathError {
     Invalid(#[from] Invalid),
     /// More segments than [`MAX_SEGMENTS`].
     #[error(
-        "path: a pitch of {pitch_mm} mm and a step of {step_mm} mm need more than {MAX_SEGMENTS} \
+        "path: a pitch of {pitch_mm:?} mm and a step of {step_mm:?} mm need more than {MAX_SEGMENTS} \
          segments over a region of {:.6} mm by {:.6} mm; check the units, or give a larger pitch \
          or step",
         extent_mm[0], extent_mm[1]

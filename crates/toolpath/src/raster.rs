@@ -695,7 +695,7 @@ mod tests {
             (at_angle(f64::NAN), "angle_deg: is NaN"),
             (ranged([0.0, 1.0]), "pitch_range_mm: is 0"),
             (ranged([2.0, 1.0]), "pitch_range_mm: is 2 to 1"),
-            (ranged([1e-9, 1e-9]), "a pitch of 0.000000001 mm"),
+            (ranged([1e-9, 1e-9]), "a pitch of 1e-9 mm"),
             (RasterSettings { line_origin_mm: Some(0.0), ..ranged([1.0, 2.0]) }, "follow the map"),
             (RasterSettings { one_directional: true, ..good.clone() }, "need lifts"),
             (RasterSettings { order: random, ..good.clone() }, "need lifts"),

@@ -494,7 +494,7 @@ mod tests {
 
     /// Rows at the pitch `p`, each one segment from x = 0 to 10, moved by (dx, dy).
     fn rows(n: usize, p: f64, [dx, dy]: [f64; 2]) -> ToolPath {
-        let ends = |k: usize| if k % 2 == 0 { [0.0, 10.0] } else { [10.0, 0.0] };
+        let ends = |k: usize| if k.is_multiple_of(2) { [0.0, 10.0] } else { [10.0, 0.0] };
         let points = (0..n).flat_map(|k| ends(k).map(|x| [x + dx, k as f64 * p + dy]));
         let points: Vec<[f64; 2]> = points.collect();
         let m = points.len() - 1;

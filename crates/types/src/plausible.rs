@@ -106,7 +106,7 @@ pub fn check_pitch(tif: &Tif, pitch_mm: f64) -> Result<(), Invalid> {
     }
     Err(Invalid::whole(
         "pitch_mm",
-        format!("is {pitch_mm} mm, but the TIF extends over {x:.6} by {y:.6} mm only"),
+        format!("is {pitch_mm:?} mm, but the TIF extends over {x:.6} by {y:.6} mm only"),
         "axes in metres? give all of them in mm, or a smaller pitch",
     ))
 }
@@ -351,7 +351,7 @@ mod tests {
         // All three in metres, with a pitch in mm.
         check_path(&map(1e-3, 1.0), &tool(1e-3, 1.0, 0.0), &lines(1e-3)).unwrap();
         let got = check_pitch(&tool(1e-3, 1.0, 0.0), 1.0).unwrap_err().to_string();
-        assert!(got.starts_with("pitch_mm: is 1 mm") && got.contains("axes in metres"), "{got}");
+        assert!(got.starts_with("pitch_mm: is 1.0 mm") && got.contains("axes in metres"), "{got}");
         check_pitch(&t, 100.0).unwrap();
     }
 
