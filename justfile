@@ -58,9 +58,13 @@ test-interop:
     cargo build --quiet --locked -p planish-import
     target/interop/bin/python crates/import/tests/interop.py target/debug/planish-import target/interop/files
 
-# Damage the seed of every reader this many times
-fuzz executions="50000":
-    PLANISH_FUZZ_EXECUTIONS={{ executions }} cargo test --locked -p planish-import --test files damaged -- --nocapture
+# Coverage-guided fuzzing, this many inputs for every reader (or: just fuzz 10000000 1 hdf5 datx); needs a C++ compiler
+fuzz executions="50000" seed="1" *readers:
+    fuzz/run.sh {{ executions }} {{ seed }} {{ readers }}
+
+# Damaged inputs and absurd flags through the real programs: just fuzz-binaries 1000 2
+fuzz-binaries cases="500" seed="1": build
+    python3 crates/testkit/fuzz_binaries.py --cases {{ cases }} --seed {{ seed }}
 
 # Kill every stage at every call that writes, let runs race, fill the disk, cut the power: what is lost? (Linux, strace; root for the disks)
 test-faults kills="1000" races="200": build

@@ -89,8 +89,9 @@ impl Number {
         }
     }
 
-    /// `count` numbers from `bytes`, which must hold them. A 64-bit integer beyond 2^53 is rounded.
-    pub fn decode(self, bytes: &[u8], count: usize, big_endian: bool) -> Vec<f64> {
+    /// `count` numbers from `bytes`, which must hold them; exactly, so a 64-bit integer that a 64-bit
+    /// float does not have is refused.
+    pub fn decode(self, bytes: &[u8], count: usize, big_endian: bool) -> Result<Vec<f64>, Invalid> {
         fn each<const N: usize>(
             bytes: &[u8],
             count: usize,
@@ -110,17 +111,40 @@ impl Number {
                 })
                 .collect()
         }
-        match self {
+        let values = match self {
             Self::I8 => each(bytes, count, big_endian, |a| f64::from(i8::from_ne_bytes(a))),
             Self::U8 => each(bytes, count, big_endian, |a| f64::from(u8::from_ne_bytes(a))),
             Self::I16 => each(bytes, count, big_endian, |a| f64::from(i16::from_ne_bytes(a))),
             Self::U16 => each(bytes, count, big_endian, |a| f64::from(u16::from_ne_bytes(a))),
             Self::I32 => each(bytes, count, big_endian, |a| f64::from(i32::from_ne_bytes(a))),
             Self::U32 => each(bytes, count, big_endian, |a| f64::from(u32::from_ne_bytes(a))),
-            Self::I64 => each(bytes, count, big_endian, |a| i64::from_ne_bytes(a) as f64),
-            Self::U64 => each(bytes, count, big_endian, |a| u64::from_ne_bytes(a) as f64),
+            Self::I64 => each(bytes, count, big_endian, |a| exact(i64::from_ne_bytes(a))),
+            Self::U64 => each(bytes, count, big_endian, |a| exact(u64::from_ne_bytes(a))),
             Self::F32 => each(bytes, count, big_endian, |a| f64::from(f32::from_ne_bytes(a))),
             Self::F64 => each(bytes, count, big_endian, f64::from_ne_bytes),
+        };
+        if matches!(self, Self::I64 | Self::U64) {
+            refuse_rounded(&values)?;
+        }
+        Ok(values)
+    }
+}
+
+/// A 64-bit integer as a float; infinite where no float is equal to it.
+pub(crate) fn exact<T: Copy + Into<i128>>(v: T) -> f64 {
+    let v: i128 = v.into();
+    let float = v as f64;
+    if float as i128 == v { float } else { f64::INFINITY }
+}
+
+/// Refuses what [`exact`] could not convert.
+pub(crate) fn refuse_rounded<'a>(values: impl IntoIterator<Item = &'a f64>) -> Result<(), Invalid> {
+    match values.into_iter().position(|v| v.is_infinite()) {
+        None => Ok(()),
+        Some(i) => {
+            let problem = "is a 64-bit integer beyond 2^53 that no 64-bit float is equal to";
+            let remedy = "subtract the mean, or save it as floats";
+            Err(Invalid::at("stored value", i, problem, remedy))
         }
     }
 }

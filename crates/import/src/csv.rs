@@ -6,7 +6,8 @@ use ndarray::Array2;
 use planish_types::Invalid;
 
 use crate::{
-    Format, MOST_PIXELS, check_size,
+    Format,
+    budget::{check_elements, check_size, most_pixels},
     reading::{FirstRow, Reading},
     text,
 };
@@ -17,24 +18,28 @@ const NAME: &str = "CSV file";
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let mut values = Vec::new();
     let (mut rows, mut columns) = (0, 0);
+    let most = most_pixels();
     for (i, line) in text::text(NAME, bytes)?.lines().enumerate() {
         if line.trim().is_empty() || line.trim_start().starts_with('#') {
             continue;
         }
-        let fields = text::fields(line);
-        if rows > 0 && fields.len() != columns {
-            let problem =
-                format!("has {} fields in line {}, {columns} before", fields.len(), i + 1);
-            return Err(Invalid::whole(NAME, problem, "give every row as many numbers"));
-        }
-        columns = fields.len();
-        rows += 1;
-        if values.len() + columns > MOST_PIXELS {
-            check_size(NAME, rows, columns)?;
-        }
-        for (k, field) in fields.iter().enumerate() {
+        let before = values.len();
+        for (k, field) in text::fields(line).enumerate() {
+            if values.len() == most {
+                check_elements(NAME, &[most as u64 + 1])?;
+            }
             values.push(text::number(NAME, field, i + 1, k + 1)?);
         }
+        let found = values.len() - before;
+        if rows > 0 && found != columns {
+            let problem = format!("has {found} fields in line {}, {columns} before", i + 1);
+            return Err(Invalid::whole(NAME, problem, "give every row as many numbers"));
+        }
+        columns = found;
+        rows += 1;
+    }
+    if rows == 0 {
+        return Err(Invalid::whole(NAME, "holds no numbers", "give a matrix, one line per row"));
     }
     check_size(NAME, rows, columns)?;
     let values = Array2::from_shape_vec((rows, columns), values).expect("every row has its fields");

@@ -9,15 +9,15 @@
 //! is. Values at or beyond the attribute `No Data`, of either sign, are invalid pixels. The pitch is
 //! the second parameter of the `X Converter`, in m. The first row of the file is the top.
 
-use hdf5_reader::{Attribute, Dataset, Datatype, Hdf5File};
+use hdf5_reader::{Dataset, Datatype, Hdf5File};
 use planish_types::Invalid;
 use serde_json::json;
 
 use crate::{
     Format, Unit,
+    budget::{MOST_ARRAYS, MOST_TEXT_BYTES, check_size, too_many},
     bytes::{Bytes, Number},
-    check_size,
-    hdf5::{broken, matrix, open},
+    hdf5::{Attributes, broken, matrix, open},
     reading::{FirstRow, Pick, Reading},
 };
 
@@ -47,10 +47,12 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     };
     check_size("datx map", *rows as usize, *columns as usize)?;
 
-    let unit_name = text(&set, "Unit").ok_or_else(|| bad("does not state its unit".into()))?;
-    let scale = number(&set, "Interferometric Scale Factor")?;
-    let obliquity = number(&set, "Obliquity Factor")?;
-    let wavelength_m = number(&set, "Wavelength")?;
+    let attributes = Attributes::of(&set)?;
+    let unit_name =
+        text(&attributes, "Unit")?.ok_or_else(|| bad("does not state its unit".into()))?;
+    let scale = number(&attributes, "Interferometric Scale Factor")?;
+    let obliquity = number(&attributes, "Obliquity Factor")?;
+    let wavelength_m = number(&attributes, "Wavelength")?;
     let (unit, factor) = match unit_name.as_str() {
         "Fringes" => match (scale, obliquity, wavelength_m) {
             // z = raw S O W
@@ -69,7 +71,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             return Err(Invalid::whole(NAME, format!("is in \"{other}\""), remedy));
         }
     };
-    let no_data = number(&set, "No Data")?;
+    let no_data = number(&attributes, "No Data")?;
     let mut values = matrix(&set, false)?;
     if let Some(limit) = no_data.map(f64::abs).filter(|v| *v > 0.0) {
         values.mapv_inplace(|v| if v.abs() >= limit { f64::NAN } else { v });
@@ -80,7 +82,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     reading.wavelength_nm = wavelength_m.map(|w| w * 1e9);
     let mut converters = Vec::new();
     for name in ["X Converter", "Y Converter"] {
-        let Some((base, parameters)) = converter(&set, name)? else { continue };
+        let Some((base, parameters)) = converter(&set, &attributes, name)? else { continue };
         let metres = parameters.get(1).copied().unwrap_or(0.0);
         if base == "Pixels" && metres > 0.0 && metres.is_finite() {
             converters.push(metres * 1e3);
@@ -134,10 +136,22 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     let offsets = ["Source", "Link", "Destination"]
         .map(|name| fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize));
     let [Some(source), Some(link), Some(destination)] = offsets else { return Ok(None) };
+    if set.num_elements().map_err(broken)? > MOST_ARRAYS as u64 {
+        let remedy = "choose the map with --dataset";
+        return Err(too_many(NAME, MOST_ARRAYS, "rows of /MetaData", remedy));
+    }
     let raw = set.read_raw_bytes().map_err(broken)?;
     let reference = set.vlen_reference_size();
-    let string = |row: &[u8], at: usize| -> Result<String, Invalid> {
-        let Some(bytes) = row.get(at..at + reference) else { return Ok(String::new()) };
+    // Many rows may point to the same long text.
+    let mut left = MOST_TEXT_BYTES;
+    let mut string = |row: &[u8], at: usize| -> Result<String, Invalid> {
+        let reference = at.checked_add(reference).and_then(|end| row.get(at..end));
+        let Some(bytes) = reference else { return Ok(String::new()) };
+        let length = bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
+        left = left.checked_sub(length).ok_or_else(|| {
+            let what = "bytes of text in /MetaData";
+            too_many(NAME, MOST_TEXT_BYTES, what, "choose the map with --dataset")
+        })?;
         let bytes = set.resolve_vlen_reference_bytes(bytes, 1).map_err(broken)?;
         Ok(String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_string())
     };
@@ -147,16 +161,13 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
     rows.collect::<Result<Vec<_>, Invalid>>().map(Some)
 }
 
-fn attribute(set: &Dataset, name: &str) -> Option<Attribute> {
-    set.attribute(name).ok()
+fn text(attributes: &Attributes, name: &str) -> Result<Option<String>, Invalid> {
+    let Some(attribute) = attributes.get(name)? else { return Ok(None) };
+    Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }
 
-fn text(set: &Dataset, name: &str) -> Option<String> {
-    attribute(set, name)?.read_strings().ok()?.into_iter().next()
-}
-
-fn number(set: &Dataset, name: &str) -> Result<Option<f64>, Invalid> {
-    let Some(attribute) = attribute(set, name) else { return Ok(None) };
+fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
+    let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     let values = attribute.read_1d::<f64>().map_err(broken)?;
     match values.first() {
         Some(v) if v.is_finite() => Ok(Some(*v)),
@@ -168,14 +179,20 @@ fn number(set: &Dataset, name: &str) -> Result<Option<f64>, Invalid> {
 }
 
 /// Base unit and parameters of a compound {Category, BaseUnit, Parameters}.
-fn converter(set: &Dataset, name: &str) -> Result<Option<(String, Vec<f64>)>, Invalid> {
-    let Some(attribute) = attribute(set, name) else { return Ok(None) };
+fn converter(
+    set: &Dataset,
+    attributes: &Attributes,
+    name: &str,
+) -> Result<Option<(String, Vec<f64>)>, Invalid> {
+    let Some(attribute) = attributes.get(name)? else { return Ok(None) };
     let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
     let reference = set.vlen_reference_size();
     let field = |name: &str, size: usize| -> Result<Vec<u8>, Invalid> {
         let at = fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize);
-        let bytes = at.and_then(|at| attribute.raw_data.get(at..at + reference));
-        match bytes {
+        let end = |at: usize| Some(at..at.checked_add(reference)?);
+        let bytes = at.and_then(end).and_then(|range| attribute.raw_data.get(range));
+        let length = |b: &[u8]| b.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
+        match bytes.filter(|b| length(b) <= MOST_TEXT_BYTES / 8) {
             Some(bytes) => set.resolve_vlen_reference_bytes(bytes, size).map_err(broken),
             None => Ok(Vec::new()),
         }
@@ -183,6 +200,6 @@ fn converter(set: &Dataset, name: &str) -> Result<Option<(String, Vec<f64>)>, In
     let base = String::from_utf8_lossy(&field("BaseUnit", 1)?).trim_end_matches('\0').to_string();
     let parameters = field("Parameters", 8)?;
     let b = Bytes { all: &parameters, name: NAME, big_endian: false };
-    let parameters = Number::F64.decode(b.all, b.all.len() / 8, false);
+    let parameters = Number::F64.decode(b.all, b.all.len() / 8, false)?;
     Ok(Some((base, parameters)))
 }

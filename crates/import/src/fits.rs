@@ -4,14 +4,16 @@
 //! |CDELTn| in CUNITn. The first row of the file is the smallest y, as the standard shows it; an
 //! axis with a negative CDELT runs the other way.
 
+use std::collections::HashMap;
+
 use ndarray::{Array2, s};
 use planish_types::Invalid;
 use serde_json::json;
 
 use crate::{
     Format, Unit,
+    budget::{MOST_ARRAYS, MOST_HEADER_LINES, check_size, too_many},
     bytes::{Bytes, Number},
-    check_size,
     reading::{FirstRow, Pick, Reading},
 };
 
@@ -53,6 +55,10 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         }
         at = data_at + blocks(header.data_bytes(&sizes)?);
         index += 1;
+        if index > MOST_ARRAYS {
+            let remedy = "export only the map";
+            return Err(too_many(NAME, MOST_ARRAYS, "header and data units", remedy));
+        }
     }
     let remedy = "give a file with a map, or another --dataset";
     Err(Invalid::whole(NAME, format!("has no image with two axes in {index} HDU(s)"), remedy))
@@ -69,7 +75,7 @@ fn map(
     let count = check_size("FITS image", rows, columns)?;
     let number = header.number()?;
     let raw = b.slice(at, count * number.size())?;
-    let mut values = number.decode(raw, count, true);
+    let mut values = number.decode(raw, count, true)?;
     if let Some(blank) =
         header.float("BLANK")?.filter(|_| number.size() <= 8 && number.is_integer())
     {
@@ -122,11 +128,11 @@ impl Number {
     }
 }
 
-/// The cards of a header.
-struct Header(Vec<(String, String)>);
+/// The cards of a header; of those with one key the first.
+struct Header(HashMap<String, String>);
 
 fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
-    let mut cards = Vec::new();
+    let mut cards = HashMap::new();
     let mut at = start;
     loop {
         let card = b.slice(at, CARD)?;
@@ -141,7 +147,12 @@ fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
             return Ok((Header(cards), start + blocks(at - start)));
         }
         if let Some(value) = rest.strip_prefix("= ") {
-            cards.push((key.trim_end().to_string(), value.to_string()));
+            if cards.len() == MOST_HEADER_LINES {
+                let remedy = "write it again, without its history";
+                return Err(too_many(NAME, MOST_HEADER_LINES, "cards in a header", remedy));
+            }
+            let key = key.trim_end().to_string();
+            cards.entry(key).or_insert_with(|| value.trim().to_string());
         }
     }
 }
@@ -152,7 +163,7 @@ fn blocks(bytes: usize) -> usize {
 
 impl Header {
     fn raw(&self, key: &str) -> Option<&str> {
-        self.0.iter().find(|(k, _)| k == key).map(|(_, v)| v.trim())
+        self.0.get(key).map(String::as_str)
     }
 
     /// A string in quotes.

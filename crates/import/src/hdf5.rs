@@ -5,13 +5,29 @@
 //! the attribute `unit` or `units`, where there is one. Coordinates are datasets too: vectors, or
 //! matrices as `meshgrid` makes them.
 
-use hdf5_reader::{Dataset, Datatype, Hdf5File, OpenOptions, error::Error, group::Group};
+use std::{
+    collections::HashSet,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use hdf5_reader::{
+    Attribute, BytesStorage, Dataset, Datatype, Hdf5File, OpenOptions, Storage, StorageBuffer,
+    error::Error, group::Group,
+};
 use ndarray::{Array2, ArrayD, Ix2};
 use planish_types::Invalid;
 use serde_json::json;
 
 use crate::{
-    Format, MOST_PIXELS, Unit, check_size,
+    Format, Unit,
+    budget::{
+        MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements, check_size,
+        most_pixels, too_many,
+    },
+    bytes::{exact, refuse_rounded},
     reading::{Coordinates, FirstRow, Pick, Reading},
 };
 
@@ -24,6 +40,14 @@ const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 /// Groups within groups are listed to this depth.
 const DEEPEST: usize = 6;
 
+/// Most values of an attribute.
+const MOST_VALUES: u64 = 64;
+
+/// Most symbols (entries of groups of the first layout), and the longest block of their names, bytes: the
+/// names of a group may all point to the same long text.
+const MOST_SYMBOLS: u64 = 4096;
+const LONGEST_NAMES: u64 = 1 << 16;
+
 pub(crate) fn is_hdf5(bytes: &[u8]) -> bool {
     // A user block of 512 bytes, or twice that again and again, may come first.
     [0, 512, 1024, 2048].iter().any(|at| bytes.get(*at..).is_some_and(|b| b.starts_with(SIGNATURE)))
@@ -33,25 +57,82 @@ pub(crate) fn broken(error: Error) -> Invalid {
     Invalid::whole(NAME, format!("cannot be read ({error})"), "write it again, or crop it")
 }
 
-/// Opens a file; nothing larger than a map is read from it.
+/// Opens a file; nothing larger than a map is read from it, and no more often than [`MOST_READS`].
 pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     if !is_hdf5(bytes) {
         let problem = "does not start with the signature of HDF5";
         return Err(Invalid::whole(NAME, problem, "give an HDF5 file, or the right --format"));
     }
     let options = OpenOptions::default()
-        .with_max_read_bytes(8 * MOST_PIXELS)
-        .with_max_chunk_bytes(8 * MOST_PIXELS)
-        .with_max_object_header_bytes(1 << 22)
+        .with_max_read_bytes(8 * most_pixels())
+        .with_max_chunk_bytes(8 * most_pixels())
+        .with_max_object_header_bytes(MOST_TEXT_BYTES)
         .with_chunk_cache_bytes(0);
-    Hdf5File::from_vec_with_options(bytes.to_vec(), options).map_err(broken)
+    let metered = Metered {
+        bytes: BytesStorage::new(bytes.to_vec()),
+        reads: MOST_READS.into(),
+        // Everything once, and what is read again: headers, blocks of names.
+        volume: (4 * bytes.len() as u64 + (1 << 24)).into(),
+        symbols: MOST_SYMBOLS.into(),
+    };
+    Hdf5File::from_storage_with_options(Arc::new(metered), options).map_err(broken)
+}
+
+/// The bytes of a file, and how much may still be read of them: a file of a few kilobytes that points to
+/// itself can be read without end.
+struct Metered {
+    bytes: BytesStorage,
+    reads: AtomicU64,
+    volume: AtomicU64,
+    symbols: AtomicU64,
+}
+
+impl Storage for Metered {
+    fn len(&self) -> u64 {
+        self.bytes.len()
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+        let spend = |left: &AtomicU64, n: u64, what: &str| {
+            let spent =
+                left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |l| l.checked_sub(n));
+            match spent {
+                Ok(_) => Ok(()),
+                Err(_) => Err(Error::ResourceLimit(format!("points to and fro: too many {what}"))),
+            }
+        };
+        spend(&self.reads, 1, "reads")?;
+        spend(&self.volume, len as u64, "bytes")?;
+        let piece = self.bytes.read_range(offset, len)?;
+        if piece.starts_with(b"SNOD") {
+            let count = piece.get(6..8).map_or(0, |b| u64::from(b[0]) + 256 * u64::from(b[1]));
+            spend(&self.symbols, count, "names")?;
+        }
+        if piece.starts_with(b"HEAP") && piece.len() >= 16 {
+            // In files with lengths of 4 bytes the upper half is another field, and not 0 either.
+            let size = piece[8..16].iter().rev().fold(0u64, |n, b| (n << 8) | u64::from(*b));
+            if size & 0xffff_ffff > LONGEST_NAMES {
+                let problem = format!("{size} bytes of names in one group");
+                return Err(Error::ResourceLimit(problem));
+            }
+        }
+        Ok(piece)
+    }
 }
 
 /// Reads the dataset that `pick` names; without a name a customary one, or the only map there is.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let file = open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
-    let pick = choose(&matrices(&file)?, pick, NAME)?;
+    let (arrays, complex) = match &pick.data {
+        // Of a file that is too large to be listed an array can still be named.
+        Some(name) => (named(&file, name), None),
+        None => matrices(&file)?,
+    };
+    let pick = choose(&arrays, pick, NAME).map_err(|e| match complex {
+        Some(name) if arrays.is_empty() => holds_complex(&name),
+        _ => e,
+    })?;
 
     let name = pick.data.as_deref().unwrap_or_default();
     let set = file.dataset(name).map_err(broken)?;
@@ -146,35 +227,73 @@ pub(crate) fn along(
     Ok(line)
 }
 
-/// Paths and shapes of all datasets of real numbers with at most two axes.
-fn matrices(file: &Hdf5File) -> Result<Vec<(String, Vec<u64>)>, Invalid> {
-    let mut found = Vec::new();
+/// The array that was asked for, and the customary coordinates beside it, with their shapes.
+fn named(file: &Hdf5File, name: &str) -> Vec<(String, Vec<u64>)> {
+    let names = CUSTOMARY.iter().flatten().copied().chain([name]).collect::<HashSet<_>>();
+    let shape = |name: &str| file.dataset(name).ok().map(|set| set.shape().to_vec());
+    names.into_iter().filter_map(|name| Some((name.to_string(), shape(name)?))).collect()
+}
+
+/// Paths and shapes of all datasets of real numbers with at most two axes, and the path of one of
+/// complex numbers.
+type Listed = (Vec<(String, Vec<u64>)>, Option<String>);
+
+fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
+    let mut found = (Vec::new(), None);
     let root = file.root_group().map_err(broken)?;
-    list(&root, "", 0, &mut found)?;
+    list(&root, "", 0, &mut HashSet::new(), &mut 0, &mut found)?;
     Ok(found)
 }
 
+/// Adds what is in `group` and below it. A group may be linked to from several places, from within
+/// itself too: it is listed at the first.
 fn list(
     group: &Group,
     path: &str,
     depth: usize,
-    found: &mut Vec<(String, Vec<u64>)>,
+    visited: &mut HashSet<u64>,
+    looked_at: &mut usize,
+    found: &mut Listed,
 ) -> Result<(), Invalid> {
+    if !visited.insert(group.address()) {
+        return Ok(());
+    }
     let (groups, sets) = group.members().map_err(broken)?;
+    *looked_at += groups.len() + sets.len();
+    if *looked_at > MOST_ARRAYS {
+        let remedy = "choose an array with --dataset";
+        return Err(too_many(NAME, MOST_ARRAYS, "groups and arrays", remedy));
+    }
     for set in sets {
         let numeric =
             matches!(set.dtype(), Datatype::FloatingPoint { .. } | Datatype::FixedPoint { .. });
         let shape = set.shape().to_vec();
-        if numeric && shape.len() <= 2 {
-            found.push((format!("{path}{}", leaf(set.name())), shape));
+        let at = format!("{path}{}", leaf(set.name()));
+        if is_complex(set.dtype()) {
+            found.1 = Some(at);
+        } else if numeric && shape.len() <= 2 {
+            found.0.push((at, shape));
         }
     }
-    if depth < DEEPEST && found.len() < 1000 {
+    if depth < DEEPEST {
         for group in groups {
-            list(&group, &format!("{path}{}/", leaf(group.name())), depth + 1, found)?;
+            let path = format!("{path}{}/", leaf(group.name()));
+            list(&group, &path, depth + 1, visited, looked_at, found)?;
         }
     }
     Ok(())
+}
+
+/// A complex number as h5py and MATLAB write it: a pair of real ones.
+fn is_complex(datatype: &Datatype) -> bool {
+    let Datatype::Compound { fields, .. } = datatype else { return false };
+    let names: Vec<String> = fields.iter().map(|f| f.name.to_ascii_lowercase()).collect();
+    matches!(&names[..], [a, b] if [["r", "i"], ["real", "imag"], ["re", "im"]].contains(&[a, b]))
+}
+
+fn holds_complex(name: &str) -> Invalid {
+    let problem = format!("\"{name}\" holds complex numbers");
+    Invalid::whole("dataset", problem, "save their real part, or choose another with --dataset")
 }
 
 fn leaf(name: &str) -> &str {
@@ -183,11 +302,19 @@ fn leaf(name: &str) -> &str {
 
 /// A dataset as a matrix; a vector becomes one row.
 pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Invalid> {
-    let size = set.shape().iter().try_fold(1u64, |n, s| n.checked_mul(*s));
-    if size.is_none_or(|n| n > MOST_PIXELS as u64) {
-        let problem = format!("\"{}\" claims the shape {:?}", set.name(), set.shape());
-        let remedy = format!("at most {MOST_PIXELS} elements are read; crop it");
-        return Err(Invalid::whole("dataset", problem, remedy));
+    check_elements("dataset", set.shape())?;
+    if let Some(chunks) = set.chunks() {
+        // Whole chunks are inflated, also where little of them is in the array: one of 1 x 2^25 in a
+        // column of 2^25 would be 2^50 numbers.
+        let whole = set.shape().iter().zip(&chunks).try_fold(1u64, |n, (size, chunk)| {
+            let chunk = u64::from(*chunk).max(1);
+            n.checked_mul(size.div_ceil(chunk))?.checked_mul(chunk)
+        });
+        if whole.is_none_or(|n| n > 2 * MOST_PIXELS as u64) {
+            let (name, shape) = (set.name(), set.shape());
+            let problem = format!("\"{name}\" has chunks of {chunks:?} in the shape {shape:?}");
+            return Err(Invalid::whole("dataset", problem, "write it again, in smaller chunks"));
+        }
     }
     let array = numbers(set)?;
     let array = match array.ndim() {
@@ -209,7 +336,7 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     ) -> Result<ArrayD<f64>, Error> {
         set.read_array::<T>().map(|a| a.map(value))
     }
-    match set.dtype() {
+    let values = match set.dtype() {
         Datatype::FloatingPoint { size: 8, .. } => set.read_array::<f64>(),
         Datatype::FloatingPoint { size: 4, .. } => widened(set, |v: &f32| f64::from(*v)),
         Datatype::FixedPoint { size: 1, signed: true, .. } => widened(set, |v: &i8| f64::from(*v)),
@@ -218,18 +345,58 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
         Datatype::FixedPoint { size: 2, .. } => widened(set, |v: &u16| f64::from(*v)),
         Datatype::FixedPoint { size: 4, signed: true, .. } => widened(set, |v: &i32| f64::from(*v)),
         Datatype::FixedPoint { size: 4, .. } => widened(set, |v: &u32| f64::from(*v)),
-        Datatype::FixedPoint { size: 8, signed: true, .. } => widened(set, |v: &i64| *v as f64),
-        Datatype::FixedPoint { size: 8, .. } => widened(set, |v: &u64| *v as f64),
+        Datatype::FixedPoint { size: 8, signed: true, .. } => widened(set, |v: &i64| exact(*v)),
+        Datatype::FixedPoint { size: 8, .. } => widened(set, |v: &u64| exact(*v)),
+        other if is_complex(other) => return Err(holds_complex(set.name())),
         _ => {
             let problem = format!("\"{}\" does not hold real numbers", set.name());
             return Err(Invalid::whole("dataset", problem, "choose another with --dataset"));
         }
     }
-    .map_err(broken)
+    .map_err(broken)?;
+    if matches!(set.dtype(), Datatype::FixedPoint { size: 8, .. }) {
+        refuse_rounded(&values)?;
+    }
+    Ok(values)
+}
+
+/// The attributes of an array, with how many values each has.
+pub(crate) struct Attributes<'a> {
+    set: &'a Dataset,
+    counts: Vec<(String, u64)>,
+}
+
+impl<'a> Attributes<'a> {
+    pub(crate) fn of(set: &'a Dataset) -> Result<Self, Invalid> {
+        let raw = set.raw_attributes().map_err(broken)?;
+        let count = |a: &hdf5_reader::RawAttribute| a.message().dataspace.num_elements();
+        let counts = raw.iter().map(|a| Ok((a.name().to_string(), count(a)?)));
+        let counts = counts.collect::<Result<_, Error>>().map_err(broken)?;
+        Ok(Self { set, counts })
+    }
+
+    /// One of them, where there is one; only of a few values, because each may point to a long text.
+    pub(crate) fn get(&self, name: &str) -> Result<Option<Attribute>, Invalid> {
+        match self.counts.iter().find(|(n, _)| n == name) {
+            None => Ok(None),
+            Some((_, count)) if *count > MOST_VALUES => {
+                let problem = format!("has {count} values in the attribute \"{name}\"");
+                Err(Invalid::whole(NAME, problem, "write it again, with one value"))
+            }
+            Some(_) => self.set.attribute(name).map(Some).map_err(broken),
+        }
+    }
 }
 
 fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {
-    let named = ["unit", "units", "Unit", "Units"].iter().find_map(|n| set.attribute(n).ok());
+    let attributes = Attributes::of(set)?;
+    let mut named = None;
+    for name in ["unit", "units", "Unit", "Units"] {
+        named = attributes.get(name)?;
+        if named.is_some() {
+            break;
+        }
+    }
     let Some(attribute) = named else { return Ok((None, None)) };
     match attribute.read_strings().map_err(broken)?.into_iter().next() {
         Some(name) => Ok((Some(Unit::stated("unit", &name)?), Some(name))),

@@ -19,8 +19,9 @@
 //! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
 //! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV | see there |
 //!
-//! Only this crate and `planish-export` convert units.
+//! What a file may cost is in `budget`. Only this crate and `planish-export` convert units.
 
+mod budget;
 mod bytes;
 pub mod csv;
 pub mod datx;
@@ -37,6 +38,7 @@ pub mod sdf;
 mod spot;
 mod text;
 
+pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
 pub use reading::{
     Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Settings, Statement, Unit, surface, tif,
@@ -44,9 +46,6 @@ pub use reading::{
 pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
 
 use planish_types::Invalid;
-
-/// Most pixels of a map. A header may claim any size; memory is bounded by this and by the file.
-pub const MOST_PIXELS: usize = 1 << 25;
 
 /// A format that is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -121,21 +120,5 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
             let remedy = "give the directory that holds it";
             Err(Invalid::whole("format", "directory was given for a file", remedy))
         }
-    }
-}
-
-/// Whether a map of this size may be read; `array` names what claims it.
-fn check_size(array: &'static str, rows: usize, columns: usize) -> Result<usize, Invalid> {
-    let size = format!("{rows} rows x {columns} columns");
-    if rows < 2 || columns < 2 {
-        return Err(Invalid::whole(array, format!("has {size}"), "a map has at least 2 x 2"));
-    }
-    match rows.checked_mul(columns).filter(|n| *n <= MOST_PIXELS) {
-        Some(n) => Ok(n),
-        None => Err(Invalid::whole(
-            array,
-            format!("claims {size}"),
-            format!("a map has at most {MOST_PIXELS} pixels; crop it, or check the header"),
-        )),
     }
 }

@@ -1,7 +1,6 @@
 //! `planish-import`: files of instruments and other programs in.
 
 use std::{
-    fs,
     io::Write,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -11,17 +10,14 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::Array2;
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, pair, run, stage::say};
 use planish_import::{
-    Alignment, Baseline, FirstRow, Format, Origin, Pick, Reading, Rotation, Scale, Settings,
-    SpotSettings, Statement, Unit,
+    Alignment, Baseline, FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale,
+    Settings, SpotSettings, Statement, Unit,
     program::{self, Configuration, Controller},
     read, spot, surface, svg, tif,
 };
-use planish_types::{Grid, Surface, Tif, Trajectory};
+use planish_types::{Grid, Surface, Tif, Trajectory, text::visible};
 use serde::Serialize;
 use serde_json::{Value, json};
-
-/// Largest file that is read, bytes: as text, a map of the most pixels.
-const MOST_BYTES: u64 = 1 << 30;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
@@ -265,9 +261,10 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     let file = &args.file;
     let mut stage = stage("surface", &file.output);
     let (pick, settings) = (pick(file, false), settings(file, args.origin));
-    let format = format_of(file)?;
+    let bytes = map_bytes(&mut stage, "file", &file.file)?;
+    let format = format_of(file, bytes.as_deref())?;
     stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
-    let reading = open(&mut stage, "file", &file.file, format, &pick)?;
+    let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
     begin_picture(&stage, file)?;
     if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
         && file.picture.as_ref().is_none_or(|p| p.exists())
@@ -301,7 +298,8 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     let mut stage = stage("tif", &file.output);
     // Maps of a spot are surfaces.
     let pick = pick(file, args.rate);
-    let format = format_of(file)?;
+    let bytes = map_bytes(&mut stage, "file", &file.file)?;
+    let format = format_of(file, bytes.as_deref())?;
     let origin = args.origin.unwrap_or(OriginArg::File);
     let mut settings = settings(file, origin);
     let spot_settings = match (args.dwell_s, args.half_size_mm) {
@@ -329,9 +327,12 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         "origin_given": args.origin.is_some(),
         "spot": spot_settings,
     }));
-    let reading = open(&mut stage, "file", &file.file, format, &pick)?;
+    let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
     let before = match &args.before {
-        Some(path) => Some(open(&mut stage, "before", path, format, &pick)?),
+        Some(path) => {
+            let bytes = map_bytes(&mut stage, "before", path)?;
+            Some(open(&mut stage, "before", path, format, bytes, &pick)?)
+        }
         None => None,
     };
     begin_picture(&stage, file)?;
@@ -391,7 +392,10 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
 fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
     let mut stage = stage("program", &args.output);
     let mut configuration = match &args.about {
-        Some(path) => stage.read_json::<Configuration>("about", path)?,
+        Some(path) => {
+            let bytes = foreign(&mut stage, "about", path)?;
+            serde_json::from_slice::<Configuration>(&bytes).map_err(|e| about(path, &e))?
+        }
         None => Configuration::default(),
     };
     configuration.start_mm = args.start_mm.or(configuration.start_mm);
@@ -407,7 +411,7 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
         ControllerArg::Csv => Controller::Csv,
     };
     stage.settings(json!({ "controller": controller, "configuration": configuration }));
-    let bytes = stage.read_bytes("file", &args.file, MOST_BYTES)?;
+    let bytes = foreign(&mut stage, "file", &args.file)?;
     if let Begin::Unchanged(status) = stage.begin(&[""], Trajectory::KIND)? {
         return Ok(status);
     }
@@ -432,12 +436,25 @@ fn stage(method: &str, output: &OutputArgs) -> Stage {
     Stage::new("planish-import", env!("CARGO_PKG_VERSION"), method, output)
 }
 
-/// A message of the library, with the file that it is about.
+/// A message of the library, which may quote the file, with the file that it is about.
 fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::new(format!("{}: {error}", path.display()))
+    Failure::new(visible(&format!("{}: {error}", path.display())))
 }
 
-/// `X,Y`, or one number for both.
+/// The bytes of a file of another program.
+fn foreign(stage: &mut Stage, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
+    let bytes = stage.read_bytes(role, path, MOST_FILE_BYTES)?;
+    match bytes.is_empty() {
+        true => Err(Failure::new(format!("{}: is empty; export it again", path.display()))),
+        false => Ok(bytes),
+    }
+}
+
+/// The bytes of a map; `None` for a directory.
+fn map_bytes(stage: &mut Stage, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
+    if path.is_dir() { Ok(None) } else { foreign(stage, role, path).map(Some) }
+}
+
 fn pick(args: &FileArgs, is_tif: bool) -> Pick {
     Pick { data: args.dataset.clone(), x: args.x.clone(), y: args.y.clone(), is_tif }
 }
@@ -479,40 +496,31 @@ fn settings(args: &FileArgs, origin: OriginArg) -> Settings {
     }
 }
 
-/// The format that was given, or that the content or the ending of the file tells.
-fn format_of(args: &FileArgs) -> Result<Format, Failure> {
+/// The format that was given, or that the content or the ending of the file tells; `bytes` are `None` for
+/// a directory.
+fn format_of(args: &FileArgs, bytes: Option<&[u8]>) -> Result<Format, Failure> {
     let path = &args.file;
-    let given = args.format.map(|format| match format {
-        FormatArg::Metropro => Format::Metropro,
-        FormatArg::Datx => Format::Datx,
-        FormatArg::Xyz => Format::Xyz,
-        FormatArg::Mat5 => Format::Mat5,
-        FormatArg::Hdf5 => Format::Hdf5,
-        FormatArg::Fits => Format::Fits,
-        FormatArg::Csv => Format::Csv,
-        FormatArg::Npy => Format::Npy,
-        FormatArg::Sdf => Format::Sdf,
-    });
-    if path.is_dir() {
-        return Ok(Format::Directory);
+    let Some(bytes) = bytes else { return Ok(Format::Directory) };
+    if let Some(format) = args.format {
+        return Ok(match format {
+            FormatArg::Metropro => Format::Metropro,
+            FormatArg::Datx => Format::Datx,
+            FormatArg::Xyz => Format::Xyz,
+            FormatArg::Mat5 => Format::Mat5,
+            FormatArg::Hdf5 => Format::Hdf5,
+            FormatArg::Fits => Format::Fits,
+            FormatArg::Csv => Format::Csv,
+            FormatArg::Npy => Format::Npy,
+            FormatArg::Sdf => Format::Sdf,
+        });
     }
-    if let Some(format) = given {
-        return Ok(format);
-    }
-    let unreadable = |e| Failure::new(format!("{}: cannot read: {e}", path.display()));
-    let size = fs::metadata(path).map_err(unreadable)?.len();
-    if size > MOST_BYTES {
-        let remedy = "export only the map";
-        return Err(Failure::new(format!("{}: has {size} bytes; {remedy}", path.display())));
-    }
-    let bytes = fs::read(path).map_err(unreadable)?;
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     let by_ending = match ending.as_deref() {
         Some("csv") => Some(Format::Csv),
         Some("xyz") => Some(Format::Xyz),
         _ => None,
     };
-    Format::of(&bytes).or(by_ending).ok_or_else(|| {
+    Format::of(bytes).or(by_ending).ok_or_else(|| {
         Failure::new(format!("{}: is of no format that is known; give --format", path.display()))
     })
 }
@@ -522,9 +530,10 @@ fn open(
     role: &str,
     path: &Path,
     format: Format,
+    bytes: Option<Vec<u8>>,
     pick: &Pick,
 ) -> Result<Reading, Failure> {
-    if format == Format::Directory {
+    let Some(bytes) = bytes else {
         if pick.data.is_some() || pick.x.is_some() || pick.y.is_some() {
             let problem = "is a directory; leave out --dataset, --x and --y";
             return Err(Failure::new(format!("{}: {problem}", path.display())));
@@ -539,8 +548,7 @@ fn open(
                 Reading::of_map(map.grid(), map.rate_nm_per_s())
             }
         });
-    }
-    let bytes = stage.read_bytes(role, path, MOST_BYTES)?;
+    };
     read(format, &bytes, pick).map_err(|e| about(path, &e))
 }
 

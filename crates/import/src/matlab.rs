@@ -1,17 +1,20 @@
 //! MATLAB `.mat`, version 5 (also 6 and 7): named matrices, column by column, compressed or not.
 //!
-//! Only real numeric matrices are read; cells, structures and text are passed over. The customary
+//! Only real numeric matrices are read; cells, structures and text are passed over. Of compressed
+//! variables that are not asked for only the header is inflated. The customary
 //! names `X Y Z` and `Xtif Ytif Ztif` are found by themselves. A matrix has neither unit nor pitch.
 
-use flate2::{Decompress, FlushDecompress, Status};
+use std::{borrow::Cow, io::Read};
+
+use flate2::read::ZlibDecoder;
 use ndarray::{Array2, ShapeBuilder};
 use planish_types::Invalid;
 use serde_json::json;
 
 use crate::{
-    Format, MOST_PIXELS,
+    Format,
+    budget::{MOST_ARRAYS, check_elements, check_size, too_many},
     bytes::{Bytes, Number},
-    check_size,
     hdf5::{along, choose},
     reading::{Coordinates, FirstRow, Pick, Reading},
 };
@@ -23,16 +26,21 @@ const HEADER: usize = 128;
 const MATRIX: u32 = 14;
 const COMPRESSED: u32 = 15;
 
-/// Most bytes that the compressed variables of a file may grow to, all together.
-const MOST_BYTES: usize = 16 * MOST_PIXELS;
+/// Flags, dimensions and name of a variable, bytes: MATLAB allows names of 63 characters.
+const LONGEST_HEADER: usize = 4096;
 
-/// A real numeric matrix, not yet decoded.
+/// A variable: what its header says, and where its numbers are.
 struct Variable<'a> {
     name: String,
     rows: usize,
     columns: usize,
+    is_complex: bool,
     number: Number,
-    data: std::borrow::Cow<'a, [u8]>,
+    /// The element that holds it, inflated or to be inflated.
+    element: Element<'a>,
+    /// Where its numbers start in the element as inflated, with their length in bytes.
+    at: usize,
+    len: usize,
 }
 
 /// Reads the matrix that `pick` names; without a name a customary one, or the only one there is.
@@ -48,16 +56,32 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         other => return Err(broken(format!("has the byte order mark {other:02X?}"))),
     };
     let variables = variables(&b)?;
-    let shapes: Vec<(String, Vec<u64>)> =
-        variables.iter().map(|v| (v.name.clone(), vec![v.rows as u64, v.columns as u64])).collect();
-    let pick = choose(&shapes, pick, NAME)?;
+    let find = |name: &str| variables.iter().find(|v| v.name == name);
+    let complex = |v: &Variable| {
+        let problem = format!("holds complex numbers in \"{}\"", v.name);
+        Invalid::whole(NAME, problem, "save their real part, or choose another with --dataset")
+    };
+    let shapes: Vec<(String, Vec<u64>)> = variables
+        .iter()
+        .filter(|v| !v.is_complex)
+        .map(|v| (v.name.clone(), vec![v.rows as u64, v.columns as u64]))
+        .collect();
+    let pick = choose(&shapes, pick, NAME).map_err(|e| {
+        let first = variables.iter().find(|v| v.is_complex).filter(|_| shapes.is_empty());
+        first.map_or(e, complex)
+    })?;
     let get = |name: &str| -> Result<Array2<f64>, Invalid> {
-        let found = variables.iter().find(|v| v.name == name).ok_or_else(|| {
+        let found = find(name).ok_or_else(|| {
             let names: Vec<&str> = variables.iter().map(|v| v.name.as_str()).take(20).collect();
             let problem = format!("has no numeric matrix \"{name}\"");
             Invalid::whole(NAME, problem, format!("it holds: {}", names.join(", ")))
         })?;
-        let values = found.number.decode(&found.data, found.rows * found.columns, b.big_endian);
+        if found.is_complex {
+            return Err(complex(found));
+        }
+        let count = check_elements("matrix", &[found.rows as u64, found.columns as u64])?;
+        let data = found.data()?;
+        let values = found.number.decode(&data, count, b.big_endian)?;
         let matrix = Array2::from_shape_vec((found.rows, found.columns).f(), values)
             .map_err(|_| broken(format!("is truncated in \"{name}\"")))?;
         Ok(matrix.as_standard_layout().into_owned())
@@ -82,69 +106,119 @@ fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again with -v7")
 }
 
+/// The headers of all real and complex numeric matrices; of compressed ones no more is inflated.
 fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
     let mut found = Vec::new();
-    let (mut at, mut grown) = (HEADER, 0);
+    let (mut at, mut count) = (HEADER, 0);
     while at < b.all.len() {
         let element = element(b, at)?;
         at = element.next;
-        match element.kind {
-            MATRIX => found.extend(matrix(element.data, b.big_endian)?),
+        count += 1;
+        if count > MOST_ARRAYS {
+            return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
+        }
+        let variable = match element.kind {
+            MATRIX => matrix(element.data, element.data.len(), element, b.big_endian)?,
             COMPRESSED => {
-                let inflated = inflate(element.data, MOST_BYTES - grown)?;
-                let inner = Bytes { all: &inflated, ..*b };
-                let e = self::element(&inner, 0)?;
-                if e.kind != MATRIX {
+                let head = inflate(element.data, LONGEST_HEADER)?;
+                let inner = Bytes { all: &head, ..*b };
+                let (kind, size) = (inner.u32(0)?, inner.u32(4)? as usize);
+                if kind != MATRIX {
                     continue;
                 }
-                if let Some(v) = matrix(e.data, b.big_endian)? {
-                    grown += v.data.len();
-                    found.push(Variable { data: v.data.into_owned().into(), ..v });
-                }
+                matrix(inner.slice(8, head.len() - 8)?, size, element, b.big_endian)?
             }
-            _ => {}
-        }
+            _ => None,
+        };
+        found.extend(variable);
     }
     Ok(found)
 }
 
+impl Variable<'_> {
+    /// The bytes of the numbers.
+    fn data(&self) -> Result<Cow<'_, [u8]>, Invalid> {
+        let missing = || broken(format!("is truncated in \"{}\"", self.name));
+        if self.element.kind == MATRIX {
+            let data = self.element.data.get(self.at..self.at + self.len);
+            return data.map(Cow::Borrowed).ok_or_else(missing);
+        }
+        // The tag of the matrix comes first, the padding to 8 bytes last.
+        let start = 8 + self.at;
+        let most = (start + self.len).next_multiple_of(8);
+        let mut all = inflate(self.element.data, most + 1)?;
+        if all.len() > most {
+            let problem = format!("grows beyond the {most} bytes of \"{}\"", self.name);
+            return Err(broken(problem));
+        }
+        if all.len() < start + self.len {
+            return Err(missing());
+        }
+        all.truncate(start + self.len);
+        all.drain(..start);
+        Ok(Cow::Owned(all))
+    }
+}
+
 /// A data element: its type, its bytes, and where the next one is.
+#[derive(Clone, Copy)]
 struct Element<'a> {
     kind: u32,
     data: &'a [u8],
     next: usize,
 }
 
-fn element<'a>(b: &Bytes<'a>, at: usize) -> Result<Element<'a>, Invalid> {
-    let tag = b.u32(at)?;
-    if tag >> 16 != 0 {
+/// The head of a data element: its type, how many bytes it has and where they are.
+struct Tag {
+    kind: u32,
+    size: usize,
+    at: usize,
+    next: usize,
+}
+
+fn tag(b: &Bytes, at: usize) -> Result<Tag, Invalid> {
+    let word = b.u32(at)?;
+    if word >> 16 != 0 {
         // The small format: size and type in one word, up to 4 bytes after it.
-        let (kind, size) = (tag & 0xffff, (tag >> 16) as usize);
+        let (kind, size) = (word & 0xffff, (word >> 16) as usize);
         if size > 4 {
             return Err(broken(format!("has a small element of {size} bytes at byte {at}")));
         }
-        return Ok(Element { kind, data: b.slice(at + 4, size)?, next: at + 8 });
+        return Ok(Tag { kind, size, at: at + 4, next: at + 8 });
     }
     let size = b.u32(at + 4)? as usize;
-    let data = b.slice(at + 8, size)?;
     // Elements start at multiples of 8 bytes, but compressed ones follow each other.
-    let padded = if tag == COMPRESSED { size } else { size.div_ceil(8) * 8 };
-    Ok(Element { kind: tag, data, next: at + 8 + padded })
+    let padded = if word == COMPRESSED { size } else { size.div_ceil(8) * 8 };
+    Ok(Tag { kind: word, size, at: at + 8, next: at + 8 + padded })
 }
 
-/// A real numeric matrix; `None` for anything else.
-fn matrix(data: &[u8], big_endian: bool) -> Result<Option<Variable<'_>>, Invalid> {
-    let b = Bytes { all: data, name: NAME, big_endian };
+fn element<'a>(b: &Bytes<'a>, at: usize) -> Result<Element<'a>, Invalid> {
+    let Tag { kind, size, at, next } = tag(b, at)?;
+    Ok(Element { kind, data: b.slice(at, size)?, next })
+}
+
+/// A numeric matrix from the first bytes of its element, which has `size` in all; `None` for anything
+/// else.
+fn matrix<'a>(
+    head: &[u8],
+    size: usize,
+    whole: Element<'a>,
+    big_endian: bool,
+) -> Result<Option<Variable<'a>>, Invalid> {
+    let b = Bytes { all: head, name: NAME, big_endian };
     let flags = element(&b, 0)?;
-    let dimensions = element(&b, flags.next)?;
-    let name = element(&b, dimensions.next)?;
     let word = Bytes { all: flags.data, ..b }.u32(0)?;
     let (class, is_complex) = (word & 0xff, word & 0x800 != 0);
-    let name_text = String::from_utf8_lossy(name.data).into_owned();
     // Classes 6 .. 15: double, single, int8 .. uint64.
-    if !(6..=15).contains(&class) || is_complex || dimensions.data.len() != 8 {
+    if !(6..=15).contains(&class) {
         return Ok(None);
     }
+    let dimensions = element(&b, flags.next)?;
+    if dimensions.data.len() != 8 {
+        return Ok(None);
+    }
+    let name = element(&b, dimensions.next)?;
+    let name_text = String::from_utf8_lossy(name.data).into_owned();
     let sizes = Bytes { all: dimensions.data, ..b };
     let (rows, columns) = (sizes.i32(0)?, sizes.i32(4)?);
     let (Ok(rows), Ok(columns)) = (usize::try_from(rows), usize::try_from(columns)) else {
@@ -153,7 +227,7 @@ fn matrix(data: &[u8], big_endian: bool) -> Result<Option<Variable<'_>>, Invalid
     if rows * columns == 0 {
         return Ok(None);
     }
-    let values = element(&b, name.next)?;
+    let values = tag(&b, name.next)?;
     let number = match values.kind {
         1 => Number::I8,
         2 => Number::U8,
@@ -167,40 +241,32 @@ fn matrix(data: &[u8], big_endian: bool) -> Result<Option<Variable<'_>>, Invalid
         13 => Number::U64,
         other => return Err(broken(format!("has \"{name_text}\" stored as type {other}"))),
     };
-    if rows.checked_mul(columns).and_then(|n| n.checked_mul(number.size()))
-        != Some(values.data.len())
-    {
-        return Err(broken(format!(
-            "has \"{name_text}\" of {rows} x {columns} in {} bytes",
-            values.data.len()
-        )));
+    let len = rows.checked_mul(columns).and_then(|n| n.checked_mul(number.size()));
+    if len != Some(values.size) || values.at + values.size > size {
+        let problem = format!("has \"{name_text}\" of {rows} x {columns} in {} bytes", values.size);
+        return Err(broken(problem));
     }
-    Ok(Some(Variable { name: name_text, rows, columns, number, data: values.data.into() }))
+    let (at, len) = (values.at, values.size);
+    Ok(Some(Variable {
+        name: name_text,
+        rows,
+        columns,
+        is_complex,
+        number,
+        element: whole,
+        at,
+        len,
+    }))
 }
 
-/// Inflates, but not beyond `most` bytes.
+/// At most the first `most` bytes of what `compressed` inflates to; when it ends before them its
+/// checksum is checked.
 fn inflate(compressed: &[u8], most: usize) -> Result<Vec<u8>, Invalid> {
-    let mut stream = Decompress::new(true);
     let mut out = Vec::new();
-    loop {
-        // Grows with what comes out, not with what a header claims.
-        let more = (2 * out.len()).clamp(1 << 16, 1 << 26);
-        out.reserve(more);
-        let before = (stream.total_in(), stream.total_out());
-        let rest = &compressed[(stream.total_in() as usize).min(compressed.len())..];
-        let status = stream
-            .decompress_vec(rest, &mut out, FlushDecompress::None)
-            .map_err(|e| broken(format!("has a broken compressed element ({e})")))?;
-        if out.len() > most {
-            let problem = format!("grows beyond {most} bytes when it is inflated");
-            return Err(Invalid::whole(NAME, problem, "save only the map"));
-        }
-        match status {
-            Status::StreamEnd => return Ok(out),
-            _ if (stream.total_in(), stream.total_out()) == before => {
-                return Err(broken("is truncated in a compressed element".into()));
-            }
-            _ => {}
-        }
-    }
+    let stream = ZlibDecoder::new(compressed).take(most as u64);
+    // Grows with what comes out, not with what a header claims.
+    { stream }
+        .read_to_end(&mut out)
+        .map_err(|e| broken(format!("is truncated or broken in a compressed element ({e})")))?;
+    Ok(out)
 }

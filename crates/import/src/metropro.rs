@@ -24,8 +24,8 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
+    budget::check_size,
     bytes::{Bytes, Number},
-    check_size,
     reading::{FirstRow, Reading},
 };
 
@@ -93,7 +93,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         return Err(bad(format!("has the lateral resolution {lateral_m} m")));
     }
 
-    let mut values = Number::I32.decode(raw, count, true);
+    let mut values = Number::I32.decode(raw, count, true)?;
     for v in values.iter_mut().filter(|v| **v >= INVALID) {
         *v = f64::NAN;
     }

@@ -5,8 +5,8 @@ use planish_types::Invalid;
 
 use crate::{
     Format,
+    budget::check_size,
     bytes::{Bytes, Number},
-    check_size,
     reading::{FirstRow, Reading},
 };
 
@@ -34,8 +34,14 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
     let header = String::from_utf8_lossy(b.slice(start, length)?).into_owned();
     let descriptor = quoted(&header, "'descr':").ok_or_else(|| bad("has no plain dtype".into()))?;
-    let (number, big_endian) =
-        dtype(descriptor).ok_or_else(|| bad(format!("holds elements of type \"{descriptor}\"")))?;
+    let (number, big_endian) = dtype(descriptor).ok_or_else(|| match descriptor.get(1..2) {
+        Some("c") => Invalid::whole(
+            NAME,
+            format!("holds complex numbers of type \"{descriptor}\""),
+            "save a.real, or numpy.angle(a) for a phase",
+        ),
+        _ => bad(format!("holds elements of type \"{descriptor}\"")),
+    })?;
     let fortran = after(&header, "'fortran_order':").is_some_and(|t| t.starts_with("True"));
     let shape = shape(&header).ok_or_else(|| bad("has no readable shape".into()))?;
     let [rows, columns] = shape[..] else {
@@ -50,7 +56,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
             bytes.len() - start - length - data.len()
         )));
     }
-    let values = number.decode(data, count, big_endian);
+    let values = number.decode(data, count, big_endian)?;
     let values = Array2::from_shape_vec((rows, columns).set_f(fortran), values)
         .expect("one value per element");
     let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);

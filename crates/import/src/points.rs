@@ -19,7 +19,8 @@ use planish_types::Invalid;
 use serde_json::json;
 
 use crate::{
-    Format, Unit, check_size,
+    Format, Unit,
+    budget::{MOST_PIXELS, check_elements, check_size, most_pixels},
     reading::{Coordinates, FirstRow, Reading},
     text,
 };
@@ -77,10 +78,10 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
         v => Err(bad(format!("has {v} pixels in line 4, field {n}"))),
     };
     let (columns, rows) = (size(3)?, size(4)?);
-    check_size("phase", rows, columns)?;
-    if rows * columns > text.len() {
+    if rows.checked_mul(columns).is_none_or(|n| n > text.len()) {
         return Err(bad(format!("is truncated: {rows} x {columns} pixels, {} bytes", text.len())));
     }
+    check_size("phase", rows, columns)?;
     let (x0, y0) = (field(4, 1)?, field(4, 2)?);
     let (scale, wavelength_m, pitch_m) = (field(8, 2)?, field(8, 3)?, field(8, 7)?);
     if !(pitch_m.is_finite() && pitch_m >= 0.0) {
@@ -220,22 +221,27 @@ fn next(line: &str) -> (&str, &str) {
 
 fn lines(text: &str) -> Result<Reading, Invalid> {
     let mut points: Vec<[f64; 3]> = Vec::new();
+    let most = most_pixels();
     for (i, line) in text.lines().enumerate() {
         let trimmed = line.trim();
         if trimmed.is_empty() || trimmed.starts_with('#') {
             continue;
         }
-        let fields = text::fields(trimmed);
+        if points.len() == most {
+            check_elements(NAME, &[most as u64 + 1])?;
+        }
+        let mut fields = text::fields(trimmed);
         // "No Data" is two words.
-        let [x, y, z] = match fields[..] {
-            [x, y, z] => [x, y, z],
-            [x, y, no, data]
+        let [x, y, z] = match [(); 5].map(|()| fields.next()) {
+            [Some(x), Some(y), Some(z), None, _] => [x, y, z],
+            [Some(x), Some(y), Some(no), Some(data), None]
                 if no.eq_ignore_ascii_case("no") && data.eq_ignore_ascii_case("data") =>
             {
                 [x, y, "no data"]
             }
             _ => {
-                let problem = format!("has {} fields in line {}, not x y z", fields.len(), i + 1);
+                let count = text::fields(trimmed).count();
+                let problem = format!("has {count} fields in line {}, not x y z", i + 1);
                 let remedy = "give three numbers per line, or --format csv for a matrix";
                 return Err(Invalid::whole(NAME, problem, remedy));
             }
@@ -252,8 +258,8 @@ fn lines(text: &str) -> Result<Reading, Invalid> {
         }
         points.push(point);
     }
-    let x = uniform("x", points.iter().map(|p| p[0]).collect(), points.len())?;
-    let y = uniform("y", points.iter().map(|p| p[1]).collect(), points.len())?;
+    let x = uniform("x", points.iter().map(|p| p[0]).collect())?;
+    let y = uniform("y", points.iter().map(|p| p[1]).collect())?;
     check_size(NAME, y.count, x.count)?;
     // A grid of which most pixels are absent is a mistake in the coordinates.
     if x.count * y.count > 100 * points.len() {
@@ -263,7 +269,7 @@ fn lines(text: &str) -> Result<Reading, Invalid> {
     let mut values = Array2::from_elem((y.count, x.count), f64::NAN);
     let mut seen = Array2::from_elem((y.count, x.count), false);
     for point in &points {
-        let at = [y.index("y", point[1])?, x.index("x", point[0])?];
+        let at = [y.index(point[1]), x.index(point[0])];
         if std::mem::replace(&mut seen[at], true) {
             let problem = format!("names the pixel x {}, y {} twice", point[0], point[1]);
             return Err(Invalid::whole(NAME, problem, "give every pixel once"));
@@ -282,36 +288,55 @@ struct Found {
     count: usize,
 }
 
-fn uniform(name: &'static str, mut values: Vec<f64>, points: usize) -> Result<Found, Invalid> {
+/// The axis whose step is the least distance of the given coordinates; where that is none, the place
+/// where they jump.
+fn uniform(name: &'static str, mut values: Vec<f64>) -> Result<Found, Invalid> {
     values.sort_by(f64::total_cmp);
     let (Some(start), Some(end)) = (values.first().copied(), values.last().copied()) else {
         return Err(Invalid::whole(NAME, "holds no points", "give lines x y z"));
     };
     // Coordinates of one column that were computed differently are equal to rounding.
-    let apart = 1e-6 * (end - start) / (points as f64).max(1.0);
-    let gap = values.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > apart);
-    let least = gap.fold(f64::INFINITY, f64::min);
+    let apart = 1e-6 * (end - start) / (values.len() as f64).max(1.0);
+    values.dedup_by(|b, a| *b - *a <= apart);
+    let least = values.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
     if !(least.is_finite() && (end - start).is_finite()) {
         let problem = format!("has only the value {start}");
         return Err(Invalid::whole(name, problem, "a map has at least 2 x 2 pixels"));
     }
     let steps = ((end - start) / least).round();
-    if steps >= crate::MOST_PIXELS as f64 {
-        let problem = format!("goes from {start} to {end} in steps of {least}");
-        return Err(Invalid::whole(name, problem, "resample it to a uniform grid"));
+    let step = (end - start) / steps;
+    // A coordinate is a whole number of steps from the start.
+    let on_grid = |v: f64| {
+        let i = ((v - start) / step).round();
+        (v - (start + i * step)).abs() <= UNIFORMITY * step
+    };
+    if steps >= MOST_PIXELS as f64 || !values.iter().copied().all(on_grid) {
+        return Err(jump(name, &values));
     }
-    Ok(Found { start, step: (end - start) / steps, count: steps as usize + 1 })
+    Ok(Found { start, step, count: steps as usize + 1 })
+}
+
+/// The first of ascending coordinates whose distance is no multiple of the usual one.
+fn jump(name: &'static str, values: &[f64]) -> Invalid {
+    let mut steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
+    let at = |i: usize| [values[i], values[i + 1]];
+    let all = steps.clone();
+    steps.sort_by(f64::total_cmp);
+    let usual = steps[steps.len() / 2];
+    let off = |step: &f64| {
+        let ratio = step / usual;
+        (ratio - ratio.round()).abs() > UNIFORMITY * ratio.round().max(1.0) || ratio < 0.5
+    };
+    let i = all.iter().position(off).unwrap_or(0);
+    let [a, b] = at(i);
+    let problem =
+        format!("has {b} after {a}: a step of {}, where the usual step is {usual}", b - a);
+    Invalid::whole(name, problem, "resample it to a uniform grid, or correct the coordinate")
 }
 
 impl Found {
-    fn index(&self, name: &'static str, v: f64) -> Result<usize, Invalid> {
-        let i = ((v - self.start) / self.step).round();
-        let on_grid = self.start + i * self.step;
-        if (v - on_grid).abs() > UNIFORMITY * self.step {
-            let problem = format!("{v} is not on the grid of step {}", self.step);
-            return Err(Invalid::whole(name, problem, "resample it to a uniform grid"));
-        }
-        Ok((i as usize).min(self.count - 1))
+    fn index(&self, v: f64) -> usize {
+        (((v - self.start) / self.step).round() as usize).min(self.count - 1)
     }
 
     fn all(&self) -> Vec<f64> {
@@ -339,7 +364,9 @@ mod tests {
     fn what_is_no_grid_is_refused() {
         let message = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
         assert!(message("0 0 1\n1 0 2\n0 1 3\n1 1 4\n1 1 4\n").contains("twice"));
-        assert!(message("0 0 1\n1 0 2\n0 1 3\n2.4 1 4\n").contains("not on the grid"));
+        let said = message("0 0 1\n1 0 2\n2 0 2\n0 1 3\n2.4 1 4\n");
+        assert!(said.contains("x: has 2.4 after 2: a step of 0.3999"), "{said}");
+        assert!(said.contains("the usual step is 1"), "{said}");
         assert!(message("0 0 1\n1 0 2\n").contains("only the value 0"));
         assert!(message("0 0 1\n1 0 x\n").contains("\"x\" in line 2, field 3"));
         assert!(message("0 0\n").contains("not x y z"));

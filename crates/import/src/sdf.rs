@@ -10,8 +10,8 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
+    budget::{MOST_HEADER_LINES, check_size, too_many},
     bytes::{Bytes, Number},
-    check_size,
     reading::{FirstRow, Reading},
     text,
 };
@@ -67,6 +67,10 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
             break;
         }
         if let Some((key, value)) = line.split_once('=') {
+            if fields.len() == MOST_HEADER_LINES {
+                let remedy = "export it again";
+                return Err(too_many(NAME, MOST_HEADER_LINES, "lines of its header", remedy));
+            }
             fields.push((key.trim().to_ascii_lowercase(), value.trim()));
         }
     }
@@ -130,7 +134,7 @@ fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     };
     let count = check_size("SDF map", rows, columns)?;
     let raw = b.slice(HEADER, count * number.size())?;
-    let mut values = number.decode(raw, count, false);
+    let mut values = number.decode(raw, count, false)?;
     let invalid = match number {
         Number::U8 => f64::from(u8::MAX),
         Number::U16 => f64::from(u16::MAX),

@@ -306,7 +306,9 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
                 .map(|k| own[k] + sums[[r, c + 1]][k] + sums[[r + 1, c]][k] - sums[[r, c]][k]);
         }
     }
-    let reach = |axis: &Axis| (0.25 * half_size_mm / axis.step_mm()).round() as usize;
+    // A square larger than the map reaches as far as the map.
+    let reach =
+        |axis: &Axis| ((0.25 * half_size_mm / axis.step_mm()).round() as usize).min(axis.len());
     let (rx, ry) = (reach(&grid.x), reach(&grid.y));
     let mut best = (f64::NEG_INFINITY, None);
     for r in 0..ny {

@@ -15,15 +15,15 @@ pub(crate) fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<&'a str, I
 }
 
 /// The fields of a line: by comma, semicolon or tab where there is one, else by white space.
-pub(crate) fn fields(line: &str) -> Vec<&str> {
+pub(crate) fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     match [';', '\t', ','].into_iter().find(|c| line.contains(*c)) {
         Some(separator) => {
             let line = line.trim_matches([' ', '\r']);
             // A separator at the end of a line closes it.
             let line = line.strip_suffix(separator).unwrap_or(line);
-            line.split(separator).map(str::trim).collect()
+            Box::new(line.split(separator).map(str::trim))
         }
-        None => line.split_whitespace().collect(),
+        None => Box::new(line.split_whitespace()),
     }
 }
 
@@ -40,10 +40,13 @@ pub(crate) fn number(
     if NO_DATA.contains(&field.to_ascii_lowercase().as_str()) {
         return Ok(f64::NAN);
     }
-    let short: String = field.chars().take(20).collect();
-    Err(Invalid::whole(
-        name,
-        format!("has \"{short}\" in line {line}, field {column}, where a number should be"),
-        "write numbers with a decimal point; a line of text starts with #",
-    ))
+    let short: String = field.chars().filter(|c| !c.is_control()).take(20).collect();
+    let is_complex = field.ends_with(['i', 'j', 'I', 'J', ')']) && field.contains(['+', '-']);
+    let remedy = match is_complex && field.contains(|c: char| c.is_ascii_digit()) {
+        true => "complex numbers are not read: save their real part",
+        false => "write numbers with a decimal point; a line of text starts with #",
+    };
+    let problem =
+        format!("has \"{short}\" in line {line}, field {column}, where a number should be");
+    Err(Invalid::whole(name, problem, remedy))
 }

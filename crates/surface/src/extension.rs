@@ -14,7 +14,7 @@
 //! weight there, and an extension would only take freedom away.
 
 use ndarray::{Array2, s};
-use planish_types::{Axis, Grid, Invalid, Surface};
+use planish_types::{Axis, Grid, Invalid, Surface, budget};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -25,6 +25,9 @@ pub mod polynomial;
 
 /// Largest number of pixels of an extended map: 200 MB as 64-bit floats.
 const MAX_PIXELS: usize = 25_000_000;
+
+/// What a pixel of an extended map costs in all: 300 MB of 4 million were measured.
+const BYTES_PER_PIXEL: usize = 80;
 
 /// How far, and how.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -124,6 +127,13 @@ fn enlarged(grid: &Grid, margin_mm: f64) -> Result<(Grid, (usize, usize)), Inval
             format!("give a margin in mm that makes at most {MAX_PIXELS} pixels"),
         ));
     }
+    let array = "extended map";
+    budget::affordable(
+        array,
+        size(&grid.x) * size(&grid.y),
+        BYTES_PER_PIXEL,
+        "give a smaller margin",
+    )?;
     let longer = |axis: &Axis| {
         let k = pixels(axis) as usize;
         Axis::new(axis.start_mm() - k as f64 * axis.step_mm(), axis.step_mm(), axis.len() + 2 * k)

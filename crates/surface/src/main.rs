@@ -68,7 +68,7 @@ struct PrepareArgs {
     #[arg(long, value_enum, default_value_t = LevelArg::Piston)]
     level: LevelArg,
     /// Highest order of the terms: n of zernike, i + j of legendre and chebyshev; at most 20
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     level_order: Option<u32>,
     /// Unit circle of the zernike terms, mm [default: about the valid pixels]
     #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
@@ -120,19 +120,25 @@ struct OutlierArgs {
     #[arg(long, value_name = "DIR", group = "feature", requires = "mask_outliers")]
     tif: Option<PathBuf>,
     /// Full width at half maximum of the tool, mm
-    #[arg(long, value_name = "W", group = "feature", requires = "mask_outliers")]
+    #[arg(
+        long,
+        value_name = "W",
+        group = "feature",
+        requires = "mask_outliers",
+        allow_negative_numbers = true
+    )]
     feature_mm: Option<f64>,
     /// A seed deviates by more than this multiple of the noise (1.4826 MAD) [default: 15]
-    #[arg(long, value_name = "K", requires = "mask_outliers")]
+    #[arg(long, value_name = "K", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_seed_sigmas: Option<f64>,
     /// A seed grows to pixels above this multiple of the noise [default: 6]
-    #[arg(long, value_name = "K", requires = "mask_outliers")]
+    #[arg(long, value_name = "K", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_grow_sigmas: Option<f64>,
     /// No seed deviates by less than this, nm [default: 1]
-    #[arg(long, value_name = "NM", requires = "mask_outliers")]
+    #[arg(long, value_name = "NM", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_floor_nm: Option<f64>,
     /// Margin around an outlier, px [default: 3]
-    #[arg(long, value_name = "PX", requires = "mask_outliers")]
+    #[arg(long, value_name = "PX", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_dilate_px: Option<usize>,
 }
 
@@ -143,22 +149,22 @@ struct ExtensionArgs {
     #[arg(long, value_enum, value_name = "METHOD", requires = "extend_mm")]
     extend: Option<ExtendArg>,
     /// Margin on every side, mm
-    #[arg(long, value_name = "M", requires = "extend")]
+    #[arg(long, value_name = "M", requires = "extend", allow_negative_numbers = true)]
     extend_mm: Option<f64>,
     /// gaussian-decay: standard deviation, mm [default: a third of the margin]
-    #[arg(long, value_name = "S", requires = "extend")]
+    #[arg(long, value_name = "S", requires = "extend", allow_negative_numbers = true)]
     extend_sigma_mm: Option<f64>,
     /// gerchberg-papoulis: highest spatial frequency, 1/mm; 1 / (2 FWHM) of the tool is usual
-    #[arg(long, value_name = "F", requires = "extend")]
+    #[arg(long, value_name = "F", requires = "extend", allow_negative_numbers = true)]
     extend_cutoff_per_mm: Option<f64>,
     /// gerchberg-papoulis: most steps [default: 300]
-    #[arg(long, value_name = "N", requires = "extend")]
+    #[arg(long, value_name = "N", requires = "extend", allow_negative_numbers = true)]
     extend_iterations: Option<usize>,
     /// gerchberg-papoulis: stop when no height changes by more, nm [default: 1e-3]
-    #[arg(long, value_name = "NM", requires = "extend")]
+    #[arg(long, value_name = "NM", requires = "extend", allow_negative_numbers = true)]
     extend_tolerance_nm: Option<f64>,
     /// polynomial: highest orders along x and y [default: 9 6]
-    #[arg(long, num_args = 2, value_names = ["I", "J"], requires = "extend")]
+    #[arg(long, num_args = 2, value_names = ["I", "J"], requires = "extend", allow_negative_numbers = true)]
     extend_order: Option<Vec<u32>>,
     /// polynomial: let nothing hold it at the outer edge (only for maps that are polynomials)
     #[arg(long, requires = "extend")]
@@ -215,7 +221,7 @@ struct PsdArgs {
     #[arg(long, value_enum, default_value_t = DetrendArg::Plane)]
     detrend: DetrendArg,
     /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
-    #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = clap::ArgAction::Append)]
+    #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = clap::ArgAction::Append, allow_negative_numbers = true)]
     band_per_mm: Vec<f64>,
     #[command(flatten)]
     output: OutputArgs,
@@ -248,10 +254,10 @@ struct TifArgs {
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     rotate_deg: f64,
     /// Resample to this pitch, with a sample at the centre, mm
-    #[arg(long, value_name = "P")]
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: Option<f64>,
     /// Let the outer share of the half size go to zero by a cosine, in (0, 1]; 0.15 is usual
-    #[arg(long, value_name = "F")]
+    #[arg(long, value_name = "F", allow_negative_numbers = true)]
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it
     #[arg(long, value_enum)]
@@ -627,8 +633,16 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
     }
     let outline =
         args.outline.as_ref().map(|dir| stage.read("outline", dir).map(|s| panel(dir, &s)));
-    if args.section_y_mm.is_some_and(|y| !y.is_finite()) {
-        return Err(Failure::new("--section-y-mm: is not a number; give a y in mm"));
+    if let Some(y) = args.section_y_mm {
+        let inside = |p: &Panel| (p.grid.y.start_mm()..=p.grid.y.end_mm()).contains(&y);
+        if !panels.iter().any(inside) {
+            let y_mm = &panels[0].grid.y;
+            return Err(Failure::new(format!(
+                "--section-y-mm: is {y}, no map is there; the first goes from {} to {} mm",
+                y_mm.start_mm(),
+                y_mm.end_mm()
+            )));
+        }
     }
     let settings = MapsSettings {
         unit: if args.tif.is_empty() { "nm" } else { "nm/s" },

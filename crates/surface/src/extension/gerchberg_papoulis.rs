@@ -26,6 +26,9 @@ use serde_json::{Value, json};
 
 use super::nearest;
 
+/// Most steps that may be asked for: after the first hundreds they change less than any measurement sees.
+const MOST_ITERATIONS: usize = 100_000;
+
 /// The cutoff, and when to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
@@ -104,6 +107,11 @@ impl Settings {
                 format!("of {f} /mm leaves no wave in the map"),
                 format!("give at least {lowest} /mm"),
             ));
+        }
+        if self.max_iterations > MOST_ITERATIONS {
+            let problem = format!("are {}", self.max_iterations);
+            let remedy = format!("give at most {MOST_ITERATIONS}; 300 are usual");
+            return Err(Invalid::whole("extension iterations", problem, remedy));
         }
         if !(self.tolerance_nm.is_finite() && self.tolerance_nm >= 0.0) {
             let problem = format!("is {} nm", self.tolerance_nm);

@@ -1,0 +1,303 @@
+//! Absurd numbers in every numeric flag, and maps that are hardly maps: the program ends in time with
+//! an exit code of the table and at most one message, never with an internal error, and writes nothing
+//! that is not a number.
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::Path,
+    process::{Command, Output, Stdio},
+    time::{Duration, Instant},
+};
+
+use ndarray::{Array1, Array2, ArrayD};
+use planish_handoff::npy::ArrayData;
+use serde_json::Value;
+
+/// A run on 12 x 9 pixels takes milliseconds; what takes this long has no end.
+const LIMIT: Duration = Duration::from_secs(20);
+
+/// In the place of `?`, each with a number that is usual there first: with that one it runs.
+const NUMBERS: [&str; 14] = [
+    "0",
+    "-0",
+    "-1",
+    "nan",
+    "inf",
+    "-inf",
+    "1e-300",
+    "1e-9",
+    "1e9",
+    "1e300",
+    "1000000",
+    "9007199254740993",
+    "18446744073709551615",
+    "99999999999999999999",
+];
+
+fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
+    fs::create_dir_all(dir).unwrap();
+    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
+}
+
+fn axis(n: usize, step: f64) -> ArrayD<f64> {
+    Array1::from_iter((0..n).map(|i| step * (i as f64 - 0.5 * (n - 1) as f64))).into_dyn()
+}
+
+fn put(dir: &Path, name: &str, map: Array2<f64>, step: f64) {
+    let (ny, nx) = map.dim();
+    save(dir, name, map.into_dyn());
+    save(dir, "x_mm", axis(nx, step));
+    save(dir, "y_mm", axis(ny, step));
+}
+
+/// The smooth map that flags are tried on, with a hole.
+fn usual() -> Array2<f64> {
+    let mut map =
+        Array2::from_shape_fn((9, 12), |(r, c)| (0.7 * r as f64).sin() + 0.1 * (c * c) as f64);
+    map[[2, 8]] = f64::NAN;
+    map
+}
+
+fn tool() -> Array2<f64> {
+    Array2::from_shape_fn((7, 7), |(r, c)| {
+        let (x, y) = (c as f64 - 3.0, r as f64 - 3.0);
+        5.0 * (-(x * x + y * y) / 3.0).exp()
+    })
+}
+
+/// Runs to its end, or to [`LIMIT`].
+fn run(dir: &Path, arguments: &[&str]) -> Output {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+        .current_dir(dir)
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let started = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if started.elapsed() > LIMIT {
+            child.kill().unwrap();
+            panic!("{arguments:?} runs on after {LIMIT:?}");
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.wait_with_output().unwrap()
+}
+
+/// Null in the outcome because there is nothing to report: steps that were not asked for, and the width
+/// of a TIF that does not fall to half of its peak.
+const ABSENT: [&str; 7] = [
+    ".outcome.outliers",
+    ".outcome.removed_low_order",
+    ".outcome.filled",
+    ".outcome.extended",
+    ".outcome.before.fwhm_mm[]",
+    ".outcome.after.fwhm_mm[]",
+    ".outcome.fit",
+];
+
+/// Where a JSON value is null: a number that JSON does not have becomes null.
+fn nulls(value: &Value, at: String, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Null => drop(found.insert(at)),
+        Value::Array(all) => all.iter().for_each(|v| nulls(v, format!("{at}[]"), found)),
+        Value::Object(all) => all.iter().for_each(|(k, v)| nulls(v, format!("{at}.{k}"), found)),
+        _ => {}
+    }
+}
+
+/// Runs into `out`; what is wrong with how it ended, and the nulls of its manifest.
+fn judged(dir: &Path, arguments: &[&str], out: &str) -> (Option<String>, BTreeSet<String>, bool) {
+    let _ = fs::remove_dir_all(dir.join(out));
+    let _ = fs::remove_file(dir.join(out));
+    let output = run(dir, &[arguments, &["--out", out]].concat());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let errors = said.lines().filter(|l| l.starts_with("error: ")).count();
+    let mut found = BTreeSet::new();
+    let wrong = match output.status.code() {
+        _ if said.contains("internal error") || said.contains("panicked") => Some(said),
+        Some(0 | 1) => {
+            if let Ok(text) = fs::read_to_string(dir.join(out).join("manifest.json")) {
+                let manifest: Value = serde_json::from_str(&text).unwrap();
+                nulls(&manifest["outcome"], ".outcome".into(), &mut found);
+                found.retain(|n| !ABSENT.contains(&n.as_str()));
+            }
+            let drawn = [dir.join(out), dir.join(out).join("psd.svg")];
+            let drawn = drawn.iter().find_map(|p| fs::read_to_string(p).ok());
+            drawn
+                .filter(|svg| svg.contains("NaN") || svg.contains("inf"))
+                .map(|_| "NaN drawn".into())
+        }
+        Some(2) if errors != 1 => Some(format!("{errors} messages: {said}")),
+        Some(2) if dir.join(out).exists() => Some(format!("wrote: {said}")),
+        Some(2) => None,
+        other => Some(format!("ended with {other:?}: {said}")),
+    };
+    (wrong, found, output.status.code() != Some(2))
+}
+
+/// A subcommand, its flags with a `?` where a hostile number goes, and a number that is usual there.
+const FLAGS: [(&str, &str, &str); 30] = [
+    ("prepare", "--level legendre --level-order ?", "3"),
+    ("prepare", "--level zernike --level-order ?", "3"),
+    ("prepare", "--level zernike --level-order 2 --zernike-circle-mm 0 0 ?", "9"),
+    ("prepare", "--level zernike --level-order 2 --zernike-circle-mm ? 0 9", "0"),
+    ("prepare", "--aperture-rectangle-mm -3 ? -3 3", "3"),
+    ("prepare", "--aperture-rectangle-mm ? 3 -3 3", "-3"),
+    ("prepare", "--aperture-circle-mm 0 0 ?", "3"),
+    ("prepare", "--aperture-circle-mm 0 ? 3", "0"),
+    ("prepare", "--mask-outliers --feature-mm ?", "2"),
+    ("prepare", "--mask-outliers --feature-mm 2 --outlier-seed-sigmas ?", "10"),
+    ("prepare", "--mask-outliers --feature-mm 2 --outlier-grow-sigmas ?", "2"),
+    ("prepare", "--mask-outliers --feature-mm 2 --outlier-floor-nm ?", "1"),
+    ("prepare", "--mask-outliers --feature-mm 2 --outlier-dilate-px ?", "1"),
+    ("prepare", "--extend nearest --extend-mm ?", "2"),
+    ("prepare", "--extend gaussian-decay --extend-mm 3 --extend-sigma-mm ?", "2"),
+    ("prepare", "--extend gerchberg-papoulis --extend-mm 3 --extend-cutoff-per-mm ?", "0.2"),
+    (
+        "prepare",
+        "--extend gerchberg-papoulis --extend-mm 3 --extend-cutoff-per-mm 0.2 --extend-iterations ?",
+        "10",
+    ),
+    (
+        "prepare",
+        "--extend gerchberg-papoulis --extend-mm 3 --extend-cutoff-per-mm 0.2 --extend-tolerance-nm ?",
+        "1",
+    ),
+    ("prepare", "--extend polynomial --extend-mm 3 --extend-order ? 2", "2"),
+    ("tif", "--rotate-deg ?", "30"),
+    ("tif", "--pitch-mm ?", "0.5"),
+    ("tif", "--taper-fraction ?", "0.5"),
+    ("tif", "--fit gaussian --use-fit --pitch-mm ?", "0.5"),
+    ("tif", "--fit super-gaussian --rotate-deg ?", "30"),
+    ("psd", "--band-per-mm ? 0.3", "0.1"),
+    ("psd", "--band-per-mm 0.1 ?", "0.3"),
+    ("psd", "--memory-gib ?", "1"),
+    ("prepare", "--extend nearest --extend-mm 2 --memory-gib ?", "1"),
+    ("draw", "--section-y-mm ?", "0"),
+    ("draw", "--memory-gib ?", "1"),
+];
+
+#[test]
+fn absurd_numbers_end_with_a_result_or_a_message() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    put(&dir.join("map"), "height_nm", usual(), 1.0);
+    put(&dir.join("tool"), "rate_nm_per_s", tool(), 1.0);
+    let mut failures = Vec::new();
+    for (method, flags, usual) in FLAGS {
+        let input = if method == "tif" { ["--tif", "tool"] } else { ["--surface", "map"] };
+        let with = |number: &'static str| -> Vec<&str> {
+            let flags = flags.split(' ').map(|f| if f == "?" { number } else { f });
+            [method].into_iter().chain(input).chain(flags).collect()
+        };
+        let (wrong, found, ran) = judged(dir, &with(usual), "out");
+        assert!(
+            wrong.is_none() && found.is_empty() && ran,
+            "{method} {flags}: {wrong:?} {found:?}"
+        );
+        for number in NUMBERS {
+            let arguments = with(number);
+            let (wrong, found, _) = judged(dir, &arguments, "out");
+            if let Some(wrong) = wrong {
+                failures.push(format!("{}: {wrong}", arguments.join(" ")));
+            } else if !found.is_empty() {
+                failures.push(format!("{}: null in {found:?}", arguments.join(" ")));
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{} failures:\n{}", failures.len(), failures.join("\n"));
+}
+
+#[test]
+fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let nan = f64::NAN;
+    let mut one = Array2::from_elem((9, 12), nan);
+    one[[4, 6]] = 3.0;
+    let mut pair = one.clone();
+    pair[[4, 7]] = 4.0;
+    let mut row = Array2::from_elem((9, 12), nan);
+    row.row_mut(3).iter_mut().enumerate().for_each(|(i, v)| *v = (i as f64).sin());
+    let maps = [
+        ("one-pixel", Array2::zeros((1, 1))),
+        ("one-row", Array2::zeros((1, 12))),
+        ("all-nan", Array2::from_elem((9, 12), nan)),
+        ("one-valid-pixel", one),
+        ("two-valid-pixels", pair),
+        ("one-valid-row", row),
+        ("constant", Array2::from_elem((9, 12), 7.0)),
+        ("zero", Array2::zeros((9, 12))),
+        ("large", Array2::from_elem((9, 12), 1e12)),
+        (
+            "jagged",
+            Array2::from_shape_fn((9, 12), |(r, c)| if (r + c) % 2 == 0 { 1e12 } else { -1e12 }),
+        ),
+        ("small", Array2::from_shape_fn((9, 12), |(r, c)| 1e-300 * (r * c) as f64)),
+        ("two-by-two", Array2::from_shape_fn((2, 2), |(r, c)| (r + c) as f64)),
+    ];
+    let calls: [&[&str]; 18] = [
+        &["prepare"],
+        &["prepare", "--level", "plane"],
+        &["prepare", "--level", "legendre", "--level-order", "4"],
+        &["prepare", "--level", "zernike", "--level-order", "4"],
+        &["prepare", "--mask-outliers", "--feature-mm", "2"],
+        &["prepare", "--mask-outliers", "--feature-mm", "2", "--fill"],
+        &["prepare", "--fill"],
+        &["prepare", "--extend", "nearest", "--extend-mm", "2"],
+        &["prepare", "--extend", "gaussian-decay", "--extend-mm", "2"],
+        &["prepare", "--extend", "polynomial", "--extend-mm", "2"],
+        &[
+            "prepare",
+            "--extend",
+            "gerchberg-papoulis",
+            "--extend-mm",
+            "2",
+            "--extend-cutoff-per-mm",
+            "0.2",
+        ],
+        &["psd"],
+        &["psd", "--window", "none", "--detrend", "mean", "--band-per-mm", "0.1", "0.3"],
+        &["draw"],
+        &["draw", "--section-y-mm", "0"],
+        &["tif"],
+        &[
+            "tif",
+            "--centre",
+            "centroid",
+            "--rotate-deg",
+            "30",
+            "--pitch-mm",
+            "0.5",
+            "--subtract-border",
+        ],
+        &["tif", "--taper-fraction", "0.5", "--fit", "gaussian", "--use-fit"],
+    ];
+    let mut failures = Vec::new();
+    let (mut done, mut refused) = (0, 0);
+    for step in [1.0, 1e-9, 1e5] {
+        for (name, map) in &maps {
+            put(&dir.join(name), "height_nm", map.clone(), step);
+            put(&dir.join(format!("{name}-tool")), "rate_nm_per_s", map.clone(), step);
+            for call in calls {
+                let is_tif = call[0] == "tif";
+                let input = if is_tif { format!("{name}-tool") } else { (*name).into() };
+                let flag = if is_tif { "--tif" } else { "--surface" };
+                let arguments = [&call[..1], &[flag, input.as_str()], &call[1..]].concat();
+                let (wrong, found, ran) = judged(dir, &arguments, "out");
+                (done, refused) = (done + usize::from(ran), refused + usize::from(!ran));
+                if let Some(wrong) = wrong {
+                    failures.push(format!("{} (step {step}): {wrong}", arguments.join(" ")));
+                } else if !found.is_empty() {
+                    let problem = format!("null in {found:?}");
+                    failures.push(format!("{} (step {step}): {problem}", arguments.join(" ")));
+                }
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{} failures:\n{}", failures.len(), failures.join("\n"));
+    assert!(done > 100 && refused > 100, "{done} done, {refused} refused");
+}

@@ -1,0 +1,120 @@
+//! Everything that reads bytes of somebody else, each as a function that must return: no panic, no
+//! abort, no endless loop, no more memory than [`MEMORY_GIB`], whatever the bytes are.
+//!
+//! Here for the fuzzer, and for `crates/import/tests/corpus.rs`, which replays the corpus.
+
+use planish_handoff::{Manifest, kind::Dtype, npy};
+use planish_import::{
+    Format, Origin, Pick, Settings, Unit,
+    program::{self, Configuration, Controller},
+    read, surface, tif,
+};
+use planish_types::{Limits, budget};
+
+/// What a reader may take: an input of some kilobytes that needs more is a defect.
+pub const MEMORY_GIB: f64 = 1.0 / 16.0;
+
+/// Longest message of an error, characters: a person reads it.
+const LONGEST_MESSAGE: usize = 1500;
+
+/// A reader by its name, which is that of its corpus.
+pub type Reader = (&'static str, fn(&[u8]));
+
+/// Every reader.
+pub const READERS: [Reader; 17] = [
+    ("metropro", |bytes| map(Format::Metropro, bytes)),
+    ("datx", |bytes| map(Format::Datx, bytes)),
+    ("xyz", |bytes| map(Format::Xyz, bytes)),
+    ("mat5", |bytes| map(Format::Mat5, bytes)),
+    ("hdf5", |bytes| map(Format::Hdf5, bytes)),
+    ("fits", |bytes| map(Format::Fits, bytes)),
+    ("csv", |bytes| map(Format::Csv, bytes)),
+    ("npy", |bytes| map(Format::Npy, bytes)),
+    ("sdf", |bytes| map(Format::Sdf, bytes)),
+    ("galil", |bytes| motion(Controller::Galil, bytes)),
+    ("xps", |bytes| motion(Controller::Xps, bytes)),
+    ("pmac", |bytes| motion(Controller::Pmac, bytes)),
+    ("gcode", |bytes| motion(Controller::Gcode, bytes)),
+    ("motion-csv", |bytes| motion(Controller::Csv, bytes)),
+    ("artifact-npy", artifact_npy),
+    ("manifest", manifest),
+    ("machine", machine),
+];
+
+/// Sets the budget of this process.
+pub fn prepare() {
+    budget::set_memory_gib(MEMORY_GIB).expect("the budget is positive");
+}
+
+/// A map: as a surface and as a TIF, with everything given that a file may leave out.
+fn map(format: Format, bytes: &[u8]) {
+    let _ = Format::of(bytes);
+    for is_tif in [false, true] {
+        let pick = Pick { is_tif, ..Pick::default() };
+        let reading = match read(format, bytes, &pick) {
+            Ok(reading) => reading,
+            Err(error) => return readable(&error.to_string()),
+        };
+        let settings = Settings {
+            unit: reading.unit.or(Some(Unit::Nm)),
+            wavelength_nm: reading.wavelength_nm.or(Some(632.8)),
+            pitch_mm: reading.coordinates.is_none().then_some([0.5, 0.25]),
+            coordinate_unit: reading
+                .coordinates
+                .as_ref()
+                .map(|coordinates| coordinates.unit.unwrap_or(Unit::Mm)),
+            origin: Origin::Centre,
+            ..Settings::default()
+        };
+        let made = match is_tif {
+            false => surface(reading, &settings).map(|made| made.1),
+            true => tif(reading, &settings).map(|made| made.1),
+        };
+        match made {
+            // Nothing that JSON does not have gets into a manifest.
+            Ok(statement) => assert!(statement.nm_per_value.is_finite()),
+            Err(error) => readable(&error.to_string()),
+        }
+    }
+}
+
+fn motion(controller: Controller, bytes: &[u8]) {
+    let configuration = Configuration {
+        start_mm: Some([0.0; 2]),
+        count_mm: Some([1e-3; 2]),
+        sample_s: Some(1e-3),
+        feedrate_time_unit_s: Some(1.0),
+        ..Configuration::default()
+    };
+    match program::read(controller, bytes, &configuration) {
+        Ok(motion) => assert!(motion.total_time_s().is_finite()),
+        Err(error) => readable(&error.to_string()),
+    }
+}
+
+fn artifact_npy(bytes: &[u8]) {
+    for dtype in [Dtype::F64, Dtype::I64, Dtype::U8] {
+        if let Err(message) = npy::parse(bytes, dtype) {
+            readable(&message);
+        }
+    }
+}
+
+fn manifest(bytes: &[u8]) {
+    if let Ok(manifest) = serde_json::from_slice::<Manifest>(bytes) {
+        serde_json::to_vec(&manifest).expect("what was read can be written");
+    }
+}
+
+fn machine(bytes: &[u8]) {
+    if let Ok(limits) = serde_json::from_slice::<Limits>(bytes)
+        && let Err(error) = limits.validated()
+    {
+        readable(&error.to_string());
+    }
+}
+
+/// An error is one short message for a person.
+fn readable(message: &str) {
+    assert!(message.chars().count() < LONGEST_MESSAGE, "{message}");
+}
