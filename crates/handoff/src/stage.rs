@@ -500,6 +500,14 @@ impl Stage {
         Ok(())
     }
 
+    /// A file beside the output (a picture of it), which appears together with what is written last.
+    pub fn stage_file(&self, path: &Path, bytes: &[u8], force: bool) -> Result<(), HandoffError> {
+        let mut staged = Staged::file(path, force)?;
+        staged.write_all(bytes)?;
+        self.staged.borrow_mut().push(staged);
+        Ok(())
+    }
+
     /// Writes single files, which appear together.
     pub fn write_single_files(
         &self,

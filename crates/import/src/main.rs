@@ -597,14 +597,14 @@ fn draw(
     svg(grid, map, scale, &title)
 }
 
-/// Writes the picture that was asked for; an older one is replaced with --force.
+/// The picture that was asked for appears with the map; an older one is replaced with --force.
 fn put_picture(
     stage: &Stage,
     args: &FileArgs,
     picture: impl Fn() -> String,
 ) -> Result<(), Failure> {
     let Some(path) = &args.picture else { return Ok(()) };
-    Ok(stage.write_single_files(&[(path.as_path(), picture().as_bytes())], args.output.force)?)
+    Ok(stage.stage_file(path, picture().as_bytes(), args.output.force)?)
 }
 
 /// Refuses a picture that may not be written, before the work.
