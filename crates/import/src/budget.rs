@@ -25,7 +25,11 @@ pub const MOST_PIXELS: usize = 1 << 25;
 
 /// What a pixel costs until it is written: its number as stored, and in nm, in the order of the file and
 /// in that of the map, each for a moment beside the next, and the one that is written.
-const BYTES_PER_PIXEL: usize = 5 * 8;
+pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
+
+/// What a line `x y z` costs: three numbers in a list that doubles as it grows, their coordinates in
+/// order, and the pixel.
+pub(crate) const BYTES_PER_POINT: usize = 3 * 3 * 8 + BYTES_PER_PIXEL;
 
 /// Most groups, arrays and images that are looked at in one file to find the map.
 pub(crate) const MOST_ARRAYS: usize = 10_000;
@@ -39,9 +43,22 @@ pub(crate) const MOST_TEXT_BYTES: usize = 1 << 18;
 /// Most reads of pieces of an HDF5 file: as many chunks of eight pixels as [`MOST_PIXELS`] has.
 pub(crate) const MOST_READS: u64 = 1 << 22;
 
-/// Most pixels that fit into the memory of this process too.
-pub(crate) fn most_pixels() -> usize {
-    MOST_PIXELS.min((budget::memory_bytes() / BYTES_PER_PIXEL as u64) as usize)
+/// Most elements that may be read where one costs `bytes_each`: they fit into the memory too.
+pub(crate) fn most_of(bytes_each: usize) -> usize {
+    MOST_PIXELS.min((budget::memory_bytes() / bytes_each as u64) as usize)
+}
+
+/// Whether one more may be read than `count`, where one costs `bytes_each`.
+pub(crate) fn check_room(
+    array: &'static str,
+    count: usize,
+    bytes_each: usize,
+) -> Result<(), Invalid> {
+    if count < most_of(bytes_each) {
+        return Ok(());
+    }
+    check_elements(array, &[count as u64 + 1])?;
+    budget::affordable(array, (count + 1) as f64, bytes_each, "crop it").map(drop)
 }
 
 /// Whether a map of this size may be read; `array` names what claims it.

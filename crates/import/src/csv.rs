@@ -7,7 +7,7 @@ use planish_types::Invalid;
 
 use crate::{
     Format,
-    budget::{check_elements, check_size, most_pixels},
+    budget::{BYTES_PER_PIXEL, check_room, check_size, most_of},
     reading::{FirstRow, Reading},
     text,
 };
@@ -18,15 +18,15 @@ const NAME: &str = "CSV file";
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let mut values = Vec::new();
     let (mut rows, mut columns) = (0, 0);
-    let most = most_pixels();
+    let most = most_of(BYTES_PER_PIXEL);
     for (i, line) in text::text(NAME, bytes)?.lines().enumerate() {
         if line.trim().is_empty() || line.trim_start().starts_with('#') {
             continue;
         }
         let before = values.len();
         for (k, field) in text::fields(line).enumerate() {
-            if values.len() == most {
-                check_elements(NAME, &[most as u64 + 1])?;
+            if values.len() >= most {
+                check_room(NAME, values.len(), BYTES_PER_PIXEL)?;
             }
             values.push(text::number(NAME, field, i + 1, k + 1)?);
         }

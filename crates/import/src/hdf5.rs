@@ -24,8 +24,8 @@ use serde_json::json;
 use crate::{
     Format, Unit,
     budget::{
-        MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements, check_size,
-        most_pixels, too_many,
+        BYTES_PER_PIXEL, MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements,
+        check_size, most_of, too_many,
     },
     bytes::{exact, refuse_rounded},
     reading::{Coordinates, FirstRow, Pick, Reading},
@@ -64,8 +64,8 @@ pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
         return Err(Invalid::whole(NAME, problem, "give an HDF5 file, or the right --format"));
     }
     let options = OpenOptions::default()
-        .with_max_read_bytes(8 * most_pixels())
-        .with_max_chunk_bytes(8 * most_pixels())
+        .with_max_read_bytes(8 * most_of(BYTES_PER_PIXEL))
+        .with_max_chunk_bytes(8 * most_of(BYTES_PER_PIXEL))
         .with_max_object_header_bytes(MOST_TEXT_BYTES)
         .with_chunk_cache_bytes(0);
     let metered = Metered {

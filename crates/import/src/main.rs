@@ -15,7 +15,7 @@ use planish_import::{
     program::{self, Configuration, Controller},
     read, spot, surface, svg, tif,
 };
-use planish_types::{Grid, Surface, Tif, Trajectory, text::visible};
+use planish_types::{Grid, Surface, Tif, Trajectory};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -265,12 +265,12 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     let format = format_of(file, bytes.as_deref())?;
     stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
     let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
-    begin_picture(&stage, file)?;
     if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
         && file.picture.as_ref().is_none_or(|p| p.exists())
     {
         return Ok(status);
     }
+    begin_picture(&stage, file)?;
     let (map, statement) = surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
     let picture = || draw(map.grid(), map.height_nm(), Scale::HeightNm, &file.file, &statement);
     put_picture(&stage, file, picture)?;
@@ -335,12 +335,12 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         }
         None => None,
     };
-    begin_picture(&stage, file)?;
     if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)?
         && file.picture.as_ref().is_none_or(|p| p.exists())
     {
         return Ok(status);
     }
+    begin_picture(&stage, file)?;
     let (made, statement, own) = match &spot_settings {
         Some(spot_settings) => {
             let (after, statement) =
@@ -436,9 +436,9 @@ fn stage(method: &str, output: &OutputArgs) -> Stage {
     Stage::new("planish-import", env!("CARGO_PKG_VERSION"), method, output)
 }
 
-/// A message of the library, which may quote the file, with the file that it is about.
+/// A message of the library, with the file that it is about.
 fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::new(visible(&format!("{}: {error}", path.display())))
+    Failure::new(format!("{}: {error}", path.display()))
 }
 
 /// The bytes of a file of another program.

@@ -20,7 +20,7 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
-    budget::{MOST_PIXELS, check_elements, check_size, most_pixels},
+    budget::{BYTES_PER_POINT, MOST_PIXELS, check_room, check_size, most_of},
     reading::{Coordinates, FirstRow, Reading},
     text,
 };
@@ -221,14 +221,14 @@ fn next(line: &str) -> (&str, &str) {
 
 fn lines(text: &str) -> Result<Reading, Invalid> {
     let mut points: Vec<[f64; 3]> = Vec::new();
-    let most = most_pixels();
+    let most = most_of(BYTES_PER_POINT);
     for (i, line) in text.lines().enumerate() {
         let trimmed = line.trim();
         if trimmed.is_empty() || trimmed.starts_with('#') {
             continue;
         }
-        if points.len() == most {
-            check_elements(NAME, &[most as u64 + 1])?;
+        if points.len() >= most {
+            check_room(NAME, points.len(), BYTES_PER_POINT)?;
         }
         let mut fields = text::fields(trimmed);
         // "No Data" is two words.

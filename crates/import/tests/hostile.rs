@@ -239,13 +239,13 @@ fn bombs_are_not_inflated() {
 fn long_texts_are_not_collected() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
-    let small = ["--memory-gib", "0.125"];
-    fs::write(dir.join("a.csv"), ",".repeat(30_000_000)).unwrap();
+    let small = ["--memory-gib", "0.25"];
+    fs::write(dir.join("a.csv"), ",".repeat(12_000_000)).unwrap();
     let said = refused(dir, &[&["surface", "a.csv"], &small[..], &NM].concat());
     assert!(said.contains("CSV file: would have"), "{said}");
     let fields = refused(dir, &["surface", "a.csv", "--format", "xyz"]);
     assert!(fields.contains("fields in line 1, not x y z"), "{fields}");
-    fs::write(dir.join("a.xyz"), "1 2 3\n".repeat(5_000_000)).unwrap();
+    fs::write(dir.join("a.xyz"), "1 2 3\n".repeat(4_000_000)).unwrap();
     let said = refused(dir, &[&["surface", "a.xyz"], &small[..], &NM].concat());
     assert!(said.contains("XYZ file: would have"), "{said}");
     fs::write(dir.join("a.sdf"), format!("aISO-1.0\n{}", "a=\n".repeat(10_000_000))).unwrap();
@@ -436,7 +436,7 @@ fn inputs(dir: &Path) {
     fs::write(dir.join("z.csv"), text(&|_, _| 0.0)).unwrap();
     fs::write(dir.join("w.csv"), text(&waves)).unwrap();
     fs::write(dir.join("p.trj"), "0.1, 1, 0.5, 0, 0\n0.2, 0, 0, 0, 0\n").unwrap();
-    let galil = "PVA=0,0,-1\nPVB=0,0,-1\nPVA=100,5,100\nPVB=0,0,100\nPVA=0,0,100\nPVB=0,0,100\n";
+    let galil = "PVA=0,0,-1\nPVB=0,0,-1\nPVA=100,5,100\nPVB=0,0,100\nPVA=0,0,0\nPVB=0,0,0\nBTAB\n";
     fs::write(dir.join("p.dmc"), galil).unwrap();
     fs::write(dir.join("p.pmc"), "ABS\nPVT100\nX2:3 Y-2:1\nPVT200\nX2:0 Y-2:0\n").unwrap();
 }
