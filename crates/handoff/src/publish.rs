@@ -289,24 +289,24 @@ fn create_sibling(
     loop {
         let sibling = parent.join(format!("{PREFIX}{}-{count}{TEMPORARY}", std::process::id()));
         count += 1;
-        lock(&SIBLINGS).push(sibling.clone());
-        let forget = || lock(&SIBLINGS).retain(|known| *known != sibling);
+        // Under one lock, so that the handler of signals sees it as soon as it is there.
+        let mut siblings = lock(&SIBLINGS);
         match create(&sibling) {
             Ok(file) => {
+                siblings.push(sibling.clone());
+                drop(siblings);
                 // Where the file system has no locks, nobody can take it for abandoned either.
                 let locked = !matches!(file.try_lock(), Err(TryLockError::WouldBlock));
                 if locked && is_at(&file, &sibling) {
                     return Ok((sibling, file));
                 }
                 // Another run took it for abandoned between its creation and the lock.
-                forget();
+                lock(&SIBLINGS).retain(|known| *known != sibling);
             }
+            // Not found: removed by another run, see above.
             Err(e) => {
-                forget();
-                // Not found: removed by another run, see above.
-                if !matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound)
-                    || !parent.is_dir()
-                {
+                let again = matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound);
+                if !again || !parent.is_dir() {
                     return Err(e);
                 }
             }
