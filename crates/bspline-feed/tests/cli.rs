@@ -165,6 +165,8 @@ fn bad_inputs_are_refused_by_one_message() {
     save(&dir.join("tool_path"), "point_mm", points);
     save(&dir.join("tool_path"), "dwell_point_mm", Array2::zeros((1, 2)));
     assert!(refused(dir, &[]).contains("NaN"));
+    // Arrays without a manifest are somebody's own and not replaced.
+    fs::remove_dir_all(dir.join("tool_path")).unwrap();
     prepare(dir);
 
     // A TIF that removes nothing, and one with a NaN.

@@ -450,6 +450,10 @@ fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
 fn dtype_of(path: &PathBuf) -> Result<Dtype, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", path.display()));
+    // A pipe would never end; `npy::read` says so.
+    if !fs::metadata(path).map_err(unreadable)?.is_file() {
+        return Ok(Dtype::F64);
+    }
     let mut header = Vec::new();
     let file = fs::File::open(path).map_err(unreadable)?;
     file.take(128).read_to_end(&mut header).map_err(unreadable)?;

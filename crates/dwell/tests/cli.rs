@@ -329,8 +329,8 @@ fn bad_maps_end_with_2_and_name_file_place_and_remedy() {
     refused_map(&["bad/height_nm.npy: element [3, 4] is inf; mark an invalid pixel by NaN"]);
     save(&bad, "height_nm", ArrayData::F64(Array2::zeros((0, 49)).into_dyn()));
     refused_map(&["bad/height_nm.npy: is empty (shape [0, 49])"]);
-    save(&bad, "height_nm", ArrayData::I64(Array2::zeros((33, 49)).into_dyn()));
-    refused_map(&["bad/height_nm.npy: ", "dtype <i8, needs <f8; save a.astype('<f8')"]);
+    save(&bad, "height_nm", ArrayData::I64(Array2::from_elem((33, 49), i64::MAX).into_dyn()));
+    refused_map(&["bad/height_nm.npy: element [0, 0] is 9223372036854775807 of dtype <i8"]);
     bare(Array2::zeros((49, 33)), g);
     refused_map(&["bad/x_mm.npy: has shape [49]", "33 from height_nm.npy"]);
 }

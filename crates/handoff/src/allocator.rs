@@ -55,7 +55,7 @@ impl Budgeted {
             if sum > 0 && held > budget && !ENDING.swap(true, Ordering::Relaxed) {
                 let gib = |bytes: i64| bytes as f64 / (1u64 << 30) as f64;
                 end(&format!(
-                    "needs {:.2} GiB, more than the {} GiB that it may take; give a coarser map or \
+                    "needs {:.2} GiB, more than the {:.2} GiB that it may take; give a coarser map or \
                      path, or more --memory-gib",
                     gib(held),
                     gib(budget)

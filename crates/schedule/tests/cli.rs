@@ -353,8 +353,8 @@ fn bad_dwell_times_end_with_2_and_name_file_place_and_remedy() {
         times(&[0.5; 4]),
         &["dwell_s: has 4 elements, the tool path 5 dwell points; give the dwell time of this"],
     );
-    let integers = ArrayData::I64(Array1::from(vec![1, 1, 1, 1, 1]).into_dyn());
-    all_refuse(array(integers), &[file, "dtype <i8, needs <f8; save a.astype('<f8')"]);
+    let integers = ArrayData::I64(Array1::from(vec![1, 1, i64::MAX, 1, 1]).into_dyn());
+    all_refuse(array(integers), &[file, "element [2] is 9223372036854775807 of dtype <i8"]);
     let column = ArrayData::F64(Array2::ones((5, 1)).into_dyn());
     all_refuse(array(column), &[file, "has 2 axes (shape [5, 1]), needs 1: (n)"]);
 }

@@ -319,9 +319,9 @@ fn bad_trajectories_end_with_2_and_name_file_place_and_remedy() {
         &["trajectory/coefficient_mm.npy: has shape [2, 4, 2], needs (k, 2, 4)"],
     );
     refused_after(
-        trajectory("dwell_index", ArrayData::F64(Array1::zeros(2).into_dyn())),
+        trajectory("dwell_index", ArrayData::F64(Array1::from(vec![0.0, 0.5]).into_dyn())),
         &[],
-        &["trajectory/dwell_index.npy: ", "dtype <f8, needs <i8; save a.astype('<i8')"],
+        &["trajectory/dwell_index.npy: element [1] is 0.5 of dtype <f8, which <i8 does not have"],
     );
     refused_after(
         trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((0, 2, 4)).into_dyn())),

@@ -119,11 +119,11 @@ impl Line {
     /// From the dwell times to the verdict.
     fn method(&self, name: &str, scheduler: &str, tif: &str, run: &str) -> Vec<String> {
         let dir = format!("{run}/methods/{name}");
-        // Position mode jumps, and the judge says so.
+        // Position mode jumps; its schedule and the judge say so.
         let verdict = i32::from(scheduler == "position");
         [
             (
-                0,
+                verdict,
                 format!(
                     "schedule {scheduler} --tool-path {run}/tool_path --dwell {run}/dwell \
                      --machine machine.json --out {dir}/trajectory \
@@ -195,8 +195,11 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     line.whole();
     let summary = line.json("run/report/summary.json");
 
-    // Exactly the keys that DESIGN promises to other programs, and `execution`.
-    assert_eq!(keys(&summary), ["pipeline", "fixture", "initial", "ideal", "methods"]);
+    // Exactly the keys that other programs read.
+    assert_eq!(
+        keys(&summary),
+        ["pipeline", "fixture", "initial", "ideal", "methods", "left_out", "remarks", "best"]
+    );
     assert_eq!([&summary["pipeline"], &summary["fixture"]], ["raster", "coupon"]);
     assert_eq!(keys(&summary["initial"]), ["rms_nm", "pv_nm"]);
     assert_eq!(keys(&summary["ideal"]), ["rms_nm", "total_time_s"]);
@@ -218,6 +221,8 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "schedule_wall_s",
                 "simulate_wall_s",
                 "execution",
+                "plan",
+                "remarks",
             ]
         );
     }
@@ -478,7 +483,7 @@ fn with_noise_the_loop_gains_on_the_true_surface() {
 #[test]
 fn a_ring_shaped_tool_is_refined() {
     let line = Line::new(2);
-    refined(&line, "coupon-ring", "--min-dwell-s 0.1", "");
+    refined(&line, "coupon-ring", "--min-dwell-s 0.1", "--max-rounds 12");
     let [before, after] =
         ["run/pvt", "run/refined/trajectory"].map(|m| missed(&line, m, "run/fixture/surface"));
     println!("{before} nm before, {after} nm after");

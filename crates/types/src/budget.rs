@@ -9,7 +9,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::Invalid;
+use crate::{Invalid, text::significant};
 
 /// Budget where the user gives none, GiB (2^30 bytes): every case of docs/performance.md fits.
 pub const DEFAULT_MEMORY_GIB: f64 = 8.0;
@@ -48,10 +48,10 @@ pub fn affordable(
     if bytes >= 0.0 && bytes <= memory_bytes() as f64 {
         return Ok(count as usize);
     }
-    let budget_gib = memory_bytes() as f64 / BYTES_PER_GIB;
     let problem = format!(
-        "would have {count:.3e} elements, {:.3e} GiB of the {budget_gib} GiB that the run may take",
-        bytes / BYTES_PER_GIB
+        "would have {count:.3e} elements, {:.3e} GiB of the {} GiB that the run may take",
+        bytes / BYTES_PER_GIB,
+        significant(memory_bytes() as f64 / BYTES_PER_GIB, 4)
     );
     Err(Invalid::whole(array, problem, format!("{remedy}, or give more --memory-gib")))
 }
