@@ -15,7 +15,7 @@ use planish_import::{
     program::{self, Configuration, Controller},
     read, spot, surface, svg, tif,
 };
-use planish_types::{Grid, Surface, Tif, Trajectory};
+use planish_types::{Grid, Surface, Tif, Trajectory, text::significant};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -566,8 +566,8 @@ fn report(statement: &Statement, grid: &Grid) {
     say(format!(
         "planish-import: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), {} invalid",
         name(names[0].clone()),
-        grid.x.step_mm(),
-        grid.y.step_mm(),
+        significant(grid.x.step_mm(), 10),
+        significant(grid.y.step_mm(), 10),
         statement.pitch_from,
         statement.invalid
     ));

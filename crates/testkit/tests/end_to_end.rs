@@ -311,7 +311,7 @@ fn bare_arrays_give_what_artifacts_give() {
     assert!(output.status.success() && warning.contains("no manifest.json"), "{warning}");
 
     line.plan("bare/surface", "bare/tif", "from-bare");
-    line.method("pvt", "pvt", "bare/tif", "from-bare");
+    line.method("pvt", METHODS[2].1, "bare/tif", "from-bare");
     let arrays = |run: &str| {
         let mut files = line.bytes(run);
         files.retain(|name, _| name.ends_with(".npy"));
