@@ -29,7 +29,7 @@
 //! |---|---|---|
 //! | d, h | `distance`, `time_s` | mm, s |
 //! | m, dm | `mean`, `mean_error` | mm/s |
-//! | c, t, dv | [`Rounding`] | mm, s, mm/s |
+//! | c, t, dv | `Rounding` | mm, s, mm/s |
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
 use planish_types::{AxisLimits, Invalid, Limits, Trajectory};

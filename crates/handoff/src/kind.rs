@@ -604,7 +604,6 @@ A stage replaces only what Planish wrote and nobody changed: a directory without
 file that the manifest does not know, is refused, with `--force` too. What a run writes appears whole,
 all of its artifacts together, and is on the disk when the run ends with 0 or 1.
 
-There is no time of day in
-any file: the same command on the same input gives the same bytes (a report states how long the stages
-took: that is part of its input).
+There is no time of day in any file: the same command on the same input gives the same bytes (a report
+states how long the stages took: that is part of its input).
 ";
