@@ -350,7 +350,7 @@ pub fn read_solvers(
 fn read_solver(stage: &mut Stage, name: &str, dir: &Path, path: &ToolPath) -> Result<Row, Failure> {
     if !dir.join("dwell").exists() {
         let file = dir.join("message.txt");
-        let text = fs::read_to_string(&file).map_err(|e| {
+        let text = read_text(&file).map_err(|e| {
             Failure::new(format!("{}: cannot read: {e}; and there is no dwell/", file.display()))
         })?;
         let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
@@ -408,9 +408,17 @@ fn kind_of(dir: &Path) -> Result<Option<String>, Failure> {
         return Ok(None);
     }
     let broken = |e: String| Failure::new(format!("{}: is not a manifest ({e})", path.display()));
-    let text = fs::read_to_string(&path).map_err(|e| broken(e.to_string()))?;
+    let text = read_text(&path).map_err(|e| broken(e.to_string()))?;
     let manifest: Value = serde_json::from_str(&text).map_err(|e| broken(e.to_string()))?;
     Ok(manifest["kind"].as_str().map(String::from))
+}
+
+/// The text of a regular file: a pipe would never end.
+fn read_text(path: &Path) -> std::io::Result<String> {
+    match fs::metadata(path)?.is_file() {
+        true => fs::read_to_string(path),
+        false => Err(std::io::Error::other("is not a file")),
+    }
 }
 
 /// Names of the `.npy` files in `dir`, at least one.

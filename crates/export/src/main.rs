@@ -182,9 +182,13 @@ fn export(controller: &Controller, args: &CommonArgs) -> Result<Status, Failure>
 /// The name of the file beside the program follows from that of the program; the user did not give it,
 /// so `--force` replaces there only what an export wrote.
 fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
-    let Ok(text) = fs::read_to_string(about) else { return Ok(()) };
-    let is_ours = serde_json::from_str::<serde_json::Value>(&text)
-        .is_ok_and(|json| json.get("controller").is_some() && json.get("segments").is_some());
+    let Ok(found) = fs::metadata(about) else { return Ok(()) };
+    // A pipe would never end.
+    let text = if found.is_file() { fs::read_to_string(about).ok() } else { None };
+    let is_ours = text.is_some_and(|text| {
+        serde_json::from_str::<serde_json::Value>(&text)
+            .is_ok_and(|json| json.get("controller").is_some() && json.get("segments").is_some())
+    });
     match is_ours {
         true => Ok(()),
         false => Err(Failure::new(format!(
