@@ -10,13 +10,16 @@
 //! 4. each is renamed into its place, in exchange for what stood there, and the directory above is
 //!    synchronised; the journal goes, then what was replaced.
 //!
-//! A process that ends within step 4 leaves its journal behind. Whoever reads or writes there next
-//! finishes the renames, so that a reader sees all of a run or nothing of it. A process that ends
-//! earlier leaves siblings without a journal; their lock is free, so the next run removes them. On
-//! SIGINT and SIGTERM a process removes its own.
+//! During steps 3 and 4 the process holds advisory locks on all directories in which something appears,
+//! so that what two runs write together does not mix. A process that ends there leaves its journal
+//! behind. Whoever reads or writes there next finishes the renames under the same locks, so that a
+//! reader sees all of a run or nothing of it. A process that ends earlier leaves siblings without a
+//! journal; their lock is free, so the next run removes them. On SIGINT and SIGTERM a process removes its
+//! own. A file system without advisory locks (some network file systems) keeps all of this but for the
+//! order of two runs into one place.
 
 use std::{
-    fs::{self, File, OpenOptions, TryLockError},
+    fs::{self, File, TryLockError},
     io::{self, ErrorKind, Write},
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
@@ -149,10 +152,11 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
         s.file.sync_all().map_err(|e| HandoffError::io(&s.place, "write", &e))?;
         s.check_place()?;
     }
-    let _appearing = lock(&APPEARING);
-    let mut parents: Vec<PathBuf> = staged.iter().map(|s| parent_of(&s.place)).collect();
+    let mut parents: Vec<PathBuf> = staged.iter().map(|s| absolute(&parent_of(&s.place))).collect();
     parents.sort();
     parents.dedup();
+    let _held = hold_without_journals(&parents);
+    let _appearing = lock(&APPEARING);
     let mut journals = match staged.len() {
         0 | 1 => Vec::new(),
         _ => write_journals(&staged, &parents)?,
@@ -201,8 +205,8 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     for parent in &parents {
         sync_directory(parent).map_err(|e| HandoffError::io(parent, "write", &e))?;
     }
-    for (path, _lock) in journals {
-        let _ = fs::remove_file(path);
+    for journal in journals {
+        let _ = fs::remove_file(journal);
     }
     renamed
 }
@@ -356,9 +360,20 @@ fn remove_sibling(sibling: &Path) {
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
-    let identity = |m: fs::Metadata| (m.dev(), m.ino());
-    let opened = file.metadata().map(identity).ok();
-    opened.is_some() && opened == fs::symlink_metadata(path).map(identity).ok()
+    let opened = identity(file);
+    opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
+}
+
+/// What tells an open file or directory from every other: its device and its inode.
+#[cfg(unix)]
+fn identity(file: &File) -> Option<(u64, u64)> {
+    use std::os::unix::fs::MetadataExt;
+    file.metadata().ok().map(|m| (m.dev(), m.ino()))
+}
+
+#[cfg(not(unix))]
+fn identity(_: &File) -> Option<(u64, u64)> {
+    None
 }
 
 #[cfg(not(unix))]
@@ -378,7 +393,7 @@ fn sync_directory(dir: &Path) -> io::Result<()> {
 // ---- the journal ---------------------------------------------------------------------------------
 
 /// What is to appear together.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 struct Journal {
     renames: Vec<Rename>,
 }
@@ -403,16 +418,48 @@ fn inode(_: &Path) -> Option<u64> {
     None
 }
 
-/// Writes the journal into every directory in which something is to appear; each is locked as long as
-/// its file is open.
-fn write_journals(
-    staged: &[Staged],
-    parents: &[PathBuf],
-) -> Result<Vec<(PathBuf, File)>, HandoffError> {
-    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
+/// The path from the root, so that another process finds it.
+fn absolute(path: &Path) -> PathBuf {
+    path.canonicalize().or_else(|_| std::path::absolute(path)).unwrap_or_else(|_| path.into())
+}
+
+/// Holds directories by their advisory locks, always in the same order, so that no two processes wait for
+/// each other. Where the file system has no locks, nothing is held.
+fn hold(directories: &[PathBuf]) -> Vec<File> {
+    let mut opened: Vec<File> = directories.iter().filter_map(|d| File::open(d).ok()).collect();
+    opened.sort_by_key(identity);
+    // One directory under two names would wait for itself.
+    opened.dedup_by(|a, b| identity(a).is_some() && identity(a) == identity(b));
+    opened.retain(|directory| directory.lock().is_ok());
+    opened
+}
+
+/// Holds directories in which no journal of a process that is gone waits to be finished.
+fn hold_without_journals(directories: &[PathBuf]) -> Vec<File> {
+    let mut held = Vec::new();
+    for _ in 0..MOST_ATTEMPTS_TO_FINISH {
+        // Released first: what finishes a journal holds its directories itself.
+        held.clear();
+        directories.iter().for_each(|directory| finish_interrupted(directory));
+        held = hold(directories);
+        let waits = |d: &PathBuf| !temporaries(d, JOURNAL).is_empty();
+        // Without locks a journal may be of a process that lives, which removes it.
+        if held.is_empty() || !directories.iter().any(waits) {
+            break;
+        }
+    }
+    held
+}
+
+/// A process would have to end between its renames as often as this while another waits for its turn;
+/// a journal that is still there cannot be removed, and what it names does not come back.
+const MOST_ATTEMPTS_TO_FINISH: usize = 16;
+
+/// Writes the journal into every directory in which something is to appear.
+fn write_journals(staged: &[Staged], parents: &[PathBuf]) -> Result<Vec<PathBuf>, HandoffError> {
     let rename = |s: &Staged| Rename {
         from: absolute(&s.sibling),
-        to: absolute(&s.place),
+        to: absolute(&parent_of(&s.place)).join(s.place.file_name().unwrap_or_default()),
         inode: inode(&s.sibling).unwrap_or(0),
     };
     let journal = Journal { renames: staged.iter().map(rename).collect() };
@@ -432,7 +479,7 @@ fn write_journals(
             remove_sibling(&sibling);
         }
         lock(&SIBLINGS).retain(|known| *known != sibling);
-        written.map(|()| (name, file)).map_err(io)
+        written.map(|()| name).map_err(io)
     };
     parents.iter().map(write).collect()
 }
@@ -440,13 +487,17 @@ fn write_journals(
 /// Finishes what a process that is gone began to show in `parent`; waits for one that is at it.
 pub(crate) fn finish_interrupted(parent: &Path) {
     for path in temporaries(parent, JOURNAL) {
-        let Ok(file) = OpenOptions::new().read(true).open(&path) else { continue };
-        // Renaming takes less than a millisecond: its process removes the journal, or is gone.
-        if file.lock().is_err() || !is_at(&file, &path) {
+        // What is no journal asks for nothing.
+        let journal = read_journal(&path).unwrap_or_default();
+        let mut directories: Vec<PathBuf> =
+            journal.renames.iter().map(|rename| parent_of(&rename.to)).collect();
+        directories.push(parent.to_path_buf());
+        let held = hold(&directories);
+        // Its process, or another that finished it, removed it meanwhile.
+        if held.is_empty() || fs::symlink_metadata(&path).is_err() {
             continue;
         }
-        let journal = serde_json::from_reader::<_, Journal>(&file);
-        for rename in journal.map(|j| j.renames).unwrap_or_default() {
+        for rename in journal.renames {
             if inode(&rename.from) != Some(rename.inode) {
                 continue; // it is done
             }
@@ -462,6 +513,10 @@ pub(crate) fn finish_interrupted(parent: &Path) {
         }
         let _ = fs::remove_file(&path);
     }
+}
+
+fn read_journal(path: &Path) -> io::Result<Journal> {
+    Ok(serde_json::from_slice(&fs::read(path)?)?)
 }
 
 // ---- one rename ----------------------------------------------------------------------------------
@@ -537,7 +592,7 @@ mod tests {
         for renames_done in 0..=2 {
             let dir = tempfile::tempdir().unwrap();
             let run = staged(dir.path());
-            drop(write_journals(&run, &[dir.path().to_path_buf()]).unwrap());
+            write_journals(&run, &[dir.path().to_path_buf()]).unwrap();
             for s in &run[..renames_done] {
                 put_in_place(&s.sibling, &s.place).unwrap();
             }
@@ -552,6 +607,48 @@ mod tests {
             remove_abandoned(dir.path());
             assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "{renames_done}");
         }
+    }
+
+    /// Two runs renamed one artifact each before the other: the directory then held a mixture.
+    #[test]
+    fn a_run_waits_while_another_lets_its_artifacts_appear() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = staged(dir.path());
+        let other = hold(&[dir.path().to_path_buf()]);
+        let publishing = std::thread::spawn(|| publish(run));
+        std::thread::sleep(Duration::from_millis(100));
+        let meanwhile = ["a", "b"].map(|name| text(&dir.path().join(name)));
+        drop(other);
+        publishing.join().unwrap().unwrap();
+        assert_eq!(meanwhile, ["old", "old"]);
+        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["new", "new"]);
+    }
+
+    /// Its journal, finished by a later reader, took the place of what the second run had shown.
+    #[test]
+    fn a_run_that_ended_between_its_renames_is_finished_before_the_next_appears() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = staged(dir.path());
+        let mut second = staged(dir.path());
+        for s in &mut second {
+            s.write_all(b"er").unwrap();
+        }
+        write_journals(&first, &[dir.path().to_path_buf()]).unwrap();
+        leave(first);
+        publish(second).unwrap();
+        finish_interrupted(dir.path());
+        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["newer", "newer"]);
+        remove_abandoned(dir.path());
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn what_is_no_journal_is_no_obstacle() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join(".planish-1-0.journal"), "{").unwrap();
+        publish(staged(dir.path())).unwrap();
+        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["new", "new"]);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 
     #[test]
