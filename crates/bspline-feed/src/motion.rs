@@ -1,9 +1,9 @@
 //! The splines as one trajectory.
 //!
 //! Every pass is run along its line with `t(s) = integral D ds`, fitted by cubic pieces that begin
-//! and end at its control points and knots ([`planish_numerics::arc_feed`]). From the end of a pass
+//! and end at its control points and knots ([`planish_numerics::motion::timing_law`]). From the end of a pass
 //! to the start of the next, with their velocities, leads a link of constant accelerations
-//! ([`planish_numerics::link`]): it takes the place of the turn-around or lift of the path, and needs
+//! ([`planish_numerics::motion::state_to_state`]): it takes the place of the turn-around or lift of the path, and needs
 //! the room that braking and running up take. The motion begins and ends at rest with the tool off
 //! by links at the ends of the first and last pass.
 
@@ -11,9 +11,9 @@ use std::ops::Range;
 
 use ndarray::Array2;
 use planish_numerics::{
-    arc_feed,
     bspline::Knots,
-    link::{AxisLink, link},
+    motion::state_to_state::{AxisLink, link},
+    motion::timing_law,
     quadrature::gauss_legendre,
 };
 use planish_types::{Invalid, Limits, Surface, Tif, Trajectory};
@@ -181,7 +181,7 @@ impl Draft {
 
     fn pass(&mut self, pass: &Pass, knots: &Knots, d: &[f64], tolerance_mm: f64) -> FitReport {
         let integral = knots.integral(d);
-        let fit = arc_feed::fit(
+        let fit = timing_law::fit(
             |s| integral.value(s),
             |s| knots.value(d, s),
             &breaks(pass, knots),

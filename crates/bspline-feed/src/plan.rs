@@ -12,7 +12,7 @@
 //! finer spline cannot remove more (a TIF does not see what is narrower than itself).
 
 use ndarray::Array2;
-use planish_numerics::{arc_feed, bspline::Knots};
+use planish_numerics::{bspline::Knots, motion::timing_law};
 use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget, plausible::Rms};
 use serde::Serialize;
 
@@ -247,7 +247,7 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
             return Err(Invalid::whole(name, format!("is {v}"), "give a length in mm above 0"));
         }
     }
-    let (fit, least) = (settings.fit_tolerance_mm, arc_feed::LEAST_TOLERANCE_MM);
+    let (fit, least) = (settings.fit_tolerance_mm, timing_law::LEAST_TOLERANCE_MM);
     if fit < least {
         let remedy = format!("give at least {least:e} mm: what is smaller is rounding");
         return Err(Invalid::whole("fit_tolerance_mm", format!("is {fit:?}"), remedy));

@@ -12,8 +12,8 @@
 
 use ndarray::{Array2, Zip};
 use planish_numerics::{
-    bounded::{self, End, GradientSettings, ProductSettings, Quadratic},
-    envelope::Envelope,
+    linear::skyline::Skyline,
+    qp::bounded::{self, End, GradientSettings, ProductSettings, Quadratic},
 };
 use planish_types::{Axis, Grid, Invalid, Tif};
 
@@ -130,7 +130,7 @@ pub fn spline_pitch(
     (dense && nodes * row <= MOST_ELEMENTS && patched <= MOST_PATCHED).then_some(pitch)
 }
 
-/// The columns in an order in which H~ has a small envelope.
+/// The columns in an order in which H~ has a small skyline.
 pub struct Ordered {
     /// Column of every row of H~; dead ones are not among them.
     order: Vec<usize>,
@@ -163,7 +163,7 @@ impl Ordered {
         let (x, y) = (along(0), along(1));
         let (_, order, first) = if x.0 <= y.0 { x } else { y };
 
-        let mut k = Envelope::zeros(first.clone());
+        let mut k = Skyline::zeros(first.clone());
         k.fill(|i, row| {
             for (v, l) in row.iter_mut().zip(&order[first[i]..]) {
                 *v = cells[order[i]].dot(&cells[*l]);

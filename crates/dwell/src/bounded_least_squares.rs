@@ -23,7 +23,7 @@
 //! ```
 //!
 //! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels and the
-//! primal-dual active set method, by an envelope matrix or, for many points, by the FFT and
+//! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and
 //! conjugate gradients with a spline lattice; where the lattice would be too large, projected
 //! gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
 //! result. B is applied by FFT, which is exact where the TIF has the pitch of the map; otherwise its
@@ -42,8 +42,8 @@
 
 use ndarray::{Array2, Zip};
 use planish_numerics::{
-    bounded::{self, End, GradientSettings},
-    envelope::dot,
+    linear::skyline::dot,
+    qp::bounded::{self, End, GradientSettings},
     statistics,
 };
 use planish_types::{DwellTime, Grid, Invalid, Surface, Tif, ToolPath};

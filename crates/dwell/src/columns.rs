@@ -14,7 +14,7 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
-use planish_numerics::{envelope::dot, keys, quadrature::gauss_legendre};
+use planish_numerics::{keys, linear::skyline::dot, quadrature::gauss_legendre};
 use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;

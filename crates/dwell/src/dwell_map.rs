@@ -12,7 +12,7 @@
 //! lost: the pitch must be fine against the TIF.
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
-use planish_numerics::fft::{Complex64, Convolution};
+use planish_numerics::fft::{Complex64, convolution::Convolution};
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
 

@@ -13,7 +13,7 @@
 //! aperture; their ring is a natural-neighbour interpolation).
 
 use ndarray::{Array1, Array2, Axis as ArrayAxis, s};
-use planish_numerics::envelope::{Envelope, Factor};
+use planish_numerics::linear::skyline::{Factor, Skyline};
 use planish_types::{Axis, Grid, Invalid};
 use rayon::prelude::*;
 
@@ -136,7 +136,7 @@ impl Extension {
         });
         let largest = gram.diag().iter().copied().fold(0.0, f64::max);
         // Far below the noise of any map, far above the rounding of the sums.
-        Envelope::from_dense(&(gram + Array2::<f64>::eye(a * b) * (1e-10 * largest))).factorise()
+        Skyline::from_dense(&(gram + Array2::<f64>::eye(a * b) * (1e-10 * largest))).factorise()
     }
 }
 

@@ -24,8 +24,9 @@ use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
 use planish_numerics::{
-    fft::{Complex64, Convolution},
-    fft_line, keys,
+    fft::line,
+    fft::{Complex64, convolution::Convolution},
+    keys,
 };
 use planish_types::{Axis, Grid, Tif};
 use rayon::prelude::*;
@@ -50,7 +51,7 @@ struct Across {
     along: Lattice,
     places: Vec<Placed>,
     groups: Vec<Group>,
-    lines: fft_line::Lines,
+    lines: line::Lines,
     /// Spectra of the samples that leak: j of the first, and one for each.
     border: Vec<(isize, Vec<Complex64>)>,
 }
@@ -319,7 +320,7 @@ impl Across {
                 _ => groups.push(Group { cell, leaks, places: i..i + 1 }),
             }
         }
-        let lines = fft_line::Lines::new(along.sources());
+        let lines = line::Lines::new(along.sources());
         let mut work = lines.workspace();
         // The lowest line from the upper edge on gets something from three samples below it.
         let upper = keys::split(across.edge).0 - 2;

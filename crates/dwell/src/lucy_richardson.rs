@@ -45,7 +45,7 @@
 //! | lo | `min_dwell` | (n) | s |
 
 use ndarray::{Array2, ArrayView2, Zip};
-use planish_numerics::envelope::dot;
+use planish_numerics::linear::skyline::dot;
 use planish_types::{Surface, Tif};
 use rayon::prelude::*;
 use serde::Serialize;

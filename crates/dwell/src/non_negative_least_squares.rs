@@ -6,7 +6,7 @@
 //!
 //! M frees the piston, D is the largest diagonal element of `B' W M B`. The same minimum as
 //! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that
-//! shares nothing with it ([`planish_numerics::nnls`]): its check, and for comparison with the
+//! shares nothing with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the
 //! literature. One component changes at a time, so it is slow: minutes for thousands of points.
 //!
 //! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -16,7 +16,7 @@
 //! | z | `desired` | (ny, nx) | nm |
 //! | t, lo | `dwell_s`, `min_dwell` | (n) | s |
 
-use planish_numerics::nnls::nnls;
+use planish_numerics::qp::nnls::nnls;
 use serde::Serialize;
 
 use crate::{

@@ -6,7 +6,7 @@
 //!
 //! with a free piston M and a level of dwell t_ref just high enough for the floor
 //! ([`crate::problem`]). All dampings of the search share one bidiagonalisation
-//! ([`planish_numerics::lsqr`]). delta is given, or found:
+//! ([`planish_numerics::linear::lsqr`]). delta is given, or found:
 //!
 //! * *discrepancy*: the largest delta whose residual is not above the noise of the map;
 //! * *L-curve*: the corner of ln |residual| against ln |t - t_ref|, where the circle through three
@@ -21,7 +21,7 @@
 //! | t | `dwell_s` | (n) | s |
 //! | delta | `damping_nm_per_s` | - | nm/s |
 
-use planish_numerics::lsqr::{Damped, largest_singular_value, lsqr};
+use planish_numerics::linear::lsqr::{Damped, largest_singular_value, lsqr};
 use serde::Serialize;
 
 use crate::{

@@ -9,7 +9,7 @@
 //! they could correct is below the noise, and what they ask of the dwell times is absurd.
 //!
 //! The sum is computed by the process of Lanczos on the normal equations
-//! ([`planish_numerics::lanczos`]), which needs products only; up to 6000 dwell points with the
+//! ([`planish_numerics::linear::lanczos`]), which needs products only; up to 6000 dwell points with the
 //! normal matrix.
 //!
 //! Source: P. C. Hansen, Rank-Deficient and Discrete Ill-Posed Problems (1998), section 3.2.
@@ -20,7 +20,7 @@
 //! | t | `dwell_s` | (n) | s |
 
 use ndarray::ArrayView1;
-use planish_numerics::lanczos::{Truncated, truncated};
+use planish_numerics::linear::lanczos::{Truncated, truncated};
 use planish_types::{Invalid, budget};
 use serde::Serialize;
 

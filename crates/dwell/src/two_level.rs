@@ -11,7 +11,7 @@
 //! ```
 //!
 //! with cubic B-splines b on a lattice of pitch p over the dwell points (free ones only; a node with
-//! none stands alone), and conjugate gradients see `(1 - Q H) L^-1` ([`planish_numerics::bounded`]).
+//! none stands alone), and conjugate gradients see `(1 - Q H) L^-1` ([`planish_numerics::qp::bounded`]).
 //! How many steps they take depends on what of `H^-1 B' y` the splines cannot say, not on the number
 //! of dwell points.
 //!
@@ -21,8 +21,8 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::{
-    bounded::Deflation,
-    envelope::{Envelope, Factor, dot},
+    linear::skyline::{Factor, Skyline, dot},
+    qp::bounded::Deflation,
 };
 use rayon::prelude::*;
 
@@ -199,7 +199,7 @@ impl Nodes {
 
     /// Adds V' L V. A difference of columns that are not near is replaced by its bound
     /// `(v t_k - u t_{k-1})^2 <= 2 v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
-    fn add_penalty(&self, penalty: &Penalty, free: &[bool], h: &mut Envelope) {
+    fn add_penalty(&self, penalty: &Penalty, free: &[bool], h: &mut Skyline) {
         let of = |j: usize| self.at[j].as_ref().filter(|_| free[j]);
         for j in 0..free.len() {
             if let Some(w) = of(j) {
@@ -225,7 +225,7 @@ impl Nodes {
     }
 
     /// Adds `factor g g'`, g the sum of some columns of V' that are near.
-    fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, h: &mut Envelope) {
+    fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, h: &mut Skyline) {
         const SIDE: usize = 4 + NEAR as usize;
         let least = |of: fn(&Weights) -> u32| columns.iter().map(|c| of(c.0)).min().unwrap_or(0);
         let (r0, c0) = (least(|w| w.cell.0), least(|w| w.cell.1));
@@ -265,7 +265,7 @@ pub struct Coarse {
     free: Vec<bool>,
     /// `W^1/2 B V` of every row.
     patches: Vec<Patch>,
-    matrix: Envelope,
+    matrix: Skyline,
 }
 
 impl Coarse {
@@ -285,7 +285,7 @@ impl Coarse {
         Self {
             free: vec![false; live.len()],
             patches: vec![Patch::default(); nodes.len()],
-            matrix: Envelope::zeros((0..nodes.len()).into_par_iter().map(first).collect()),
+            matrix: Skyline::zeros((0..nodes.len()).into_par_iter().map(first).collect()),
         }
     }
 
@@ -359,7 +359,7 @@ impl<'a> TwoLevel<'a> {
         let mut small = None;
         if let Some(factor) = &factor {
             v.iter_mut().for_each(|v| factor.solve(v));
-            let mut matrix = Envelope::zeros(vec![0; u.len()]);
+            let mut matrix = Skyline::zeros(vec![0; u.len()]);
             matrix.fill(|i, row| {
                 for (k, s) in row.iter_mut().enumerate() {
                     *s = f64::from(i == k) - dot(&u[i], &v[k]);

@@ -24,7 +24,7 @@
 //! | R | `tif` | (my, mx) | nm/s |
 
 use ndarray::{Array2, s};
-use planish_numerics::{envelope::Envelope, keys, statistics};
+use planish_numerics::{keys, linear::skyline::Skyline, statistics};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 use serde::Serialize;
 
@@ -258,7 +258,7 @@ fn align(
                 normal[[i, j]] /= scale[i] * scale[j];
             }
         }
-        let factor = Envelope::from_dense(&normal)
+        let factor = Skyline::from_dense(&normal)
             .factorise()
             .ok_or_else(|| lost("the maps have no structure"))?;
         factor.solve(&mut right);

@@ -2,23 +2,23 @@
 //!
 //! Nothing here knows a unit, a file or a clock. A routine lives here when two crates need it,
 //! or when it is a textbook method that would hide the algorithm it serves.
+//!
+//! | module | what it solves |
+//! |---|---|
+//! | [`fft`] | transforms and convolutions of lines and maps |
+//! | [`linear`] | symmetric systems (skyline Cholesky, tridiagonal) and Krylov methods |
+//! | [`qp`] | quadratic programs: bounds, non-negativity, chains of neighbours |
+//! | [`motion`] | motions between states, and motions given by a law of time |
+//! | the others | interpolation, polynomials, quadrature and statistics |
 
-pub mod arc_feed;
-pub mod bounded;
 pub mod bspline;
-pub mod chain;
-pub mod envelope;
 pub mod fft;
-pub mod fft_line;
-pub mod fft_pairs;
-pub mod fourier;
 pub mod keys;
-pub mod lanczos;
-pub mod link;
-pub mod lsqr;
-pub mod nnls;
+pub mod linear;
+pub mod motion;
 pub mod orthogonal;
 pub mod polynomial;
+pub mod qp;
 pub mod quadrature;
 pub mod statistics;
 pub mod ticks;

@@ -56,7 +56,7 @@
 
 use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
 
-use planish_numerics::chain;
+use planish_numerics::qp::chain;
 use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;

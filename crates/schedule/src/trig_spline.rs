@@ -54,7 +54,7 @@
 
 use std::f64::consts::PI;
 
-use planish_numerics::arc_feed;
+use planish_numerics::motion::timing_law;
 use planish_types::{DwellTime, Feed, Invalid, Limits, ToolPath, Trajectory};
 use serde::Serialize;
 
@@ -182,9 +182,9 @@ pub fn schedule(
         ("corner_deviation_mm", settings.corner_deviation_mm),
         ("fit_tolerance_mm", settings.fit_tolerance_mm),
     ] {
-        if !(value.is_finite() && value >= arc_feed::LEAST_TOLERANCE_MM) {
+        if !(value.is_finite() && value >= timing_law::LEAST_TOLERANCE_MM) {
             let problem = format!("is {value:?}");
-            let least = arc_feed::LEAST_TOLERANCE_MM;
+            let least = timing_law::LEAST_TOLERANCE_MM;
             let remedy = format!("a tolerance is positive and finite, at least {least:e} mm");
             return Err(Invalid::whole(name, problem, remedy).into());
         }

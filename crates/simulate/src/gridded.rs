@@ -50,7 +50,7 @@
 use std::{ops::Range, sync::Mutex};
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft_pairs::{PairConvolution, is_quick_size, quick_size};
+use planish_numerics::fft::pair_convolution::{PairConvolution, is_quick_size, quick_size};
 use planish_types::{Grid, Invalid, Tif, Trajectory, budget};
 use rayon::prelude::*;
 

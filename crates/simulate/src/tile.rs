@@ -6,7 +6,10 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft_pairs::{Complex64, LineConvolution, LineWorkspace};
+use planish_numerics::fft::{
+    Complex64,
+    pair_convolution::{LineConvolution, LineWorkspace},
+};
 use planish_types::Trajectory;
 use rayon::prelude::*;
 

@@ -32,7 +32,7 @@ use std::f64::consts::PI;
 
 use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::{
-    fourier,
+    fft::transform,
     statistics::{fit_plane, statistics, subtract_plane},
 };
 use planish_types::{Grid, Invalid, Surface};
@@ -154,9 +154,9 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     // S = |F|^2 / (nx dx ny dy mean(w^2)), F = dx dy DFT(z w)
     let weighted = Array2::from_shape_fn((ny, nx), |(r, c)| z[[r, c]] * w_y[r] * w_x[c]);
     let scale = dx * dy / ((nx * ny) as f64 * mean_square(&w_x) * mean_square(&w_y));
-    let power = fourier::forward(weighted.view()).mapv(|v| v.norm_sqr() * scale);
+    let power = transform::forward(weighted.view()).mapv(|v| v.norm_sqr() * scale);
     let (order_x, order_y) = (ascending(nx), ascending(ny));
-    let at = |k: usize, n: usize, step: f64| fourier::frequency(k, n) / step;
+    let at = |k: usize, n: usize, step: f64| transform::frequency(k, n) / step;
     let frequency_2d_x_per_mm: Vec<f64> = order_x.iter().map(|k| at(*k, nx, dx)).collect();
     let frequency_2d_y_per_mm: Vec<f64> = order_y.iter().map(|k| at(*k, ny, dy)).collect();
     let psd_2d_nm2_mm2 = Array2::from_shape_fn((ny, nx), |(r, c)| power[[order_y[r], order_x[c]]]);
@@ -258,7 +258,7 @@ fn along_rows(z: ArrayView2<f64>, step_mm: f64, w: &[f64]) -> (Vec<f64>, Vec<f64
     let mut sums = vec![0.0; n / 2 + 1];
     for row in z.outer_iter() {
         let line = Array2::from_shape_fn((1, n), |(_, c)| row[c] * w[c]);
-        let spectrum = fourier::forward(line.view());
+        let spectrum = transform::forward(line.view());
         sums.iter_mut().zip(&spectrum).for_each(|(s, v)| *s += v.norm_sqr());
     }
     let scale = step_mm / (n as f64 * mean_square(w) * rows as f64);

@@ -13,7 +13,7 @@ use planish_dwell::{
     problem::Problem,
 };
 use planish_fixture::{Recipe, make};
-use planish_numerics::{envelope::Envelope, fft::Convolution};
+use planish_numerics::{fft::convolution::Convolution, linear::skyline::Skyline};
 use planish_schedule::{
     pvt::{self, Mode},
     trig_spline,
@@ -312,7 +312,7 @@ fn matrix(n: usize) -> Array2<f64> {
 #[divan::bench(args = [1000, 2000], sample_count = 5)]
 fn cholesky_blocked(bencher: Bencher, n: usize) {
     bencher
-        .with_inputs(|| Envelope::from_dense(&matrix(n)))
+        .with_inputs(|| Skyline::from_dense(&matrix(n)))
         .bench_values(|a| a.factorise().unwrap());
 }
 

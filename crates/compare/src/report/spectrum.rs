@@ -13,7 +13,7 @@
 use ndarray::{Array2, ArrayView2};
 use planish_numerics::{
     fft::smooth_size,
-    fourier::{forward, frequency},
+    fft::transform::{forward, frequency},
     statistics::{fit_plane, statistics, subtract_plane},
 };
 use planish_types::Grid;

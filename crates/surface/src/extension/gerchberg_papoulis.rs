@@ -19,7 +19,7 @@
 //! (1975) 735, Eqs 3-6.
 
 use ndarray::{Array2, Zip, s};
-use planish_numerics::{fft::smooth_size, fourier};
+use planish_numerics::{fft::smooth_size, fft::transform};
 use planish_types::{Grid, Invalid};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -57,17 +57,17 @@ pub(super) fn extend(
     known -= mean;
 
     let pass = Array2::from_shape_fn(size, |(k, l)| {
-        let fy = fourier::frequency(k, size.0) / grid.y.step_mm();
-        let fx = fourier::frequency(l, size.1) / grid.x.step_mm();
+        let fy = transform::frequency(k, size.0) / grid.y.step_mm();
+        let fx = transform::frequency(l, size.1) / grid.x.step_mm();
         fx.hypot(fy) <= settings.cutoff_per_mm
     });
     let mut z = nearest::extend(&known, grid);
     let (mut iterations, mut change) = (0, 0.0);
     while iterations < settings.max_iterations {
         // L z_k
-        let mut spectrum = fourier::forward(z.view());
+        let mut spectrum = transform::forward(z.view());
         Zip::from(&mut spectrum).and(&pass).for_each(|v, pass| *v *= f64::from(u8::from(*pass)));
-        let low = fourier::inverse(spectrum);
+        let low = transform::inverse(spectrum);
         change = 0.0;
         Zip::from(&mut z).and(&low).and(&known).for_each(|z, low, known| {
             if known.is_nan() {

@@ -5,13 +5,13 @@
 //! ```
 //!
 //! Rows and columns are independent transforms, so the result does not depend on the number of
-//! threads. For convolutions see [`crate::fft`].
+//! threads. For convolutions see [`super::convolution`].
 
 use ndarray::{Array2, ArrayView2};
 use rayon::prelude::*;
 use rustfft::{FftDirection, FftPlanner};
 
-pub use rustfft::num_complex::Complex64;
+use super::Complex64;
 
 /// F of a real map, shape (ny, nx); element [0, 0] is the sum of the map.
 pub fn forward(map: ArrayView2<f64>) -> Array2<Complex64> {

@@ -12,8 +12,9 @@ use std::sync::Arc;
 
 use ndarray::{ArrayView2, ArrayViewMut2, Axis};
 use rayon::prelude::*;
-pub use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
+
+use super::Complex64;
 
 /// Columns that are transformed together: 128 bytes of a row.
 const COLUMNS: usize = 8;

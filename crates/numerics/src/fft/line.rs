@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
-use crate::fft::{Complex64, smooth_size};
+use super::{Complex64, smooth_size};
 
 /// The transforms of lines of up to `len` elements.
 pub struct Lines {

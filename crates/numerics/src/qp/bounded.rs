@@ -13,13 +13,13 @@
 //!
 //! is zero there, and says by how much a component would still move.
 
-use crate::envelope::{Envelope, dot};
+use crate::linear::skyline::{Skyline, dot};
 
-/// `H = K - U U'`: a matrix in an envelope less a few outer products.
+/// `H = K - U U'`: a skyline matrix less a few outer products.
 #[derive(Clone, Debug)]
 pub struct Quadratic {
     /// K, positive definite.
-    pub k: Envelope,
+    pub k: Skyline,
     /// Columns of U (n each).
     pub u: Vec<Vec<f64>>,
 }
@@ -61,7 +61,7 @@ impl Quadratic {
                 v
             })
             .collect();
-        let mut small = Envelope::zeros(vec![0; u.len()]);
+        let mut small = Skyline::zeros(vec![0; u.len()]);
         small.fill(|i, row| {
             for (j, s) in row.iter_mut().enumerate() {
                 *s = f64::from(i == j) - dot(&u[i], &v[j]);
@@ -554,14 +554,14 @@ mod tests {
                 *v += u[i] * u[j];
             }
         }
-        let (k, fuller) = (Envelope::from_dense(h), Envelope::from_dense(&fuller));
+        let (k, fuller) = (Skyline::from_dense(h), Skyline::from_dense(&fuller));
         [Quadratic { k, u: Vec::new() }, Quadratic { k: fuller, u }]
     }
 
     /// A coarse space of some sines on the free components, and the diagonal for the rest.
     struct OfSines {
         v: Vec<Vec<f64>>,
-        factor: crate::envelope::Factor,
+        factor: crate::linear::skyline::Factor,
         diagonal: Vec<f64>,
     }
 
@@ -580,7 +580,7 @@ mod tests {
             let matrix = Array2::from_shape_fn((v.len(), v.len()), |(i, k)| {
                 dot(&v[i], &h_v[k]) + if i == k { 1e-12 } else { 0.0 }
             });
-            let factor = Envelope::from_dense(&matrix).factorise().unwrap();
+            let factor = Skyline::from_dense(&matrix).factorise().unwrap();
             let diagonal = (0..free.len()).map(|j| masked(j, 1.0 / h[[j, j]])).collect();
             Self { v, factor, diagonal }
         }

@@ -172,8 +172,8 @@ impl Free {
 mod tests {
     use super::*;
     use crate::{
-        bounded::{Quadratic, active_set},
-        envelope::Envelope,
+        linear::skyline::Skyline,
+        qp::bounded::{Quadratic, active_set},
     };
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
@@ -215,7 +215,7 @@ mod tests {
             prop_assert!(found.converged);
             prop_assert!(found.violation < 1e-10, "{}", found.violation);
             let (lo, hi) = (vec![0.0; n], vec![f64::INFINITY; n]);
-            let quadratic = Quadratic { k: Envelope::from_dense(&h), u: Vec::new() };
+            let quadratic = Quadratic { k: Skyline::from_dense(&h), u: Vec::new() };
             let other = active_set(&quadratic, &g, &lo, &hi, &lo, 0.0, 200).unwrap();
             for j in 0..n {
                 // Both at rounding times a condition number below about 1e3.

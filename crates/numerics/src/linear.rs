@@ -1,0 +1,5 @@
+//! Systems of linear equations and least squares without bounds.
+
+pub mod lanczos;
+pub mod lsqr;
+pub mod skyline;

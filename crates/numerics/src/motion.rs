@@ -1,0 +1,4 @@
+//! Motions of axes in time, as cubic pieces.
+
+pub mod state_to_state;
+pub mod timing_law;
