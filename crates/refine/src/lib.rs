@@ -92,7 +92,7 @@ impl Default for Settings {
                 ..dwell_solver::Settings::default()
             },
             first_smoothness: 3e-3,
-            max_rounds: 12,
+            max_rounds: 50,
             least_improvement: 1e-3,
         }
     }
