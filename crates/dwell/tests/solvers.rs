@@ -12,7 +12,9 @@ use planish_dwell::{
     rifta, tikhonov_lsqr, truncated_svd,
     udo::{self, Floor},
 };
-use planish_types::{Axis, AxisLimits, DwellTime, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{
+    Axis, DwellTime, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
+};
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
@@ -97,13 +99,15 @@ fn bowl() -> Array2<f64> {
 }
 
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 /// What the table asks of a solver.

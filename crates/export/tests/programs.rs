@@ -3,16 +3,18 @@
 //! `planish-import`.
 
 use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
-use planish_types::{AxisLimits, Limits, Trajectory};
+use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine(min_segment_s: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: 100.0,
         max_acceleration_mm_per_s2: 1000.0,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "bench (1)".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+    MachineFile { name: "bench (1)".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+        .checked()
+        .unwrap()
 }
 
 /// From rest at (1, -2) by 1.00004 mm along x to rest in 0.1 s, then 3 s of standing.

@@ -6,17 +6,21 @@ use planish_dwell::bounded_least_squares::Bound;
 use planish_refine::{RefineError, Refined, Scheduler, Settings, refine, trade_off};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
-use planish_types::{Axis, AxisLimits, DwellTime, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{
+    Axis, DwellTime, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
+};
 use planish_verify::{VerifySettings, verify};
 
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 fn tif() -> Tif {

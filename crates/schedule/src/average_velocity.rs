@@ -99,21 +99,21 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     #[test]
     fn velocity_is_length_over_time_and_steps_are_reported() {
         let points = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 3.0], [1.0, 3.0]];
         let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
         let dwell = DwellTime::new(vec![0.5, 0.25, 0.1, 0.0]).unwrap();
-        let axis = |name: &str| AxisLimits {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: 10.0,
             max_acceleration_mm_per_s2: 1.0,
             max_jerk_mm_per_s3: None,
         };
         let axes = vec![axis("x"), axis("y")];
-        let limits = Limits { name: "m".into(), axes, min_segment_s: 0.0 };
+        let limits = MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }.checked().unwrap();
         let s = schedule(&path, &dwell, &limits).unwrap();
         // 3 mm at 10 mm/s need 0.3 s.
         assert_eq!(s.trajectory.break_time_s(), [0.0, 0.5, 0.75, 1.05]);

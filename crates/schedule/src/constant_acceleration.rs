@@ -356,17 +356,19 @@ mod tests {
         let points = vec![[0.0, 0.0], [1.0, 0.5], [1.0, 2.0], [-1.0, 2.5], [-1.2, 0.0]];
         let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
         let dwell = DwellTime::new(vec![0.5, 0.7, 0.3, 1.0]).unwrap();
-        let axis = |name: &str, a: f64| planish_types::AxisLimits {
+        let axis = |name: &str, a: f64| planish_types::MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: 100.0,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
         };
-        let limits = Limits {
+        let limits = planish_types::MachineFile {
             name: "m".into(),
             axes: vec![axis("x", 20.0), axis("y", 15.0)],
             min_segment_s: 0.0,
-        };
+        }
+        .checked()
+        .unwrap();
         let s = schedule(&path, &dwell, &limits).unwrap();
         let t = &s.trajectory;
         let velocity = |i: usize, a: usize, u: f64| {

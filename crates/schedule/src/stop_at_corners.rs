@@ -172,7 +172,7 @@ impl Along {
             length_mm,
             direction,
             dwell_s: dwell.dwell_s()[i],
-            duration_s: dwell.dwell_s()[i].max(limits.min_segment_s),
+            duration_s: dwell.dwell_s()[i].max(limits.min_segment_s()),
             max_velocity: along(limits.max_velocity_mm_per_s()),
             max_acceleration: along(limits.max_acceleration_mm_per_s2()),
         }
@@ -298,16 +298,18 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     fn limits(v: f64, a: f64) -> Limits {
-        let axis = |name: &str| AxisLimits {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
         };
-        Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+            .checked()
+            .unwrap()
     }
 
     fn motion(points: &[[f64; 2]], dwell_s: &[f64], limits: &Limits) -> Schedule {

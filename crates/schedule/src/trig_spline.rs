@@ -1123,16 +1123,18 @@ fn feed_of(path: &ToolPath, passes: &[Pass]) -> Result<Option<Feed>, Invalid> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     fn machine(v: [f64; 2], a: [f64; 2]) -> Limits {
-        let axis = |i: usize| AxisLimits {
+        let axis = |i: usize| MachineFileAxis {
             name: ["x", "y"][i].into(),
             max_velocity_mm_per_s: v[i],
             max_acceleration_mm_per_s2: a[i],
             max_jerk_mm_per_s3: None,
         };
-        Limits { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+        MachineFile { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+            .checked()
+            .unwrap()
     }
 
     fn piece(d1: f64, d2: f64, length_mm: f64) -> Piece {

@@ -10,7 +10,8 @@ use planish_schedule::{position, pvt};
 use planish_simulate::simulate;
 use planish_testkit::{ion_beam, machine, workspace};
 use planish_types::{
-    Axis, ClearAperture, DwellTime, Grid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
+    Axis, ClearAperture, DwellTime, Grid, Limits, MachineFile, Removal, Surface, Tif, ToolPath,
+    Trajectory,
 };
 use planish_verify::{Verdict, VerifySettings, verify};
 
@@ -126,9 +127,9 @@ fn units_are_in_the_names() {
         };
         assert!(array.name.ends_with(&format!("_{unit}")), "{} in {}", array.name, array.unit);
     }
-    let mut limits = ion_beam();
-    limits.axes[0].max_jerk_mm_per_s3 = Some(1.0);
-    let axis = serde_json::to_value(&limits.axes[0]).unwrap();
+    let mut machine = MachineFile::from(&ion_beam());
+    machine.axes[0].max_jerk_mm_per_s3 = Some(1.0);
+    let axis = serde_json::to_value(&machine.axes[0]).unwrap();
     let names: Vec<&String> = axis.as_object().unwrap().keys().collect();
     assert_eq!(
         names,
@@ -454,6 +455,7 @@ fn limits_are_magnitudes_per_axis() {
     let (x, y) = (judge(&along(0), &limits), judge(&along(1), &limits));
     assert_eq!((x.max_velocity_mm_per_s, x.limits_respected), ([3.0, 0.0], false));
     assert_eq!((y.max_velocity_mm_per_s, y.limits_respected), ([0.0, 3.0], true));
-    let reordered = Limits { axes: limits.axes.iter().rev().cloned().collect(), ..limits };
-    assert!(reordered.validated().is_err(), "the axes are x, then y");
+    let mut reordered = MachineFile::from(&limits);
+    reordered.axes.reverse();
+    assert!(reordered.checked().is_err(), "the axes are x, then y");
 }

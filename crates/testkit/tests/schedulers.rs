@@ -15,7 +15,7 @@ use planish_schedule::{
     trig_spline::{self, Repair},
 };
 use planish_testkit::{case_generator, ion_beam, machine};
-use planish_types::{DwellTime, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Limits, MachineFile, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -115,6 +115,18 @@ fn trig(
 ) -> Result<trig_spline::Schedule, String> {
     let settings = trig_spline::Settings { repair, ..Default::default() };
     trig_spline::schedule(path, dwell, limits, &settings).map_err(|e| e.to_string())
+}
+
+fn with_max_jerk(limits: &Limits, mm_per_s3: [f64; 2]) -> Limits {
+    let mut file = MachineFile::from(limits);
+    for (axis, j) in file.axes.iter_mut().zip(mm_per_s3) {
+        axis.max_jerk_mm_per_s3 = Some(j);
+    }
+    file.checked().unwrap()
+}
+
+fn with_min_segment(limits: &Limits, min_segment_s: f64) -> Limits {
+    MachineFile { min_segment_s, ..MachineFile::from(limits) }.checked().unwrap()
 }
 
 fn judge(trajectory: &Trajectory, limits: &Limits) -> Verdict {
@@ -270,8 +282,8 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 1e-3, 50.0);
     let mut limit = |low, high| [0, 1].map(|_| log_uniform(generator, low, high));
-    let mut limits = machine(limit(1.0, 300.0), limit(1.0, 3000.0));
-    limits.min_segment_s = log_uniform(generator, 1e-3, 0.1);
+    let limits = machine(limit(1.0, 300.0), limit(1.0, 3000.0));
+    let limits = with_min_segment(&limits, log_uniform(generator, 1e-3, 0.1));
     Case { points: walk(generator, &lengths), dwell_s: times(generator, n, 1e-4, 10.0), limits }
 }
 
@@ -361,8 +373,7 @@ fn lifted(case: &Case) -> ToolPath {
 fn the_judge_agrees_with_every_claim() {
     on_every_case(|case| {
         // Once as it is, and once on a machine that limits the jerk.
-        let mut with_jerk = case.limits.clone();
-        with_jerk.axes.iter_mut().for_each(|a| a.max_jerk_mm_per_s3 = Some(5e3));
+        let with_jerk = with_max_jerk(&case.limits, [5e3; 2]);
         for (path, (name, scheduler)) in
             [case.path(), lifted(case)].iter().flat_map(|p| SCHEDULERS.map(|s| (p, s)))
         {
@@ -1025,9 +1036,7 @@ fn stop_at_corners_stays_on_the_path_and_cuts_no_dwell_time() {
 fn pvt_keeps_a_limit_on_jerk() {
     on_every_case(|case| {
         let mut limited = case.clone();
-        for (axis, j) in limited.limits.axes.iter_mut().zip([5e3, 2e3]) {
-            axis.max_jerk_mm_per_s3 = Some(j);
-        }
+        limited.limits = with_max_jerk(&case.limits, [5e3, 2e3]);
         let s = limited.pvt(Mode::Smooth)?;
         let verdict = judge(&s.trajectory, &limited.limits);
         ensure(verdict.limits_respected, || format!("smooth: {:?}", verdict.violations))?;
@@ -1073,7 +1082,7 @@ fn position_mode_stands_and_is_found_out() {
         }
         let jumps = t.coefficient_mm().windows(2).any(|w| w[0] != w[1]);
         // It knows no least segment time.
-        let verdict = judge(&t, &Limits { min_segment_s: 0.0, ..case.limits.clone() });
+        let verdict = judge(&t, &with_min_segment(&case.limits, 0.0));
         ensure(verdict.limits_respected != jumps, || format!("{:?}", verdict.violations))
     });
 }

@@ -31,7 +31,7 @@ pub use aperture::ClearAperture;
 pub use dwell_time::DwellTime;
 pub use feed::Feed;
 pub use grid::{Axis, Grid};
-pub use limits::{AxisLimits, Limits};
+pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, Surface};
 pub use tif::Tif;
 pub use tool_path::ToolPath;

@@ -1,6 +1,6 @@
 //! The verdict against closed forms, invariants and dense sampling.
 
-use planish_types::{AxisLimits, Limits, Trajectory};
+use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 use planish_verify::{Check, Verdict, VerifySettings, verify};
 use proptest::prelude::*;
 
@@ -8,13 +8,15 @@ use proptest::prelude::*;
 type Cubic = [f64; 4];
 
 fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>, min_segment_s: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: jerk,
     };
-    Limits { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+        .checked()
+        .unwrap()
 }
 
 /// A trajectory from durations and coefficients of x; y rests at 0. Dwell indices count from 100.
