@@ -25,7 +25,8 @@ fn motion(tool_on: [bool; 2]) -> Trajectory {
     let end = [1.0 + d, 0.0, 0.0, 0.0];
     let y = [-2.0, 0.0, 0.0, 0.0];
     let times = vec![5.0, 5.1, 8.1];
-    Trajectory::new(times, vec![[x, y], [end, y]], tool_on.to_vec(), vec![0, 1]).unwrap()
+    Trajectory::new(times, vec![[x, y], [end, y]], tool_on.to_vec(), vec![Some(0), Some(1)])
+        .unwrap()
 }
 
 fn write(
@@ -105,7 +106,7 @@ fn what_a_controller_cannot_do_is_refused() {
     let line = |c: Vec<[[f64; 4]; 2]>, step: f64| {
         let n = c.len();
         let times = (0..=n).map(|k| k as f64 * step).collect();
-        Trajectory::new(times, c, vec![true; n], vec![0; n]).unwrap()
+        Trajectory::new(times, c, vec![true; n], vec![Some(0); n]).unwrap()
     };
     let at = |x: f64, v: f64| [[x, v, 0.0, 0.0], [0.0; 4]];
     let gcode = Controller::Gcode(Default::default());
@@ -150,7 +151,7 @@ fn a_long_program_says_how_fast_its_buffer_runs_empty() {
     let n = 600;
     let c = vec![[[0.0; 4]; 2]; n];
     let times = (0..=n).map(|k| 0.01 * k as f64).collect();
-    let still = Trajectory::new(times, c, vec![true; n], vec![0; n]).unwrap();
+    let still = Trajectory::new(times, c, vec![true; n], vec![Some(0); n]).unwrap();
     let text = write(&still, &Controller::Galil(Default::default()), &common()).unwrap();
     assert!(text.contains("' buffer: 255 segments, which last 2.548828 s at least"), "{text}");
     let before = text.split("\nBTAB").next().unwrap();

@@ -93,7 +93,7 @@ fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
     let coefficients = coefficients.collect();
     let n = moves.len();
     let times = (0..=n).map(|k| k as f64).collect();
-    Trajectory::new(times, coefficients, tool_on.to_vec(), vec![0; n]).unwrap()
+    Trajectory::new(times, coefficients, tool_on.to_vec(), vec![Some(0); n]).unwrap()
 }
 
 fn text(plan: &Trajectory, controller: Controller) -> String {

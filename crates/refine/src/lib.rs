@@ -195,19 +195,13 @@ fn schedule(
         }
         Scheduler::ConstantAcceleration => {
             let trajectory = constant_acceleration::schedule(path, t, limits)?.trajectory;
-            let mut time_s = vec![0.0; path.len()];
-            for segment in trajectory.segments() {
-                let column = usize::try_from(segment.dwell_index).ok();
-                if let Some(time) = column.and_then(|j| time_s.get_mut(j)) {
-                    *time += segment.duration_s;
-                }
-            }
+            let served_s = trajectory.served_s(path.len(), |_| true)?;
             // Break times are sums: their differences round with the total.
             let rounding = 1e-12 * trajectory.total_time_s();
             let stretched = t
                 .dwell_s()
                 .iter()
-                .zip(&time_s)
+                .zip(&served_s)
                 .enumerate()
                 .filter(|(_, (asked, took))| **took > **asked + rounding)
                 .map(|(j, (_, took))| (j, *took))

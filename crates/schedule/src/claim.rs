@@ -161,7 +161,7 @@ mod tests {
     /// From rest to rest by 1 mm in 1 s: v(1/2) = 1.5, |a| <= 6, j = -12.
     fn rest_to_rest() -> Trajectory {
         let c = [[0.0, 0.0, 3.0, -2.0], [0.0; 4]];
-        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap()
+        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![None]).unwrap()
     }
 
     #[test]
@@ -187,7 +187,7 @@ mod tests {
     fn jumps_and_a_moving_start_are_steps() {
         let at = |x: f64, v: f64| [[x, v, 0.0, 0.0], [0.0; 4]];
         let t = |c: Vec<[[f64; 4]; 2]>| {
-            Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![0, 1]).unwrap()
+            Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![None; 2]).unwrap()
         };
         let free = limits(1e3, 1e9, None, 0.0);
         let jump = Claim::of(&t(vec![at(0.0, 0.0), at(1.0, 0.0)]), &free);

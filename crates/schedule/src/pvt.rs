@@ -57,11 +57,11 @@
 use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
 
 use planish_numerics::chain;
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::{ScheduleError, break_times, check_lengths};
+use crate::{ScheduleError, check_lengths};
 
 /// What the motion shall be like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -222,7 +222,7 @@ fn schedule_stretched(
                 break_time_s,
                 segments.collect(),
                 parallel(h.len()).map(|k| path.tool_on()[timing.kept[k]]).collect(),
-                parallel(h.len()).map(|k| timing.kept[k] as i64).collect(),
+                parallel(h.len()).map(|k| Some(timing.kept[k])).collect(),
             )?;
             return Ok(Schedule { trajectory, report: timing.report(path, dwell, solver, rounds) });
         };
@@ -332,7 +332,7 @@ fn jerk_limited(
                 break_time_s,
                 segments,
                 of.iter().map(|k| path.tool_on()[timing.kept[*k]]).collect(),
-                of.iter().map(|k| timing.kept[*k] as i64).collect(),
+                of.iter().map(|k| Some(timing.kept[*k])).collect(),
             )?;
             let solver = [Solver::Tridiagonal; 2];
             return Ok(Schedule { trajectory, report: timing.report(path, dwell, solver, rounds) });

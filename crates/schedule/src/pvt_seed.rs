@@ -56,10 +56,10 @@ use clarabel::{
         SupportedConeT::{NonnegativeConeT, ZeroConeT},
     },
 };
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
 use serde::Serialize;
 
-use crate::{ScheduleError, break_times, check_lengths, pvt::accelerations, pvt::hermite};
+use crate::{ScheduleError, check_lengths, pvt::accelerations, pvt::hermite};
 
 /// Which node the first two rows of Eq. 16 fix.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -164,7 +164,7 @@ pub fn schedule(
         break_time_s,
         segments.collect(),
         kept.iter().map(|i| path.tool_on()[*i]).collect(),
-        kept.iter().map(|i| *i as i64).collect(),
+        kept.iter().copied().map(Some).collect(),
     )?;
     Ok(Schedule { trajectory, report })
 }

@@ -81,7 +81,7 @@ fn one_sample(row: usize, column: usize) -> Tif {
 /// A tool that stands at `at` for `time_s`.
 fn standing(at: [f64; 2], time_s: f64) -> Trajectory {
     let c = at.map(|p| [p, 0.0, 0.0, 0.0]);
-    Trajectory::new(vec![0.0, time_s], vec![c], vec![true], vec![0]).unwrap()
+    Trajectory::new(vec![0.0, time_s], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
 /// A straight path along x.
@@ -172,7 +172,7 @@ fn motion_is_mm_per_s() {
         vec![0.0, 1.0],
         vec![[[0.0, 1.0, 2.0, 3.0], [0.0; 4]]],
         vec![true],
-        vec![0],
+        vec![Some(0)],
     );
     let verdict = judge(&t.unwrap(), &ion_beam());
     assert_eq!(verdict.max_velocity_mm_per_s, [14.0, 0.0]);
@@ -380,7 +380,7 @@ fn tif_is_cubic_between_its_samples() {
 #[test]
 fn tool_off_removes_nothing() {
     let c = [[14.0, 1.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]];
-    let t = |on: bool| Trajectory::new(vec![0.0, 1.0], vec![c], vec![on], vec![0]).unwrap();
+    let t = |on: bool| Trajectory::new(vec![0.0, 1.0], vec![c], vec![on], vec![Some(0)]).unwrap();
     let total = |t: &Trajectory| removal(t, &gaussian(), &flat(part())).removal_nm().sum();
     assert_eq!(total(&t(false)), 0.0);
     assert!(total(&t(true)) > 1.0);
@@ -414,7 +414,12 @@ fn dwell_time_is_per_segment() {
 #[test]
 fn motion_is_cubic_in_segment_local_time() {
     let c = [[1.0, 2.0, 3.0, 4.0], [5.0, 0.0, 0.0, 0.0]];
-    let t = Trajectory::new(vec![500.0, 501.0, 503.0], vec![c; 2], vec![true; 2], vec![0, 1]);
+    let t = Trajectory::new(
+        vec![500.0, 501.0, 503.0],
+        vec![c; 2],
+        vec![true; 2],
+        vec![Some(0), Some(1)],
+    );
     let t = t.unwrap();
     // c0 + c1 u + c2 u^2 + c3 u^3, u from the start of each segment.
     for i in 0..2 {
@@ -428,7 +433,12 @@ fn motion_is_cubic_in_segment_local_time() {
 #[test]
 fn a_jump_can_be_stored_and_is_found() {
     let c = |x: f64| [[x, 0.0, 0.0, 0.0], [0.0; 4]];
-    let t = Trajectory::new(vec![0.0, 1.0, 2.0], vec![c(0.0), c(-3.0)], vec![true; 2], vec![0, 1]);
+    let t = Trajectory::new(
+        vec![0.0, 1.0, 2.0],
+        vec![c(0.0), c(-3.0)],
+        vec![true; 2],
+        vec![Some(0), Some(1)],
+    );
     let verdict = judge(&t.unwrap(), &ion_beam());
     assert_eq!(verdict.max_position_step_mm, [3.0, 0.0]);
     assert!(!verdict.limits_respected);
@@ -438,7 +448,7 @@ fn a_jump_can_be_stored_and_is_found() {
 fn the_machine_rests_before_and_after() {
     // Uniform motion at 2 mm/s: velocity steps of 2 mm/s at both ends.
     let c = [[0.0, 2.0, 0.0, 0.0], [0.0; 4]];
-    let t = Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap();
+    let t = Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![Some(0)]).unwrap();
     let x = &judge(&t, &ion_beam()).axes[0].velocity_step_mm_per_s;
     assert_eq!((x.max.value, x.min.value, x.exceeding_count), (2.0, -2.0, 2));
 }
@@ -449,7 +459,7 @@ fn limits_are_magnitudes_per_axis() {
     let along = |axis: usize| {
         let mut c = [[0.0; 4]; 2];
         c[axis] = [0.0, 0.0, -6.0, 4.0]; // -2 mm in 1 s, at most 3 mm/s, 12 mm/s^2
-        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap()
+        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![Some(0)]).unwrap()
     };
     let limits = machine([2.0, 4.0], [20.0, 20.0]);
     let (x, y) = (judge(&along(0), &limits), judge(&along(1), &limits));

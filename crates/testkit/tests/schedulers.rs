@@ -514,19 +514,19 @@ fn trig_spline_stays_on_the_path_and_accounts_for_its_time() {
         for repair in [Repair::Offset, Repair::Local] {
             for path in [case.path(), lifted(case)] {
                 let s = trig(&path, &case.dwell(), &case.limits, repair)?;
-                let mut before = -1;
+                let mut before = 0;
                 for (k, piece) in s.trajectory.segments().enumerate() {
                     if !piece.tool_on {
                         continue;
                     }
-                    let i = piece.dwell_index;
+                    let i = piece.dwell_index.ok_or("a pass serves no dwell point")?;
                     ensure(i >= before, || {
                         format!("{repair:?}: piece {k} serves {i} after {before}")
                     })?;
                     before = i;
                     for part in [0.0, 0.3, 0.7, 1.0] {
                         let p = piece.position_mm(part * piece.duration_s);
-                        let [a, b] = [0, 1].map(|e| case.points[i as usize + e]);
+                        let [a, b] = [0, 1].map(|e| case.points[i + e]);
                         let off = distance_to_chord(p, a, b);
                         ensure(off <= 0.02 + 2e-6, || {
                             format!("{repair:?}: piece {k} is {off} mm beside segment {i}")
@@ -722,7 +722,7 @@ fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result
     let rounding_mm = 1e-13 * case.extent_mm().max(1.0) * 10.0;
     let total_s = t.total_time_s();
     for (k, s) in t.segments().enumerate() {
-        let i = s.dwell_index as usize;
+        let i = s.dwell_index.ok_or("a segment serves no dwell point")?;
         let (start, end) = (s.position_mm(0.0), s.position_mm(s.duration_s));
         ensure(start == case.points[i], || {
             format!("{mode:?}: segment {k} starts at {start:?}, not at {:?}", case.points[i])
@@ -871,7 +871,7 @@ fn equal_dwell_on_equal_spacing_gives_constant_feed() {
     }
     // Constant acceleration from rest swings about the feed and keeps the mean.
     let t = case.constant_acceleration().unwrap().trajectory;
-    let served: f64 = t.segments().filter(|s| s.dwell_index >= 0).map(|s| s.duration_s).sum();
+    let served: f64 = t.segments().filter(|s| s.dwell_index.is_some()).map(|s| s.duration_s).sum();
     assert!((served - 10.0).abs() < 1e-9, "{served}");
 }
 
@@ -908,7 +908,7 @@ fn zero_length_segments_take_their_time_or_vanish() {
     for mode in MODES {
         let schedule = case.pvt(mode).unwrap();
         assert_eq!(schedule.report.dropped, [2], "{mode:?}");
-        assert_eq!(schedule.trajectory.dwell_index(), [0, 1, 3, 4], "{mode:?}");
+        assert_eq!(schedule.trajectory.dwell_index(), [0, 1, 3, 4].map(Some), "{mode:?}");
         assert_eq!(schedule.trajectory.break_time_s(), [0.0, 0.5, 0.75, 1.25, 1.375], "{mode:?}");
         assert!(judge(&schedule.trajectory, &case.limits).limits_respected, "{mode:?}");
     }
@@ -973,7 +973,7 @@ fn constant_acceleration_reports_what_it_missed() {
         let mut largest = 0.0_f64;
         for i in 0..case.dwell_s.len() {
             let last =
-                (0..s.trajectory.len()).rev().find(|k| s.trajectory.dwell_index()[*k] == i as i64);
+                (0..s.trajectory.len()).rev().find(|k| s.trajectory.dwell_index()[*k] == Some(i));
             let Some(k) = last else { continue };
             let segment = s.trajectory.segment(k);
             let end = segment.position_mm(segment.duration_s);
@@ -996,10 +996,10 @@ fn stop_at_corners_stays_on_the_path_and_cuts_no_dwell_time() {
             let s = stop_at_corners::schedule(&path, &case.dwell(), &case.limits)
                 .map_err(|e| e.to_string())?;
             let (t, n) = (&s.trajectory, case.dwell_s.len());
-            let (mut served_s, mut end) = (vec![0.0; n], case.points.clone());
+            let mut end = case.points.clone();
+            let served_s = t.served_s(n, |_| true).map_err(|e| e.to_string())?;
             for (k, piece) in t.segments().enumerate() {
-                let i = piece.dwell_index as usize;
-                served_s[i] += piece.duration_s;
+                let i = piece.dwell_index.ok_or("a segment serves no dwell point")?;
                 end[i + 1] = piece.position_mm(piece.duration_s);
                 if !piece.tool_on {
                     continue;
@@ -1042,10 +1042,11 @@ fn pvt_keeps_a_limit_on_jerk() {
         ensure(verdict.limits_respected, || format!("smooth: {:?}", verdict.violations))?;
         let claim = Claim::of(&s.trajectory, &limited.limits);
         ensure(claim.limits_respected && claim.jerk == Some(true), || format!("{claim:?}"))?;
-        let (mut served_s, mut end) = (vec![0.0; case.dwell_s.len()], case.points.clone());
+        let mut end = case.points.clone();
+        let served_s =
+            s.trajectory.served_s(case.dwell_s.len(), |_| true).map_err(|e| e.to_string())?;
         for piece in s.trajectory.segments() {
-            let i = piece.dwell_index as usize;
-            served_s[i] += piece.duration_s;
+            let i = piece.dwell_index.ok_or("a segment serves no dwell point")?;
             end[i + 1] = piece.position_mm(piece.duration_s);
         }
         let total_s = s.trajectory.total_time_s();
@@ -1075,9 +1076,9 @@ fn position_mode_stands_and_is_found_out() {
         let path = case.path();
         let t = position::schedule(&path, &case.dwell()).map_err(|e| e.to_string())?;
         for s in t.segments() {
-            let p = path.dwell_point_mm()[s.dwell_index as usize];
+            let p = path.dwell_point_mm()[s.dwell_index.ok_or("a rest serves no dwell point")?];
             ensure(*s.coefficient_mm == p.map(|p| [p, 0.0, 0.0, 0.0]), || {
-                format!("dwell point {}: {:?}", s.dwell_index, s.coefficient_mm)
+                format!("dwell point {:?}: {:?}", s.dwell_index, s.coefficient_mm)
             })?;
         }
         let jumps = t.coefficient_mm().windows(2).any(|w| w[0] != w[1]);

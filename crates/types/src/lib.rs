@@ -35,7 +35,10 @@ pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, Surface};
 pub use tif::Tif;
 pub use tool_path::ToolPath;
-pub use trajectory::{Segment, Trajectory};
+pub use trajectory::{
+    Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,
+    stored_dwell_index,
+};
 
 /// A value that cannot be what it claims to be.
 ///
