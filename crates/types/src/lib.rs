@@ -17,6 +17,7 @@
 mod aperture;
 pub mod budget;
 mod dwell_time;
+mod end;
 mod feed;
 mod grid;
 mod limits;
@@ -29,6 +30,7 @@ mod trajectory;
 
 pub use aperture::ClearAperture;
 pub use dwell_time::DwellTime;
+pub use end::End;
 pub use feed::Feed;
 pub use grid::{Axis, Grid};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
