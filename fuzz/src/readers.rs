@@ -9,7 +9,7 @@ use planish_import::{
     program::{self, Configuration, Controller},
     read, surface, tif,
 };
-use planish_types::{Limits, budget};
+use planish_types::{MachineFile, budget};
 
 /// What a reader may take: an input of some kilobytes that needs more is a defect.
 pub const MEMORY_GIB: f64 = 1.0 / 16.0;
@@ -107,8 +107,8 @@ fn manifest(bytes: &[u8]) {
 }
 
 fn machine(bytes: &[u8]) {
-    if let Ok(limits) = serde_json::from_slice::<Limits>(bytes)
-        && let Err(error) = limits.validated()
+    if let Ok(file) = serde_json::from_slice::<MachineFile>(bytes)
+        && let Err(error) = file.checked()
     {
         readable(&error.to_string());
     }

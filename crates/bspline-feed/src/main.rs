@@ -14,7 +14,7 @@ use planish_handoff::{
     Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
 };
 use planish_types::{
-    Surface, Tif, ToolPath, Trajectory,
+    End, Surface, Tif, ToolPath, Trajectory,
     plausible::{self, Rms},
 };
 use serde_json::json;
@@ -151,12 +151,12 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         _ => plausible::too_long(total_time_s),
     };
     let unfinished = match r.end {
-        "sweep-limit" => Some(format!(
+        End::SweepLimit => Some(format!(
             "not converged: after {} sweeps the objective still falls by more than {} of itself; \
              raise --max-sweeps or --tolerance",
             r.sweeps, cli.tolerance
         )),
-        "link-limit" => Some(
+        End::LinkLimit => Some(
             "not converged: what the turn-arounds remove still changes from round to round; give the \
              path more overscan, so that they lie off the part"
                 .to_string(),

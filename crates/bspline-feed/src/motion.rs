@@ -16,7 +16,7 @@ use planish_numerics::{
     motion::timing_law,
     quadrature::gauss_legendre,
 };
-use planish_types::{Invalid, Limits, Surface, Tif, Trajectory};
+use planish_types::{Invalid, Limits, Surface, Tif, Trajectory, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
@@ -74,7 +74,7 @@ pub fn motion(
     limits: &Limits,
     tolerance_mm: f64,
 ) -> Result<Motion, Invalid> {
-    let mut draft = Draft::default();
+    let mut draft = TrajectoryBuilder::default();
     let mut links = Links::default();
     let mut links_on = Vec::new();
     let mut fit = FitReport { pieces: 0, largest_error_mm: 0.0 };
@@ -85,26 +85,31 @@ pub fn motion(
         let start = [pass.start_mm, velocity(0.0)];
         let tool_on = m > 0 && passes[m - 1].tool_on_after;
         let begin = draft.len();
-        links.total_time_s +=
-            draft.link(before.unwrap_or([pass.start_mm, [0.0; 2]]), start, tool_on, limits);
+        links.total_time_s += add_link(
+            &mut draft,
+            before.unwrap_or([pass.start_mm, [0.0; 2]]),
+            start,
+            tool_on,
+            limits,
+        );
         if m > 0 && tool_on {
             links.turn_arounds += 1;
-            links.tool_on_s += draft.duration_s[begin..].iter().sum::<f64>();
-            links.entering_aperture += usize::from(draft.enters(begin, surface));
+            links.tool_on_s += draft.duration_s()[begin..].iter().sum::<f64>();
+            links.entering_aperture += usize::from(enters(&draft, begin, surface));
             links_on.push(begin..draft.len());
         } else if m > 0 {
             links.lifts += 1;
         }
-        let fitted = draft.pass(pass, knots, d, tolerance_mm);
+        let fitted = add_pass(&mut draft, pass, knots, d, tolerance_mm);
         fit.pieces += fitted.pieces;
         fit.largest_error_mm = fit.largest_error_mm.max(fitted.largest_error_mm);
         let end_mm = pass.length_mm();
         before = Some([pass.at(end_mm), velocity(end_mm)]);
     }
     if let Some(end) = before {
-        links.total_time_s += draft.link(end, [end[0], [0.0; 2]], false, limits);
+        links.total_time_s += add_link(&mut draft, end, [end[0], [0.0; 2]], false, limits);
     }
-    Ok(Motion { trajectory: draft.finish()?, links, fit, links_on })
+    Ok(Motion { trajectory: draft.build()?, links, fit, links_on })
 }
 
 impl Motion {
@@ -136,94 +141,71 @@ impl Motion {
     }
 }
 
-/// Segments on their way to a trajectory.
-#[derive(Debug, Default)]
-struct Draft {
-    duration_s: Vec<f64>,
-    coefficient_mm: Vec<[[f64; 4]; 2]>,
-    tool_on: Vec<bool>,
-    dwell_index: Vec<i64>,
+/// From one [position, velocity] to another; returns how long it takes, s.
+fn add_link(
+    draft: &mut TrajectoryBuilder,
+    from: [[f64; 2]; 2],
+    to: [[f64; 2]; 2],
+    tool_on: bool,
+    limits: &Limits,
+) -> f64 {
+    let (v, a) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+    let axes = [0, 1].map(|k| AxisLink {
+        from: [from[0][k], from[1][k]],
+        to: [to[0][k], to[1][k]],
+        max_velocity: (1.0 - MARGIN) * v[k],
+        max_acceleration: (1.0 - MARGIN) * a[k],
+    });
+    let pieces = link(&axes);
+    for piece in &pieces {
+        draft.push(piece.duration, piece.coefficient, tool_on, None);
+    }
+    pieces.iter().map(|p| p.duration).sum()
 }
 
-impl Draft {
-    fn len(&self) -> usize {
-        self.duration_s.len()
-    }
-
-    fn push(&mut self, duration_s: f64, coefficient_mm: [[f64; 4]; 2], tool_on: bool, index: i64) {
-        self.duration_s.push(duration_s);
-        self.coefficient_mm.push(coefficient_mm);
-        self.tool_on.push(tool_on);
-        self.dwell_index.push(index);
-    }
-
-    /// From one [position, velocity] to another; returns how long it takes, s.
-    fn link(
-        &mut self,
-        from: [[f64; 2]; 2],
-        to: [[f64; 2]; 2],
-        tool_on: bool,
-        limits: &Limits,
-    ) -> f64 {
-        let (v, a) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
-        let axes = [0, 1].map(|k| AxisLink {
-            from: [from[0][k], from[1][k]],
-            to: [to[0][k], to[1][k]],
-            max_velocity: (1.0 - MARGIN) * v[k],
-            max_acceleration: (1.0 - MARGIN) * a[k],
+/// The pieces of a pass.
+fn add_pass(
+    draft: &mut TrajectoryBuilder,
+    pass: &Pass,
+    knots: &Knots,
+    d: &[f64],
+    tolerance_mm: f64,
+) -> FitReport {
+    let integral = knots.integral(d);
+    let fit = timing_law::fit(
+        |s| integral.value(s),
+        |s| knots.value(d, s),
+        &breaks(pass, knots),
+        tolerance_mm,
+        // D >= 1/F holds exactly; the margin of the pass is for the pieces.
+        pass.max_feed_mm_per_s * (1.0 + MARGIN),
+        pass.max_acceleration_mm_per_s2,
+    );
+    for piece in &fit.pieces {
+        // x = x0 + t_x s(u), y likewise
+        let [s0, s1, s2, s3] = piece.coefficient;
+        let coefficient = [0, 1].map(|k| {
+            let t = pass.direction[k];
+            [pass.start_mm[k] + t * s0, t * s1, t * s2, t * s3]
         });
-        let pieces = link(&axes);
-        for piece in &pieces {
-            self.push(piece.duration, piece.coefficient, tool_on, -1);
-        }
-        pieces.iter().map(|p| p.duration).sum()
+        let middle = 0.5 * (piece.start + piece.end);
+        let inner = &pass.node_mm[1..pass.node_mm.len() - 1];
+        let segment = pass.first_segment + inner.partition_point(|s| *s <= middle);
+        draft.push(piece.duration, coefficient, true, Some(segment));
     }
+    FitReport { pieces: fit.pieces.len(), largest_error_mm: fit.largest_error }
+}
 
-    fn pass(&mut self, pass: &Pass, knots: &Knots, d: &[f64], tolerance_mm: f64) -> FitReport {
-        let integral = knots.integral(d);
-        let fit = timing_law::fit(
-            |s| integral.value(s),
-            |s| knots.value(d, s),
-            &breaks(pass, knots),
-            tolerance_mm,
-            // D >= 1/F holds exactly; the margin of the pass is for the pieces.
-            pass.max_feed_mm_per_s * (1.0 + MARGIN),
-            pass.max_acceleration_mm_per_s2,
-        );
-        for piece in &fit.pieces {
-            // x = x0 + t_x s(u), y likewise
-            let [s0, s1, s2, s3] = piece.coefficient;
-            let coefficient = [0, 1].map(|k| {
-                let t = pass.direction[k];
-                [pass.start_mm[k] + t * s0, t * s1, t * s2, t * s3]
-            });
-            let middle = 0.5 * (piece.start + piece.end);
-            let inner = &pass.node_mm[1..pass.node_mm.len() - 1];
-            let segment = pass.first_segment + inner.partition_point(|s| *s <= middle);
-            self.push(piece.duration, coefficient, true, segment as i64);
-        }
-        FitReport { pieces: fit.pieces.len(), largest_error_mm: fit.largest_error }
-    }
-
-    /// Whether the motion from segment `begin` on enters the aperture, seen at 8 places of each.
-    fn enters(&self, begin: usize, surface: &Surface) -> bool {
-        (begin..self.len()).any(|i| {
-            (0..=8).any(|k| {
-                let u = self.duration_s[i] * f64::from(k) / 8.0;
-                let p =
-                    self.coefficient_mm[i].map(|c| planish_numerics::polynomial::evaluate(&c, u));
-                is_inside(surface, p)
-            })
+/// Whether the motion from segment `begin` on enters the aperture, seen at 8 places of each.
+fn enters(draft: &TrajectoryBuilder, begin: usize, surface: &Surface) -> bool {
+    (begin..draft.len()).any(|i| {
+        (0..=8).any(|k| {
+            let u = draft.duration_s()[i] * f64::from(k) / 8.0;
+            let p =
+                draft.coefficient_mm()[i].map(|c| planish_numerics::polynomial::evaluate(&c, u));
+            is_inside(surface, p)
         })
-    }
-
-    fn finish(self) -> Result<Trajectory, Invalid> {
-        let mut break_time_s = vec![0.0];
-        for h in &self.duration_s {
-            break_time_s.push(break_time_s[break_time_s.len() - 1] + h);
-        }
-        Trajectory::new(break_time_s, self.coefficient_mm, self.tool_on, self.dwell_index)
-    }
+    })
 }
 
 /// Control points of the path and knots, ascending.

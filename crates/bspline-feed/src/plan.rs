@@ -13,7 +13,9 @@
 
 use ndarray::Array2;
 use planish_numerics::{bspline::Knots, motion::timing_law};
-use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget, plausible::Rms};
+use planish_types::{
+    End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget, plausible::Rms,
+};
 use serde::Serialize;
 
 use crate::{
@@ -121,7 +123,7 @@ pub struct Report {
     /// How it ended: `converged` (the last sweep lowered the objective by less than the tolerance),
     /// `sweep-limit`, `link-limit` (what the links remove still changes), or `direct` for the VRR feed,
     /// which is not iterated.
-    pub end: &'static str,
+    pub end: End,
     /// Objective at the start and after every sweep of the last round, nm^2.
     pub objective_nm2: Vec<f64>,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm; absent for VRR.
@@ -488,10 +490,10 @@ fn report(
         piston_nm: solved.piston_nm,
         sweeps: solved.sweeps,
         end: match &solved.state {
-            None => "direct",
-            Some(state) if !state.converged => "sweep-limit",
-            Some(_) if !solved.settled => "link-limit",
-            Some(_) => "converged",
+            None => End::Direct,
+            Some(state) if !state.converged => End::SweepLimit,
+            Some(_) if !solved.settled => End::LinkLimit,
+            Some(_) => End::Converged,
         },
         objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
         model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),

@@ -10,18 +10,20 @@ use planish_bspline_feed::{
     plan::{Method, Piston},
 };
 use planish_numerics::bspline::Knots;
-use planish_types::{Axis, AxisLimits, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{Axis, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {

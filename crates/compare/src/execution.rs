@@ -48,7 +48,7 @@ impl Execution {
     pub fn of(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
         let mut execution = Self::default();
         // A motion read back from a controller's program serves no points.
-        let serves = trajectory.dwell_index().iter().any(|i| *i >= 0);
+        let serves = trajectory.dwell_index().iter().any(Option::is_some);
         if let Some(dwell) = dwell.filter(|_| serves) {
             let errors = dwell_errors(trajectory, dwell)?;
             let squares: f64 = errors.iter().map(|e| e * e).sum();
@@ -59,7 +59,7 @@ impl Execution {
         let index = trajectory.dwell_index();
         let mut first = 0;
         while first < trajectory.len() {
-            let own = |k: &usize| index[*k] != index[first] || index[first] < 0;
+            let own = |k: &usize| index[*k] != index[first] || index[first].is_none();
             let behind = (first + 1..trajectory.len()).find(own).unwrap_or(trajectory.len());
             execution.add_overshoot(trajectory, first, behind);
             first = behind;
@@ -92,21 +92,10 @@ impl Execution {
 /// Dwell errors of the points that are served with the tool on, or not at all.
 fn dwell_errors(trajectory: &Trajectory, dwell: &DwellTime) -> Result<Vec<f64>, Invalid> {
     let n = dwell.dwell_s().len();
-    let (mut time, mut lifted) = (vec![0.0; n], vec![false; n]);
-    for (k, s) in trajectory.segments().enumerate() {
-        let Ok(i) = usize::try_from(s.dwell_index) else { continue };
-        if i >= n {
-            let problem = format!("is {i}, the dwell times are {n}");
-            return Err(Invalid::at("dwell_index", k, problem, "give the dwell times of this run"));
-        }
-        if s.tool_on {
-            time[i] += s.duration_s;
-        } else {
-            lifted[i] = true;
-        }
-    }
-    let served = |i: &usize| !(lifted[*i] && time[*i] == 0.0);
-    Ok((0..n).filter(served).map(|i| time[i] - dwell.dwell_s()[i]).collect())
+    let on_s = trajectory.served_s(n, |segment| segment.tool_on)?;
+    let off_s = trajectory.served_s(n, |segment| !segment.tool_on)?;
+    let only_lifted = |i: usize| off_s[i] > 0.0 && on_s[i] == 0.0;
+    Ok((0..n).filter(|i| !only_lifted(*i)).map(|i| on_s[i] - dwell.dwell_s()[i]).collect())
 }
 
 /// Columns of the table: two lines of heading.
@@ -168,7 +157,7 @@ mod tests {
                 x([3.0, 0.0, 0.0, 0.0]),
             ],
             vec![true, true, false, false],
-            vec![0, 0, 1, -1],
+            vec![Some(0), Some(0), Some(1), None],
         )
         .unwrap();
         let dwell = DwellTime::new(vec![1.5, 9.0, 0.25]).unwrap();

@@ -8,7 +8,7 @@
 //! | ideal | dwell times without a motion: nothing that runs |
 //! | unknown | no manifest says |
 
-use planish_types::text::significant;
+use planish_types::{End, text::significant};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -93,12 +93,14 @@ impl Plan {
     pub fn of_manifest(manifest: &Value) -> Self {
         let outcome = &manifest["outcome"];
         let report = &outcome["report"];
-        let end = report["end"].as_str().or(outcome["end"].as_str());
+        let name = report["end"].as_str().or(outcome["end"].as_str());
+        // A stage that is not ours may end with a word of its own.
+        let end = name.and_then(|name| serde_json::from_value::<End>(name.into()).ok());
         let word = |otherwise| match end {
-            Some("stagnated") => "stagnated",
-            Some("iteration-limit") => "iteration limit",
-            Some("round-limit") => "round limit",
-            Some("step-limit") => "step limit",
+            Some(End::Stagnated) => "stagnated",
+            Some(End::IterationLimit) => "iteration limit",
+            Some(End::RoundLimit) => "round limit",
+            Some(End::StepLimit) => "step limit",
             _ => otherwise,
         };
         let gap = report["relative_gap"].as_f64().filter(|gap| gap.is_finite());
@@ -113,50 +115,71 @@ impl Plan {
             let reason = outcome["reason"].as_str().unwrap_or("it ended with a negative verdict");
             return Self::new(State::Unconverged, word("not converged"), reason);
         }
-        let converged = report["converged"].as_bool();
-        match (end, converged) {
-            (Some("optimal"), _) => match proven {
+        match (end, name) {
+            (Some(End::Optimal), _) => match proven {
                 Some(proven) => Self::new(State::Certified, "certified", proven),
                 None => {
                     let text = "optimal to its tolerance, without a bound on what is left to gain";
                     Self::new(State::Converged, "converged", text)
                 }
             },
-            (Some("stagnated"), _) => {
+            (Some(End::Stagnated), _) => {
                 let left =
                     proven.map_or("no certificate".into(), |proven| format!("only {proven}"));
                 let text = format!("stagnated: the objective changes no more; {left}");
                 Self::new(State::Unconverged, word("stagnated"), text)
             }
-            (Some("iteration-limit" | "round-limit" | "step-limit"), _) | (None, Some(false)) => {
-                let text = match end {
-                    Some("round-limit") => "the last round that was allowed still improved it",
-                    Some(_) => "the limit of its iterations was reached before it converged",
-                    None => "not converged",
-                };
+            (Some(End::RoundLimit), _) => {
+                let text = "the last round that was allowed still improved it";
                 Self::new(State::Unconverged, word("not converged"), text)
             }
-            (Some("no-improvement"), _) => {
+            (Some(End::IterationLimit | End::StepLimit), _) => {
+                let text = "the limit of its iterations was reached before it converged";
+                Self::new(State::Unconverged, word("not converged"), text)
+            }
+            (Some(End::NoImprovement), _) => {
                 let text = "corrected until no round improved it; no certificate of optimality";
                 Self::new(State::Converged, "converged", text)
             }
-            (Some("converged"), _) | (None, Some(true)) => {
-                let text = "ended by itself; no certificate of optimality";
-                Self::new(State::Converged, "converged", text)
-            }
-            (Some(other), _) => {
-                let text = format!("ended with `{other}`, of which nothing is known here");
+            (Some(End::Converged), _) => Self::ended_by_itself(),
+            // Ends that say nothing of an optimum, and what another program wrote.
+            (
+                Some(
+                    End::Settled
+                    | End::Threshold
+                    | End::Stopped
+                    | End::StepsDone
+                    | End::RoundsDone
+                    | End::AllPrices
+                    | End::Direct
+                    | End::SweepLimit
+                    | End::LiftLimit
+                    | End::LinkLimit,
+                )
+                | None,
+                Some(name),
+            ) => {
+                let text = format!("ended with `{name}`, of which nothing is known here");
                 Self::new(State::Unknown, "not known", text)
             }
-            (None, None) => {
-                let by = match manifest["method"].as_str() {
-                    Some(method) => format!("by {method}, "),
-                    None => String::new(),
-                };
-                let text = format!("{by}which gives no certificate of optimality");
-                Self::new(State::Converged, "no certificate", text)
-            }
+            (_, None) => match report["converged"].as_bool() {
+                Some(true) => Self::ended_by_itself(),
+                Some(false) => Self::new(State::Unconverged, "not converged", "not converged"),
+                None => {
+                    let by = match manifest["method"].as_str() {
+                        Some(method) => format!("by {method}, "),
+                        None => String::new(),
+                    };
+                    let text = format!("{by}which gives no certificate of optimality");
+                    Self::new(State::Converged, "no certificate", text)
+                }
+            },
         }
+    }
+
+    fn ended_by_itself() -> Self {
+        let text = "ended by itself; no certificate of optimality";
+        Self::new(State::Converged, "converged", text)
     }
 }
 
@@ -220,6 +243,7 @@ mod tests {
                 "would still move",
             ),
             (done(json!({ "end": "tired" })), State::Unknown, "not known", "`tired`"),
+            (done(json!({ "end": "settled" })), State::Unknown, "not known", "`settled`"),
         ] {
             let plan = Plan::of("pvt", None, Some(&manifest), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{manifest}");

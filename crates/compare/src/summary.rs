@@ -357,7 +357,7 @@ mod tests {
     }
 
     fn trajectory() -> Trajectory {
-        Trajectory::new(vec![0.0, 4.0], vec![[[0.0; 4]; 2]], vec![true], vec![0]).unwrap()
+        Trajectory::new(vec![0.0, 4.0], vec![[[0.0; 4]; 2]], vec![true], vec![Some(0)]).unwrap()
     }
 
     fn verdict(total_time_s: f64) -> Value {

@@ -156,7 +156,7 @@ impl Lab {
 
 fn motion(away_mm: f64) -> Trajectory {
     let c = [[0.0, away_mm / END_S, 0.0, 0.0], [0.0; 4]];
-    Trajectory::new(vec![0.0, END_S], vec![c], vec![true], vec![0]).unwrap()
+    Trajectory::new(vec![0.0, END_S], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
 /// A run with two schedules of which the second is the better one.

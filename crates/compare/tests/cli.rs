@@ -43,7 +43,8 @@ fn prepare(run: &Path, methods: &[(&str, f64, bool)]) {
         let removal = Removal::new(&desired(), removal_nm).unwrap();
         let end_s = 60.0 + i as f64;
         let trajectory =
-            Trajectory::new(vec![0.0, end_s], vec![[[0.0; 4]; 2]], vec![true], vec![0]).unwrap();
+            Trajectory::new(vec![0.0, end_s], vec![[[0.0; 4]; 2]], vec![true], vec![Some(0)])
+                .unwrap();
         let outcome = json!({
             "total_time_s": end_s, "max_velocity_mm_per_s": [1.0, 2.0],
             "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],

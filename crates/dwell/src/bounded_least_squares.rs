@@ -40,13 +40,15 @@
 //! | B | [`crate::columns`] | (pixels, n) | nm/s |
 //! | t, lo, hi | `dwell_s`, bounds | (n) | s |
 
+use std::fmt;
+
 use ndarray::{Array2, Zip};
 use planish_numerics::{
     linear::skyline::dot,
-    qp::bounded::{self, End, GradientSettings},
+    qp::bounded::{self, GradientSettings},
     statistics,
 };
-use planish_types::{DwellTime, Grid, Invalid, Surface, Tif, ToolPath};
+use planish_types::{DwellTime, End, Grid, Invalid, Surface, Tif, ToolPath};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -130,11 +132,29 @@ impl Default for Settings {
     }
 }
 
+/// How the steps of the approximation are found; manifests hold its name in kebab case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Algorithm {
+    /// Active sets on the factorised stand-in for H.
+    ActiveSet,
+    /// Conjugate gradients on the active set, preconditioned on a lattice of B-splines.
+    TwoLevel,
+    /// Projected gradient steps.
+    ProjectedGradient,
+}
+
+impl fmt::Display for Algorithm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
 /// What was reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// `active-set`, `two-level` or `projected-gradient`.
-    pub algorithm: &'static str,
+    /// How the steps were found.
+    pub algorithm: Algorithm,
     /// Factorisations, or products with the stand-in for H.
     pub iterations: usize,
     /// Steps of the approximation, each corrected by the exact gradient.
@@ -143,7 +163,7 @@ pub struct Report {
     pub cell_pixels: usize,
     /// How it ended: `optimal`, `stagnated` (the objective changes no more) or
     /// `iteration-limit`.
-    pub end: &'static str,
+    pub end: End,
     /// Largest |t - clip(t - gradient / H_jj)|: by how much a dwell time would still move, s.
     pub kkt_residual_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it; left out when alpha is 0: then
@@ -999,18 +1019,14 @@ impl<'a> Problem<'a> {
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let report = Report {
             algorithm: match &self.approximate {
-                Approximate::Ordered(_) => "active-set",
-                Approximate::Convolved(_) if self.splines_mm.is_some() => "two-level",
-                Approximate::Convolved(_) => "projected-gradient",
+                Approximate::Ordered(_) => Algorithm::ActiveSet,
+                Approximate::Convolved(_) if self.splines_mm.is_some() => Algorithm::TwoLevel,
+                Approximate::Convolved(_) => Algorithm::ProjectedGradient,
             },
             iterations: iterate.iterations,
             corrections: iterate.corrections,
             cell_pixels: self.cell,
-            end: match iterate.end {
-                End::Optimal => "optimal",
-                End::Stagnated => "stagnated",
-                End::IterationLimit => "iteration-limit",
-            },
+            end: iterate.end,
             kkt_residual_s: iterate.natural_residual,
             relative_gap: iterate.relative_gap,
             smoothness,

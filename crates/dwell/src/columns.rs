@@ -61,11 +61,7 @@ pub fn executed(trajectory: &Trajectory, columns: usize) -> Vec<Vec<Place>> {
     let rule = gauss_legendre::<3>();
     let mut places = vec![Vec::new(); columns];
     for segment in trajectory.segments().filter(|s| s.tool_on) {
-        let Some(column) =
-            usize::try_from(segment.dwell_index).ok().and_then(|j| places.get_mut(j))
-        else {
-            continue;
-        };
+        let Some(column) = segment.dwell_index.and_then(|j| places.get_mut(j)) else { continue };
         column.extend(rule.map(|(u, w)| Place {
             position_mm: segment.position_mm(u * segment.duration_s),
             part: w * segment.duration_s,
@@ -408,8 +404,13 @@ mod tests {
     fn executed_columns_average_in_time_along_the_motion() {
         // x = u^2 in [0, 1]: the mean of x^2 in time is 1/5 of (1)^2, of a uniform motion 1/3.
         let c = [[0.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0, 0.0]];
-        let t = Trajectory::new(vec![0.0, 1.0, 1.5], vec![c, c], vec![true, false], vec![0, 1])
-            .unwrap();
+        let t = Trajectory::new(
+            vec![0.0, 1.0, 1.5],
+            vec![c, c],
+            vec![true, false],
+            vec![Some(0), Some(1)],
+        )
+        .unwrap();
         let places = executed(&t, 2);
         let mean = |f: fn(f64) -> f64| -> f64 {
             places[0].iter().map(|p| p.part * f(p.position_mm[0])).sum()

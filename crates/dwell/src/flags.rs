@@ -14,7 +14,7 @@ use planish_dwell::{
 };
 use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, stage::say};
 use planish_types::{
-    DwellTime, Limits, Surface, Tif, ToolPath,
+    DwellTime, End, Limits, Surface, Tif, ToolPath,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -268,7 +268,7 @@ impl Given {
 /// What a report says of its end.
 struct Ended {
     /// The word for it.
-    end: &'static str,
+    end: End,
     /// Why the verdict is negative, if it is.
     negative: Option<String>,
     /// What else there is to say.
@@ -348,8 +348,8 @@ pub fn bounded_status(r: &bounded_least_squares::Report, before: Rms) -> Status 
         r.iterations, r.kkt_residual_s
     );
     let negative = match r.end {
-        "optimal" => plausible::drawback(before, after, r.total_time_s),
-        "stagnated" => {
+        End::Optimal => plausible::drawback(before, after, r.total_time_s),
+        End::Stagnated => {
             Some(format!("not proven optimal, the steps change nothing any more: {unproven}"))
         }
         _ => Some(format!("not converged: {unproven}")),
@@ -384,7 +384,7 @@ pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
             1 => String::new(),
             k => format!(" on cells of {k} x {k} pixels"),
         };
-        let negative = (r.end == "iteration-limit").then(|| {
+        let negative = (r.end == End::IterationLimit).then(|| {
             format!(
                 "not settled: after {} steps ten more still lower the RMS by more than {} of it; give \
                  --accelerated, a larger --tolerance, or --max-iterations to stop there on purpose",
@@ -406,7 +406,7 @@ pub fn rifta(cli: &Rifta) -> Result<Status, Failure> {
         ..rifta::Settings::default()
     };
     solve("rifta", &cli.given, &cli.least, settings, rifta::solve, |r| {
-        let negative = (r.end == "lift-limit").then(|| {
+        let negative = (r.end == End::LiftLimit).then(|| {
             "not settled: every lift of the map that is allowed was taken, and another would lower the RMS"
                 .to_string()
         });
@@ -430,7 +430,8 @@ pub fn udo(cli: &Udo) -> Result<Status, Failure> {
     };
     solve("udo", &cli.given, &cli.least, settings, udo::solve, |r| {
         let last = r.rms_nm[r.rms_nm.len() - 1];
-        let negative = (r.end == "iteration-limit" || r.end == "stopped" && cli.threshold_nm > 0.0)
+        let negative = (r.end == End::IterationLimit
+            || r.end == End::Stopped && cli.threshold_nm > 0.0)
             .then(|| {
                 format!("the threshold of {} nm is not reached: {last:.4} nm RMS", cli.threshold_nm)
             });
@@ -453,7 +454,7 @@ pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
         let negative = if !r.noise_reached {
             let least = r.searched_rms_nm.iter().copied().fold(f64::INFINITY, f64::min);
             Some(format!("the least residual of the search is {least:.4} nm RMS, above the noise"))
-        } else if r.end != "converged" {
+        } else if r.end != End::Converged {
             Some(format!("not converged after {} steps of LSQR", r.iterations))
         } else {
             None
@@ -474,7 +475,7 @@ pub fn truncated_svd(cli: &TruncatedSvd) -> Result<Status, Failure> {
     };
     let solver = truncated_svd::solve;
     solve("truncated-svd", &cli.given, &cli.least, settings, solver, |r| {
-        let negative = (r.end != "converged")
+        let negative = (r.end != End::Converged)
             .then(|| format!("not converged after {} steps; raise --max-steps", r.steps));
         let words = format!(
             "rank {}, {} after {} steps, level {:.4} s, {} clipped",
@@ -492,7 +493,7 @@ pub fn non_negative_least_squares(cli: &NonNegativeLeastSquares) -> Result<Statu
     let solver = non_negative_least_squares::solve;
     solve("non-negative-least-squares", &cli.given, &cli.least, settings, solver, |r| {
         let moves = format!("a dwell time would still move by {:.1e} s", r.kkt_residual_s);
-        let negative = (r.end != "optimal")
+        let negative = (r.end != End::Optimal)
             .then(|| format!("not converged after {} changes: {moves}", r.iterations));
         let words = format!("{} after {} changes, {moves}", r.end, r.iterations);
         Ended { end: r.end, negative, words }

@@ -46,7 +46,7 @@
 
 use ndarray::{Array2, ArrayView2, Zip};
 use planish_numerics::linear::skyline::dot;
-use planish_types::{Surface, Tif};
+use planish_types::{End, Surface, Tif};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -113,7 +113,7 @@ impl Default for Settings {
 pub struct Report {
     /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
     /// was to end the steps.
-    pub end: &'static str,
+    pub end: End,
     /// Steps.
     pub iterations: usize,
     /// sum w (E ln m - m) before the first step, and after each.
@@ -339,7 +339,7 @@ fn iterate(
     let floor = 1e-9 * e.iter().copied().fold(0.0, f64::max);
     let (mut log_likelihood, mut rms_nm) = (Vec::new(), Vec::new());
     let wanted = settings.stop_at_max || settings.tolerance == 0.0;
-    let mut end = if wanted { "steps-done" } else { "iteration-limit" };
+    let mut end = if wanted { End::StepsDone } else { End::IterationLimit };
     let mut iterations = 0;
     // x_k and g_k of (3)
     let mut extrapolated: Option<(Vec<f64>, Vec<f64>)> = None;
@@ -352,7 +352,7 @@ fn iterate(
         if iterations >= 10 {
             let before = rms_nm[iterations - 10];
             if before - rms_nm[iterations] < settings.tolerance * before {
-                end = "settled";
+                end = End::Settled;
                 break;
             }
         }

@@ -17,6 +17,7 @@
 //! | t, lo | `dwell_s`, `min_dwell` | (n) | s |
 
 use planish_numerics::qp::nnls::nnls;
+use planish_types::End;
 use serde::Serialize;
 
 use crate::{
@@ -48,7 +49,7 @@ impl Default for Settings {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `optimal` or `iteration-limit`.
-    pub end: &'static str,
+    pub end: End,
     /// Components that were freed or put back.
     pub iterations: usize,
     /// By how much a dwell time would still move, s.
@@ -69,7 +70,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let g = model.gradient(&model.target());
     let found = nnls(&h, &g, settings.tolerance, settings.max_changes_per_point * n);
     let report = Report {
-        end: if found.converged { "optimal" } else { "iteration-limit" },
+        end: if found.converged { End::Optimal } else { End::IterationLimit },
         iterations: found.iterations,
         kkt_residual_s: found.violation,
     };

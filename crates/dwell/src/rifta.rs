@@ -29,7 +29,7 @@ use std::f64::consts::PI;
 
 use ndarray::{Array2, Zip};
 use planish_numerics::fft::Complex64;
-use planish_types::Invalid;
+use planish_types::{End, Invalid};
 use serde::Serialize;
 
 use crate::{
@@ -65,7 +65,7 @@ impl Default for Settings {
 pub struct Report {
     /// How the lifts of the map ended: `settled` (another one would not lower the RMS, or hardly), or
     /// `lift-limit`.
-    pub end: &'static str,
+    pub end: End,
     /// Cap of the gain, times the sum of R over the pixels (1: the gain for a constant).
     pub relative_gamma: f64,
     /// Lift of the map, nm.
@@ -116,7 +116,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let best = if smaller { last } else { first };
     let t = fourier.cells.to_path(&best.seconds, problem.path.len());
     let report = Report {
-        end: if best.settled { "settled" } else { "lift-limit" },
+        end: if best.settled { End::Settled } else { End::LiftLimit },
         relative_gamma: best.gamma * fourier.map.rate_sum,
         piston_nm: best.piston_nm,
         margin_mm: best.margin_mm,

@@ -22,6 +22,7 @@
 //! | delta | `damping_nm_per_s` | - | nm/s |
 
 use planish_numerics::linear::lsqr::{Damped, largest_singular_value, lsqr};
+use planish_types::End;
 use serde::Serialize;
 
 use crate::{
@@ -64,7 +65,7 @@ impl Default for Settings {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `converged` or `iteration-limit`.
-    pub end: &'static str,
+    pub end: End,
     /// Steps of LSQR.
     pub iterations: usize,
     /// Relative damping that was used.
@@ -143,7 +144,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let levelled = model.levelled(&chosen_one.value, &b);
     let converged = chosen_one.converged && answer.converged;
     let report = Report {
-        end: if converged { "converged" } else { "iteration-limit" },
+        end: if converged { End::Converged } else { End::IterationLimit },
         iterations: chosen_one.iterations.max(answer.iterations),
         relative_damping: relative[chosen],
         damping_nm_per_s: relative[chosen] * largest,

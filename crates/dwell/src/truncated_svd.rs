@@ -21,7 +21,7 @@
 
 use ndarray::ArrayView1;
 use planish_numerics::linear::lanczos::{Truncated, truncated};
-use planish_types::{Invalid, budget};
+use planish_types::{End, Invalid, budget};
 use serde::Serialize;
 
 use crate::{
@@ -51,7 +51,7 @@ impl Default for Settings {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `converged` or `step-limit`.
-    pub end: &'static str,
+    pub end: End,
     /// Steps of the process.
     pub steps: usize,
     /// Singular values that were kept (as far as the map contains their vectors).
@@ -95,7 +95,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
     let levelled = model.levelled(&found.value, &b);
     let report = Report {
-        end: if found.converged && answer.converged { "converged" } else { "step-limit" },
+        end: if found.converged && answer.converged { End::Converged } else { End::StepLimit },
         steps: found.steps.max(answer.steps),
         rank: found.rank,
         largest_singular_value_nm_per_s: found.largest.sqrt(),

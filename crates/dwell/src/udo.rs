@@ -25,6 +25,7 @@
 //! | beta | `step` | - | 1 |
 
 use ndarray::{Array2, Zip};
+use planish_types::End;
 use serde::Serialize;
 
 use crate::{
@@ -70,7 +71,7 @@ impl Default for Settings {
 pub struct Report {
     /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
     /// not reached), or `rounds-done` where there is no threshold: the rounds are the end asked for.
-    pub end: &'static str,
+    pub end: End,
     /// Rounds after the first image.
     pub iterations: usize,
     /// RMS of the residual, mean removed, after the first image and each round, nm.
@@ -101,11 +102,11 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let mut t: Vec<f64> = lifted.iter().map(|b| gamma * b).collect();
     let mut residual = &z - &(removal * gamma);
     let mut rms_nm = vec![rms(&residual)];
-    let mut end = if settings.threshold_nm > 0.0 { "iteration-limit" } else { "rounds-done" };
+    let mut end = if settings.threshold_nm > 0.0 { End::IterationLimit } else { End::RoundsDone };
     for _ in 0..settings.max_iterations {
         let now = rms_nm[rms_nm.len() - 1];
         if now < settings.threshold_nm {
-            end = "threshold";
+            end = End::Threshold;
             break;
         }
         let b = image.of(&model.centred(&residual));
@@ -118,7 +119,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         let next: Vec<f64> = t.iter().zip(&lifted).map(|(t, b)| (t + step * b).max(0.0)).collect();
         let after = &z - &image.removal(&next);
         if rms(&after) > now {
-            end = "stopped";
+            end = End::Stopped;
             break;
         }
         rms_nm.push(rms(&after));

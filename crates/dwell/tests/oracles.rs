@@ -3,10 +3,12 @@
 use ndarray::{Array2, s};
 use planish_dwell::{
     DwellError,
-    bounded_least_squares::{Bound, Free, Program, Settings, Solution, solve, solve_columns},
+    bounded_least_squares::{
+        Algorithm, Bound, Free, Program, Settings, Solution, solve, solve_columns,
+    },
     columns::{Columns, patches},
 };
-use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
+use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -101,7 +103,7 @@ fn the_removal_of_a_planted_dwell_is_recovered() {
 fn the_certificate_holds_by_an_independent_computation() {
     let (path, desired) = (path(3.0), surface(bowl()));
     let found = run(&desired, &path, &settings());
-    assert_eq!(found.report.end, "optimal");
+    assert_eq!(found.report.end, End::Optimal);
     assert!(found.report.at_lower_bound > 0, "the bound is not active: {:?}", found.report);
     // Gradient of the objective from its definition: residual with the mean removed, penalties.
     let t = found.dwell.dwell_s();
@@ -142,8 +144,8 @@ fn both_algorithms_give_the_same_dwell() {
     let dense = run(&desired, &path, &settings());
     let by_fft = Settings { max_factorised_points: 0, tolerance_s: 1e-7, ..settings() };
     let by_fft = run(&desired, &path, &by_fft);
-    assert_eq!(dense.report.algorithm, "active-set");
-    assert_eq!(by_fft.report.algorithm, "two-level");
+    assert_eq!(dense.report.algorithm, Algorithm::ActiveSet);
+    assert_eq!(by_fft.report.algorithm, Algorithm::TwoLevel);
     // One minimum but for D: that of the column which the FFT estimates to be the strongest. It
     // changes alpha and beta by some 1e-3.
     assert!(apart(&dense, &by_fft) < 1e-3, "{} {:?}", apart(&dense, &by_fft), by_fft.report);
@@ -157,7 +159,7 @@ fn both_algorithms_give_the_same_dwell() {
         run(&desired, &path, &s)
     };
     let (dense, by_gradient) = (weak(6000, 3000), weak(0, 20_000));
-    assert_eq!(by_gradient.report.algorithm, "projected-gradient");
+    assert_eq!(by_gradient.report.algorithm, Algorithm::ProjectedGradient);
     let rms = by_gradient.report.model_rms_nm;
     assert!((rms / dense.report.model_rms_nm - 1.0).abs() < 1e-2, "{rms} {:?}", dense.report);
 }
@@ -293,7 +295,10 @@ fn many_points_reach_the_minimum_and_the_certificate_bounds_what_is_missing() {
                     assert!(value - least <= gap * value * (1.0 + 1e-9) + 1e-9, "{context}");
                 }
                 if max_iterations == 3000 {
-                    assert!(r.end == "optimal" && r.algorithm == "two-level", "{context}");
+                    assert!(
+                        r.end == End::Optimal && r.algorithm == Algorithm::TwoLevel,
+                        "{context}"
+                    );
                     assert!(gap <= relative_gap || r.kkt_residual_s <= 1e-9, "{context}");
                 }
                 let hi = hi.unwrap_or(f64::INFINITY);
@@ -324,7 +329,7 @@ fn many_points_keep_every_term_of_the_problem() {
         let many = Settings { max_factorised_points: 0, max_iterations: 20_000, ..settings };
         let a = solve(desired, tif, path, weight, &settings).unwrap();
         let b = solve(desired, tif, path, weight, &many).unwrap();
-        assert_eq!(b.report.algorithm, "two-level");
+        assert_eq!(b.report.algorithm, Algorithm::TwoLevel);
         // Two methods, one minimum: a dwell time would still move by 1e-8 s (1e-7) beside the
         // others, together by up to a thousand times that.
         assert!(apart(&a, &b) < 1e-4, "{settings:?}: {} {:?}", apart(&a, &b), b.report);
@@ -431,7 +436,7 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
     let huber_nm = Some(0.5);
     // A step that lowers 1e3 nm^2 by rounding moves a dwell time by 1e-8 s.
     let robust = run(&surface(pit), &path, &Settings { huber_nm, tolerance_s: 1e-7, ..settings() });
-    assert_eq!(robust.report.end, "optimal");
+    assert_eq!(robust.report.end, End::Optimal);
     // Nine of 1189 pixels pull with 0.5 nm in place of 500 nm.
     let (with, without) = (apart(&robust, &clean), apart(&squared, &clean));
     assert!(with < 0.02 * without, "{with} {without}");
@@ -494,7 +499,7 @@ fn bounds_point_by_point_hold() {
     let t = found.dwell.dwell_s();
     assert!((0..t.len()).all(|j| (lo[j]..=hi[j]).contains(&t[j])));
     assert!(found.report.at_lower_bound > 10 && found.report.at_upper_bound > 10);
-    assert_eq!(found.report.end, "optimal");
+    assert_eq!(found.report.end, End::Optimal);
 }
 
 #[test]

@@ -18,7 +18,7 @@ use planish_handoff::{
     kind::Dtype,
     npy::{self, ArrayData},
 };
-use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
+use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath};
 
 struct Mirror {
     dir: PathBuf,
@@ -129,7 +129,7 @@ fn nnls_finds_the_least_residual() {
     let settings = non_negative_least_squares::Settings { tikhonov: 1e-6, ..Default::default() };
     let found = non_negative_least_squares::solve(&mirror.problem(&path), &settings).unwrap();
     println!("{:?} {:?}", found.outcome, found.report);
-    assert_eq!(found.report.end, "optimal");
+    assert_eq!(found.report.end, End::Optimal);
     // Computed independently (a generic solver of quadratic programs): 0.14845 nm in 434.7 s.
     assert!((found.outcome.model_rms_detilted_nm - 0.14845).abs() < 2e-5, "{:?}", found.outcome);
     assert!((found.outcome.total_time_s - 434.7).abs() < 0.5, "{:?}", found.outcome);

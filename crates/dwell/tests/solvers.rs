@@ -12,7 +12,9 @@ use planish_dwell::{
     rifta, tikhonov_lsqr, truncated_svd,
     udo::{self, Floor},
 };
-use planish_types::{Axis, AxisLimits, DwellTime, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{
+    Axis, DwellTime, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
+};
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
@@ -97,13 +99,15 @@ fn bowl() -> Array2<f64> {
 }
 
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 /// What the table asks of a solver.
@@ -414,7 +418,7 @@ fn nnls_and_bounded_least_squares_find_the_same_minimum_and_its_conditions_hold(
     let tikhonov = 1e-4;
     let settings = non_negative_least_squares::Settings { tikhonov, ..Default::default() };
     let a = non_negative_least_squares::solve(&case.problem(), &settings).unwrap();
-    assert_eq!(a.report.end, "optimal");
+    assert_eq!(a.report.end, End::Optimal);
     assert!(a.outcome.at_floor > 20, "the floor is active: {:?}", a.outcome);
     let settings = bounded_least_squares::Settings {
         min_dwell: Bound::SecondsPerMm(FLOOR),
@@ -442,7 +446,7 @@ fn lsqr_solves_its_normal_equations_and_the_floor_is_met_by_a_level() {
         max_iterations: 3000,
     };
     let found = tikhonov_lsqr::solve(&case.problem(), &settings).unwrap();
-    assert_eq!((found.report.end, found.report.clipped), ("converged", 0));
+    assert_eq!((found.report.end, found.report.clipped), (End::Converged, 0));
     // B' M (z - B t) = delta^2 (t - c s): orthogonality, with s = 1 (all lengths are equal).
     let t = found.dwell.dwell_s();
     let mut r = desired.height_nm() - &removal(&path, &tool, t);

@@ -232,7 +232,7 @@ impl Job<'_> {
         let n = q.ticks.len() - 1;
         let about = About {
             controller: can.controller,
-            machine: self.machine.name.clone(),
+            machine: self.machine.name().into(),
             made_from: self.origin.made_from.clone(),
             made_by: self.origin.made_by.clone(),
             start_mm: q.position_mm(0),

@@ -112,9 +112,9 @@ pub fn check_plan(trajectory: &Trajectory, machine: &Limits) -> Result<(), Inval
     for (i, segment) in trajectory.segments().enumerate() {
         // The duration is the difference of two rounded times.
         let rounding_s = 2.0 * f64::EPSILON * (segment.start_s.abs() + segment.duration_s);
-        worst.least(i, segment.duration_s, machine.min_segment_s, rounding_s);
+        worst.least(i, segment.duration_s, machine.min_segment_s(), rounding_s);
     }
-    for (axis, limits) in machine.axes.iter().enumerate() {
+    for (axis, limits) in machine.axes().iter().enumerate() {
         // [position, velocity, acceleration] before a break; at rest before the first.
         let mut before: Option<[f64; 3]> = None;
         for (i, segment) in trajectory.segments().enumerate() {
@@ -124,14 +124,14 @@ pub fn check_plan(trajectory: &Trajectory, machine: &Limits) -> Result<(), Inval
             worst.steps(i, before.unwrap_or([start[0], 0.0, 0.0]), start, limits);
             for (name, unit, limit, c) in limited(limits, &orders) {
                 let (value, at_s) = range(c, segment.duration_s).peak();
-                worst.most(i, (&limits.name, name, unit), value, at_s, limit);
+                worst.most(i, (limits.name(), name, unit), value, at_s, limit);
             }
             before = Some(state(segment.duration_s));
         }
         let end = before.unwrap_or_default();
         worst.steps(trajectory.len(), end, [end[0], 0.0, 0.0], limits);
     }
-    worst.verdict(&machine.name)
+    worst.verdict(machine.name())
 }
 
 /// Proves the limits of `machine` for the rounded motion.
@@ -139,14 +139,14 @@ pub fn prove(q: &Quantised, machine: &Limits, between: Between) -> Result<Proof,
     let mut peaks = Peaks::default();
     for k in 0..q.tool_on.len() {
         let time_s = q.time_s(k + 1) - q.time_s(k);
-        if machine.min_segment_s > 0.0 {
-            let least = machine.min_segment_s;
+        if machine.min_segment_s() > 0.0 {
+            let least = machine.min_segment_s();
             let what = What { slot: DURATION, axis: "shortest", name: "duration", unit: "s" };
             // Half a tick is lost at both ends.
             let explained = q.quanta.tick_s / least;
             peaks.take(k, &what, time_s, least, 1.0 - time_s / least, explained)?;
         }
-        for (axis, limits) in machine.axes.iter().enumerate() {
+        for (axis, limits) in machine.axes().iter().enumerate() {
             let rounding = Rounding::of(q, axis, limits);
             let distance = q.position_mm(k + 1)[axis] - q.position_mm(k)[axis];
             let v = [q.velocity_mm_per_s[k][axis], q.velocity_mm_per_s[k + 1][axis]];
@@ -163,7 +163,7 @@ pub fn prove(q: &Quantised, machine: &Limits, between: Between) -> Result<Proof,
                 }
                 let value = range(c, time_s).peak().0;
                 let explained = rounding.explains(order, mean, time_s, value);
-                let what = What { slot: 3 * axis + order, axis: &limits.name, name, unit };
+                let what = What { slot: 3 * axis + order, axis: limits.name(), name, unit };
                 let excess = value / limit - 1.0;
                 peaks.take(k, &what, value, limit, excess, explained / limit)?;
             }
@@ -212,10 +212,10 @@ fn limited<'a>(
     orders: &'a [[f64; 4]; 4],
 ) -> impl Iterator<Item = Limited<'a>> {
     let [_, v, a, j] = orders;
-    let jerk = limits.max_jerk_mm_per_s3.map(|limit| ("jerk", "mm/s^3", limit, j));
+    let jerk = limits.max_jerk_mm_per_s3().map(|limit| ("jerk", "mm/s^3", limit, j));
     [
-        ("velocity", "mm/s", limits.max_velocity_mm_per_s, v),
-        ("acceleration", "mm/s^2", limits.max_acceleration_mm_per_s2, a),
+        ("velocity", "mm/s", limits.max_velocity_mm_per_s(), v),
+        ("acceleration", "mm/s^2", limits.max_acceleration_mm_per_s2(), a),
     ]
     .into_iter()
     .chain(jerk)
@@ -267,7 +267,7 @@ fn exceeds(value: f64, limit: f64) -> bool {
 }
 
 fn velocity_step(limits: &AxisLimits) -> f64 {
-    STEP_MM_PER_S + LIMIT_ROUNDING * limits.max_velocity_mm_per_s
+    STEP_MM_PER_S + LIMIT_ROUNDING * limits.max_velocity_mm_per_s()
 }
 
 /// A quantity that has a limit.
@@ -369,8 +369,8 @@ impl Worst {
     /// The steps into segment `i` (one beyond the last: into rest).
     fn steps(&mut self, i: usize, before: [f64; 3], after: [f64; 3], limits: &AxisLimits) {
         let acceleration = limits
-            .max_jerk_mm_per_s3
-            .map_or(f64::INFINITY, |_| ACCELERATION_STEP * limits.max_acceleration_mm_per_s2);
+            .max_jerk_mm_per_s3()
+            .map_or(f64::INFINITY, |_| ACCELERATION_STEP * limits.max_acceleration_mm_per_s2());
         for (name, unit, order, allowed) in [
             ("position", "mm", 0, STEP_MM),
             ("velocity", "mm/s", 1, velocity_step(limits)),
@@ -379,7 +379,7 @@ impl Worst {
             let step = after[order] - before[order];
             if exceeds(step.abs(), allowed) {
                 self.add(f64::INFINITY, || {
-                    let axis = &limits.name;
+                    let axis = limits.name();
                     let problem = format!(
                         "begins with a step of {step:.6} {unit} in the {name} of {axis}, where \
                          {allowed:.1e} {unit} is rounding (the machine rests before and after the motion)"

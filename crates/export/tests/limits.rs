@@ -3,22 +3,24 @@
 use planish_export::{
     About, Common, Controller, Origin, csv, galil, gcode, limits::MOST_EXCESS, pmac, program, xps,
 };
-use planish_types::{AxisLimits, Limits, Trajectory};
+use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: v,
         max_acceleration_mm_per_s2: a,
         max_jerk_mm_per_s3: j,
     };
-    Limits { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 /// From rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
 fn rest_to_rest(d: f64, t: f64) -> Trajectory {
     let c = [[0.0, 0.0, 3.0 * d / (t * t), -2.0 * d / (t * t * t)], [0.0; 4]];
-    Trajectory::new(vec![0.0, t], vec![c], vec![true], vec![0]).unwrap()
+    Trajectory::new(vec![0.0, t], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
 fn controllers() -> [Controller; 5] {
@@ -111,8 +113,8 @@ fn what_rounding_adds_is_stated_and_more_is_refused() {
 #[test]
 fn the_shortest_segment_holds_after_rounding() {
     let plan = rest_to_rest(0.01, 0.0195);
-    let mut machine = machine(1e3, 1e6, None);
-    machine.min_segment_s = 0.0195;
+    let machine = MachineFile { min_segment_s: 0.0195, ..(&machine(1e3, 1e6, None)).into() };
+    let machine = machine.checked().unwrap();
     // Ten ticks, 0.01953 s.
     let galil = &controllers()[0];
     assert!(export(&plan, &machine, galil, 1e-4).is_ok());

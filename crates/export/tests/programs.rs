@@ -3,16 +3,18 @@
 //! `planish-import`.
 
 use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
-use planish_types::{AxisLimits, Limits, Trajectory};
+use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine(min_segment_s: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: 100.0,
         max_acceleration_mm_per_s2: 1000.0,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "bench (1)".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+    MachineFile { name: "bench (1)".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+        .checked()
+        .unwrap()
 }
 
 /// From rest at (1, -2) by 1.00004 mm along x to rest in 0.1 s, then 3 s of standing.
@@ -23,7 +25,8 @@ fn motion(tool_on: [bool; 2]) -> Trajectory {
     let end = [1.0 + d, 0.0, 0.0, 0.0];
     let y = [-2.0, 0.0, 0.0, 0.0];
     let times = vec![5.0, 5.1, 8.1];
-    Trajectory::new(times, vec![[x, y], [end, y]], tool_on.to_vec(), vec![0, 1]).unwrap()
+    Trajectory::new(times, vec![[x, y], [end, y]], tool_on.to_vec(), vec![Some(0), Some(1)])
+        .unwrap()
 }
 
 fn write(
@@ -103,7 +106,7 @@ fn what_a_controller_cannot_do_is_refused() {
     let line = |c: Vec<[[f64; 4]; 2]>, step: f64| {
         let n = c.len();
         let times = (0..=n).map(|k| k as f64 * step).collect();
-        Trajectory::new(times, c, vec![true; n], vec![0; n]).unwrap()
+        Trajectory::new(times, c, vec![true; n], vec![Some(0); n]).unwrap()
     };
     let at = |x: f64, v: f64| [[x, v, 0.0, 0.0], [0.0; 4]];
     let gcode = Controller::Gcode(Default::default());
@@ -148,7 +151,7 @@ fn a_long_program_says_how_fast_its_buffer_runs_empty() {
     let n = 600;
     let c = vec![[[0.0; 4]; 2]; n];
     let times = (0..=n).map(|k| 0.01 * k as f64).collect();
-    let still = Trajectory::new(times, c, vec![true; n], vec![0; n]).unwrap();
+    let still = Trajectory::new(times, c, vec![true; n], vec![Some(0); n]).unwrap();
     let text = write(&still, &Controller::Galil(Default::default()), &common()).unwrap();
     assert!(text.contains("' buffer: 255 segments, which last 2.548828 s at least"), "{text}");
     let before = text.split("\nBTAB").next().unwrap();

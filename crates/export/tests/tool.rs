@@ -2,7 +2,7 @@
 //! manuals alone, which know nothing of the writers.
 
 use planish_export::{Common, Controller, Origin, csv, gcode, pmac, program};
-use planish_types::{AxisLimits, Limits, Trajectory};
+use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -70,13 +70,15 @@ fn table(text: &str) -> Events {
 }
 
 fn limits() -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: 100.0,
         max_acceleration_mm_per_s2: 1000.0,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 /// Moves from rest to rest (true) and stands (false).
@@ -91,7 +93,7 @@ fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
     let coefficients = coefficients.collect();
     let n = moves.len();
     let times = (0..=n).map(|k| k as f64).collect();
-    Trajectory::new(times, coefficients, tool_on.to_vec(), vec![0; n]).unwrap()
+    Trajectory::new(times, coefficients, tool_on.to_vec(), vec![Some(0); n]).unwrap()
 }
 
 fn text(plan: &Trajectory, controller: Controller) -> String {

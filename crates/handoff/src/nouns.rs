@@ -3,6 +3,7 @@
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
 use planish_types::{
     Axis, DwellTime, Feed, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory,
+    dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -149,7 +150,9 @@ impl Artifact for Trajectory {
             floats(self.break_time_s()),
             ArrayData::F64(c.into_dyn()),
             flags(self.tool_on()),
-            integers(self.dwell_index()),
+            integers(
+                &self.dwell_index().iter().copied().map(stored_dwell_index).collect::<Vec<_>>(),
+            ),
         ]
     }
 
@@ -160,7 +163,7 @@ impl Artifact for Trajectory {
             take_vec(arrays.take_f64("break_time_s")),
             (0..c.shape()[0]).map(segment).collect(),
             arrays.take_bool("tool_on"),
-            take_vec(arrays.take_i64("dwell_index")),
+            dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
         )
     }
 }

@@ -33,7 +33,7 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ndarray::{Array2, Ix2};
-use planish_types::{Limits, text};
+use planish_types::{Limits, MachineFile, text};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -274,8 +274,8 @@ impl Stage {
 
     /// Reads the machine file given by `--machine`.
     pub fn read_machine(&mut self, path: &Path) -> Result<Limits, HandoffError> {
-        let limits: Limits = self.read_json("machine", path)?;
-        limits.validated().map_err(|e| HandoffError::new(path, e.to_string()))
+        let file: MachineFile = self.read_json("machine", path)?;
+        file.checked().map_err(|e| HandoffError::new(path, e.to_string()))
     }
 
     /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.

@@ -130,7 +130,7 @@ fn through(knots: &[Knot]) -> Result<Trajectory, Invalid> {
         knots.iter().map(|k| k.time_s).collect(),
         segments.collect(),
         knots[..n].iter().map(|k| k.tool_on).collect(),
-        vec![-1; n],
+        vec![None; n],
     )
 }
 

@@ -48,7 +48,7 @@ use planish_dwell::{
 use planish_schedule::{ScheduleError, constant_acceleration, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_types::{
-    DwellTime, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, plausible::Rms,
+    DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, plausible::Rms,
 };
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
@@ -159,7 +159,7 @@ pub struct Refined {
     /// All rounds; the first is the plan before any correction.
     pub iterates: Vec<Iterate>,
     /// Why it ended: `no-improvement` or `round-limit`.
-    pub end: &'static str,
+    pub end: End,
     /// Dwell times of the best round that are at a bound: the floor, or the need of the machine.
     pub at_bound: usize,
 }
@@ -195,19 +195,13 @@ fn schedule(
         }
         Scheduler::ConstantAcceleration => {
             let trajectory = constant_acceleration::schedule(path, t, limits)?.trajectory;
-            let mut time_s = vec![0.0; path.len()];
-            for segment in trajectory.segments() {
-                let column = usize::try_from(segment.dwell_index).ok();
-                if let Some(time) = column.and_then(|j| time_s.get_mut(j)) {
-                    *time += segment.duration_s;
-                }
-            }
+            let served_s = trajectory.served_s(path.len(), |_| true)?;
             // Break times are sums: their differences round with the total.
             let rounding = 1e-12 * trajectory.total_time_s();
             let stretched = t
                 .dwell_s()
                 .iter()
-                .zip(&time_s)
+                .zip(&served_s)
                 .enumerate()
                 .filter(|(_, (asked, took))| **took > **asked + rounding)
                 .map(|(j, (_, took))| (j, *took))
@@ -242,7 +236,7 @@ pub fn refine(
     let mut best: Option<(usize, Trajectory)> = None;
     let (mut proposed_s, mut share, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
-    let mut end = "round-limit";
+    let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
         let motion = schedule(path, &t, limits, settings.scheduler)?;
@@ -298,7 +292,7 @@ pub fn refine(
         }
         let spent = !better && 0.5 * share < LEAST_SHARE;
         if at_last && (spent || without_progress >= PATIENCE) {
-            end = "no-improvement";
+            end = End::NoImprovement;
             break;
         }
         if round == settings.max_rounds {

@@ -13,7 +13,7 @@ use planish_handoff::{
 use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
 use planish_types::{
-    DwellTime, Limits, Surface, Tif, ToolPath, Trajectory,
+    DwellTime, End, Limits, Surface, Tif, ToolPath, Trajectory,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -183,7 +183,7 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         (Rms::of(&surface), Rms { rms_nm: best.rms_nm, detilted_nm: best.detilted_nm });
     let negative = if !best.limits_respected {
         Some("no round keeps the limits of the machine".into())
-    } else if refined.end == "round-limit" && cli.max_rounds.is_none() {
+    } else if refined.end == End::RoundLimit && cli.max_rounds.is_none() {
         Some(format!(
             "not converged: {} rounds were done before they ceased to improve; the best plan is kept, and \
              --max-rounds allows more, or says that these are enough",

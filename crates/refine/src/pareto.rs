@@ -8,7 +8,7 @@ use planish_handoff::{
     Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, stage::say,
 };
 use planish_refine::{Scheduler, Settings, trade_off};
-use planish_types::{Invalid, Surface, Tif, ToolPath, plausible};
+use planish_types::{End, Invalid, Surface, Tif, ToolPath, plausible};
 use serde_json::json;
 
 use crate::Mode;
@@ -99,9 +99,9 @@ pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
         ArrayData::I64(stretched.into_dyn()),
     ];
     let picture = trade_off::svg(&points, least_time_s).into_bytes();
-    let ends: Vec<&str> = points.iter().map(|p| p.end).collect();
+    let ends: Vec<End> = points.iter().map(|p| p.end).collect();
     let outcome = json!({
-        "end": "all-prices",
+        "end": End::AllPrices,
         "ends": ends,
         "time_weight_nm2_per_s": prices,
         "least_time_s": least_time_s,

@@ -11,7 +11,7 @@
 
 use std::fmt::Write;
 
-use planish_types::{Limits, Surface, Tif, ToolPath};
+use planish_types::{End, Limits, Surface, Tif, ToolPath};
 
 use crate::{Iterate, RefineError, Settings, refine};
 
@@ -26,7 +26,7 @@ pub struct Point {
     /// The best round of its refinement.
     pub best: Iterate,
     /// Why its refinement ended.
-    pub end: &'static str,
+    pub end: End,
 }
 
 /// (1), s.

@@ -6,17 +6,21 @@ use planish_dwell::bounded_least_squares::Bound;
 use planish_refine::{RefineError, Refined, Scheduler, Settings, refine, trade_off};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
-use planish_types::{Axis, AxisLimits, DwellTime, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{
+    Axis, DwellTime, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
+};
 use planish_verify::{VerifySettings, verify};
 
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 fn tif() -> Tif {
@@ -114,13 +118,13 @@ fn a_given_plan_is_the_first_round_and_the_loop_can_end_there() {
     let best = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
     let again = refine(&desired, &tif, &path, &machine, Some(best.dwell.clone()), &how).unwrap();
     // Nothing left to gain: it says so, and returns no worse a plan.
-    assert_eq!(again.end, "no-improvement");
+    assert_eq!(again.end, End::NoImprovement);
     assert!(again.iterates[again.best].rms_nm <= best.iterates[best.best].rms_nm);
     assert_eq!(again.iterates[0].dwell_s, best.dwell.dwell_s());
     let none = Settings { max_rounds: 0, ..how };
     let uniform = DwellTime::new(vec![0.3; path.len()]).unwrap();
     let only = refine(&desired, &tif, &path, &machine, Some(uniform), &none).unwrap();
-    assert_eq!((only.iterates.len(), only.best, only.end), (1, 0, "round-limit"));
+    assert_eq!((only.iterates.len(), only.best, only.end), (1, 0, End::RoundLimit));
 }
 
 #[test]
@@ -227,5 +231,5 @@ fn a_ring_shaped_tool_is_no_exception() {
     let refined = refine(&desired, &ring, &path, &machine, None, &how).unwrap();
     let best = &refined.iterates[refined.best];
     assert!(best.limits_respected && best.rms_nm <= refined.iterates[0].rms_nm);
-    assert!(["no-improvement", "round-limit"].contains(&refined.end));
+    assert!([End::NoImprovement, End::RoundLimit].contains(&refined.end));
 }

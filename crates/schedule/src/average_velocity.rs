@@ -14,11 +14,11 @@
 //! | dp | `displacement_mm` | (n) | mm |
 //! | v | `coefficient_mm[.., 1]` | (n) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, break_times, check_lengths,
+    ScheduleError, check_lengths,
     pvt::{Stretched, least_time},
 };
 
@@ -53,7 +53,7 @@ pub fn schedule(
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = Report::default();
-    let (mut durations, mut coefficients, mut kept) = (Vec::new(), Vec::new(), Vec::new());
+    let mut motion = TrajectoryBuilder::default();
     let mut before = [0.0; 2];
     for (i, &dwell_s) in dwell.dwell_s().iter().enumerate() {
         let h = dwell_s.max(least_time(path, limits, i));
@@ -61,8 +61,8 @@ pub fn schedule(
             report.dropped.push(i);
             continue;
         }
+        let tool_on = path.tool_on()[i];
         if h > dwell_s {
-            let tool_on = path.tool_on()[i];
             report.stretched.push(Stretched { segment: i, tool_on, dwell_s, scheduled_s: h });
             report.added_s += h - dwell_s;
         }
@@ -70,21 +70,13 @@ pub fn schedule(
         report.step(before, v);
         before = v;
         let start = path.point_mm()[i];
-        durations.push(h);
-        coefficients.push([0, 1].map(|a| [start[a], v[a], 0.0, 0.0]));
-        kept.push(i);
+        motion.push(h, [0, 1].map(|a| [start[a], v[a], 0.0, 0.0]), tool_on, Some(i));
     }
     report.step(before, [0.0; 2]);
-    if kept.is_empty() {
+    if motion.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let trajectory = Trajectory::new(
-        break_times(&durations),
-        coefficients,
-        kept.iter().map(|i| path.tool_on()[*i]).collect(),
-        kept.iter().map(|i| *i as i64).collect(),
-    )?;
-    Ok(Schedule { trajectory, report })
+    Ok(Schedule { trajectory: motion.build()?, report })
 }
 
 impl Report {
@@ -99,21 +91,21 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     #[test]
     fn velocity_is_length_over_time_and_steps_are_reported() {
         let points = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 3.0], [1.0, 3.0]];
         let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
         let dwell = DwellTime::new(vec![0.5, 0.25, 0.1, 0.0]).unwrap();
-        let axis = |name: &str| AxisLimits {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: 10.0,
             max_acceleration_mm_per_s2: 1.0,
             max_jerk_mm_per_s3: None,
         };
         let axes = vec![axis("x"), axis("y")];
-        let limits = Limits { name: "m".into(), axes, min_segment_s: 0.0 };
+        let limits = MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }.checked().unwrap();
         let s = schedule(&path, &dwell, &limits).unwrap();
         // 3 mm at 10 mm/s need 0.3 s.
         assert_eq!(s.trajectory.break_time_s(), [0.0, 0.5, 0.75, 1.05]);

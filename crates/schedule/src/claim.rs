@@ -71,7 +71,7 @@ impl Claim {
         for s in trajectory.segments() {
             // The duration is the difference of two sums up to the end of the segment.
             let rounding_s = 2.0 * f64::EPSILON * (s.start_s.abs() + s.duration_s);
-            let least_s = limits.min_segment_s * (1.0 - ROUNDING) - rounding_s;
+            let least_s = limits.min_segment_s() * (1.0 - ROUNDING) - rounding_s;
             claim.min_segment &= s.duration_s >= least_s;
         }
         for axis in 0..2 {
@@ -87,8 +87,8 @@ impl Claim {
     }
 
     fn measure(&mut self, trajectory: &Trajectory, limits: &Limits, axis: usize) {
-        let limit = &limits.axes[axis];
-        let (v_max, a_max) = (limit.max_velocity_mm_per_s, limit.max_acceleration_mm_per_s2);
+        let limit = &limits.axes()[axis];
+        let (v_max, a_max) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
         let velocity_step = VELOCITY_STEP_MM_PER_S + ROUNDING * v_max;
         let within = |value: f64, limit: f64| value.abs() <= limit * (1.0 + ROUNDING);
         // Position, velocity and acceleration before the next break; rest before the first one.
@@ -114,7 +114,7 @@ impl Claim {
         }
         let end = before.unwrap_or_default();
         steps(self, end, [end[0], 0.0, 0.0]);
-        if let Some(j_max) = limit.max_jerk_mm_per_s3 {
+        if let Some(j_max) = limit.max_jerk_mm_per_s3() {
             let inside = within(self.max_jerk_mm_per_s3[axis], j_max);
             let steps = self.max_acceleration_step_mm_per_s2[axis] > ACCELERATION_STEP * a_max;
             let before = self.jerk_inside_segments.unwrap_or(true);
@@ -144,22 +144,24 @@ impl Claim {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     fn limits(v: f64, a: f64, j: Option<f64>, min_segment_s: f64) -> Limits {
-        let axis = |name: &str| AxisLimits {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: j,
         };
-        Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+        MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+            .checked()
+            .unwrap()
     }
 
     /// From rest to rest by 1 mm in 1 s: v(1/2) = 1.5, |a| <= 6, j = -12.
     fn rest_to_rest() -> Trajectory {
         let c = [[0.0, 0.0, 3.0, -2.0], [0.0; 4]];
-        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap()
+        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![None]).unwrap()
     }
 
     #[test]
@@ -185,7 +187,7 @@ mod tests {
     fn jumps_and_a_moving_start_are_steps() {
         let at = |x: f64, v: f64| [[x, v, 0.0, 0.0], [0.0; 4]];
         let t = |c: Vec<[[f64; 4]; 2]>| {
-            Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![0, 1]).unwrap()
+            Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![None; 2]).unwrap()
         };
         let free = limits(1e3, 1e9, None, 0.0);
         let jump = Claim::of(&t(vec![at(0.0, 0.0), at(1.0, 0.0)]), &free);

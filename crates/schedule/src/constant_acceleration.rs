@@ -30,11 +30,11 @@
 //! | d | its dwell time | (n) | s |
 //! | v0, v | velocity before and after | (n) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, break_times, check_lengths,
+    ScheduleError, check_lengths,
     link::{End, Link, link},
 };
 
@@ -99,7 +99,7 @@ pub fn schedule(
     check_lengths(path, dwell)?;
     let a_max = limits.max_acceleration_mm_per_s2();
     let mut report = Report::default();
-    let mut pieces = Pieces::default();
+    let mut motion = TrajectoryBuilder::default();
     let mut position = path.point_mm()[0];
     let mut velocity = [0.0; 2];
     for (i, &dwell_s) in dwell.dwell_s().iter().enumerate() {
@@ -109,10 +109,10 @@ pub fn schedule(
             let from = End { position_mm: position, velocity_mm_per_s: velocity };
             let to = End { position_mm: target, velocity_mm_per_s: [0.0; 2] };
             // Without dwell time and but for rounding at its end already, it would vanish too.
-            let lasts = |l: &Link| l.duration_s > least_piece_s(pieces.end_s + l.duration_s);
+            let lasts = |l: &Link| l.duration_s > least_piece_s(motion.end_s() + l.duration_s);
             match link(from, to, limits, dwell_s).filter(lasts) {
                 Some(link) => {
-                    pieces.push(link.duration_s, link.coefficient_mm, false, i as i64);
+                    motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                     report.lifts += 1;
                     report.added_lifted_s += link.duration_s - dwell_s;
                 }
@@ -127,12 +127,13 @@ pub fn schedule(
         }
         let phases = coupled(s, velocity, dwell_s, a_max);
         let duration_s = phases[0].duration_s;
-        let start = (position, velocity);
-        pieces.add(start.0, start.1, phases, duration_s, path.tool_on()[i], i as i64);
+        let start = End { position_mm: position, velocity_mm_per_s: velocity };
+        add(&mut motion, start, phases, duration_s, path.tool_on()[i], Some(i));
         for axis in 0..2 {
             let p = &phases[axis];
             position[axis] += p.travel(velocity[axis], duration_s);
-            report.overshoot(axis, p, start.1[axis], [start.0[axis], target[axis]], duration_s);
+            let (from, v0) = (start.position_mm[axis], start.velocity_mm_per_s[axis]);
+            report.overshoot(axis, p, v0, [from, target[axis]], duration_s);
             report.missed(axis, position[axis] - target[axis]);
             if (position[axis] - target[axis]).abs() <= ROUNDING_MM {
                 position[axis] = target[axis];
@@ -154,18 +155,13 @@ pub fn schedule(
             duration_s: report.brake_s,
             velocity: 0.0,
         });
-        pieces.add(position, velocity, brake, report.brake_s, false, -1);
+        let from = End { position_mm: position, velocity_mm_per_s: velocity };
+        add(&mut motion, from, brake, report.brake_s, false, None);
     }
-    if pieces.duration_s.is_empty() {
+    if motion.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let trajectory = Trajectory::new(
-        break_times(&pieces.duration_s),
-        pieces.coefficient_mm,
-        pieces.tool_on,
-        pieces.dwell_index,
-    )?;
-    Ok(Schedule { trajectory, report })
+    Ok(Schedule { trajectory: motion.build()?, report })
 }
 
 /// Shortest piece that ends at the time `end_s`, s.
@@ -259,57 +255,35 @@ impl Report {
     }
 }
 
-/// The trajectory so far.
-#[derive(Debug, Default)]
-struct Pieces {
-    /// Their total, s.
-    end_s: f64,
-    duration_s: Vec<f64>,
-    coefficient_mm: Vec<[[f64; 4]; 2]>,
-    tool_on: Vec<bool>,
-    dwell_index: Vec<i64>,
-}
-
-impl Pieces {
-    fn push(&mut self, duration_s: f64, c: [[f64; 4]; 2], tool_on: bool, dwell_index: i64) {
-        self.end_s += duration_s;
-        self.duration_s.push(duration_s);
-        self.coefficient_mm.push(c);
-        self.tool_on.push(tool_on);
-        self.dwell_index.push(dwell_index);
+/// A segment of two axes, cut where one of them ends its acceleration.
+fn add(
+    motion: &mut TrajectoryBuilder,
+    from: End,
+    phases: [Phase; 2],
+    duration_s: f64,
+    tool_on: bool,
+    dwell_index: Option<usize>,
+) {
+    let (position, velocity) = (from.position_mm, from.velocity_mm_per_s);
+    let mut cuts = vec![0.0, phases[0].tau_s, phases[1].tau_s, duration_s];
+    cuts.retain(|t| (0.0..=duration_s).contains(t));
+    cuts.sort_by(f64::total_cmp);
+    // Shorter pieces would vanish in the rounding of the break times; where segments are late,
+    // that is not the rounding of the dwell times.
+    let least_s = least_piece_s(motion.end_s() + duration_s);
+    cuts.dedup_by(|later, earlier| *later - *earlier <= least_s);
+    if let Some(last) = cuts.last_mut().filter(|t| **t < duration_s) {
+        *last = duration_s;
     }
-
-    /// A segment of two axes, cut where one of them ends its acceleration.
-    fn add(
-        &mut self,
-        position: [f64; 2],
-        velocity: [f64; 2],
-        phases: [Phase; 2],
-        duration_s: f64,
-        tool_on: bool,
-        dwell_index: i64,
-    ) {
-        let mut cuts = vec![0.0, phases[0].tau_s, phases[1].tau_s, duration_s];
-        cuts.retain(|t| (0.0..=duration_s).contains(t));
-        cuts.sort_by(f64::total_cmp);
-        // Shorter pieces would vanish in the rounding of the break times; where segments are late,
-        // that is not the rounding of the dwell times.
-        let least_s = least_piece_s(self.end_s + duration_s);
-        cuts.dedup_by(|later, earlier| *later - *earlier <= least_s);
-        if let Some(last) = cuts.last_mut().filter(|t| **t < duration_s) {
-            *last = duration_s;
-        }
-        for piece in cuts.windows(2) {
-            let c = [0, 1].map(|a| {
-                let p = &phases[a];
-                let accelerating = 0.5 * (piece[0] + piece[1]) < p.tau_s;
-                let v =
-                    if accelerating { velocity[a] + p.acceleration * piece[0] } else { p.velocity };
-                let half = if accelerating { 0.5 * p.acceleration } else { 0.0 };
-                [position[a] + p.travel(velocity[a], piece[0]), v, half, 0.0]
-            });
-            self.push(piece[1] - piece[0], c, tool_on, dwell_index);
-        }
+    for piece in cuts.windows(2) {
+        let c = [0, 1].map(|a| {
+            let p = &phases[a];
+            let accelerating = 0.5 * (piece[0] + piece[1]) < p.tau_s;
+            let v = if accelerating { velocity[a] + p.acceleration * piece[0] } else { p.velocity };
+            let half = if accelerating { 0.5 * p.acceleration } else { 0.0 };
+            [position[a] + p.travel(velocity[a], piece[0]), v, half, 0.0]
+        });
+        motion.push(piece[1] - piece[0], c, tool_on, dwell_index);
     }
 }
 
@@ -356,17 +330,19 @@ mod tests {
         let points = vec![[0.0, 0.0], [1.0, 0.5], [1.0, 2.0], [-1.0, 2.5], [-1.2, 0.0]];
         let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
         let dwell = DwellTime::new(vec![0.5, 0.7, 0.3, 1.0]).unwrap();
-        let axis = |name: &str, a: f64| planish_types::AxisLimits {
+        let axis = |name: &str, a: f64| planish_types::MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: 100.0,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
         };
-        let limits = Limits {
+        let limits = planish_types::MachineFile {
             name: "m".into(),
             axes: vec![axis("x", 20.0), axis("y", 15.0)],
             min_segment_s: 0.0,
-        };
+        }
+        .checked()
+        .unwrap();
         let s = schedule(&path, &dwell, &limits).unwrap();
         let t = &s.trajectory;
         let velocity = |i: usize, a: usize, u: f64| {
@@ -391,6 +367,6 @@ mod tests {
             }
         }
         assert!(s.report.late_segments > 0 && s.report.brake_s > 0.0);
-        assert_eq!(*t.dwell_index().last().unwrap(), -1);
+        assert_eq!(*t.dwell_index().last().unwrap(), None);
     }
 }

@@ -77,15 +77,3 @@ fn check_lengths(path: &ToolPath, dwell: &DwellTime) -> Result<(), Invalid> {
         "give the dwell time of this path",
     ))
 }
-
-/// Break times of consecutive durations, from 0.
-fn break_times(duration_s: &[f64]) -> Vec<f64> {
-    let mut breaks = Vec::with_capacity(duration_s.len() + 1);
-    let mut time = 0.0;
-    breaks.push(time);
-    for d in duration_s {
-        time += d;
-        breaks.push(time);
-    }
-    breaks
-}

@@ -46,7 +46,7 @@ pub(crate) fn link(from: End, to: End, limits: &Limits, least_s: f64) -> Option<
     let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
     let dp = [0, 1].map(|a| to.position_mm[a] - from.position_mm[a]);
     let (v, w) = (from.velocity_mm_per_s, to.velocity_mm_per_s);
-    let least_s = least_s.max(limits.min_segment_s);
+    let least_s = least_s.max(limits.min_segment_s());
     let fits = |h: f64| {
         (0..2).all(|a| {
             let (start, end) = accelerations(dp[a], v[a], w[a], h);
@@ -83,16 +83,18 @@ pub(crate) fn link(from: End, to: End, limits: &Limits, least_s: f64) -> Option<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     fn limits(v: f64, a: f64) -> Limits {
-        let axis = |name: &str| AxisLimits {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
         };
-        Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+            .checked()
+            .unwrap()
     }
 
     fn end(x: f64, v: f64) -> End {

@@ -7,25 +7,22 @@
 //! No machine can do this: it jumps between the points, in no time. It is what a dwell solver
 //! with point columns believes, and the ideal that an executed motion is compared with.
 
-use planish_types::{DwellTime, Invalid, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, ToolPath, Trajectory, TrajectoryBuilder};
 
-use crate::{ScheduleError, break_times, check_lengths};
+use crate::{ScheduleError, check_lengths};
 
 /// Stands at the dwell points of `path`; segments without dwell time are left out.
 pub fn schedule(path: &ToolPath, dwell: &DwellTime) -> Result<Trajectory, ScheduleError> {
     check_lengths(path, dwell)?;
-    let served: Vec<usize> = (0..path.len()).filter(|i| dwell.dwell_s()[*i] > 0.0).collect();
-    if served.is_empty() {
+    let mut motion = TrajectoryBuilder::default();
+    for (i, &dwell_s) in dwell.dwell_s().iter().enumerate().filter(|(_, dwell_s)| **dwell_s > 0.0) {
+        let at = path.dwell_point_mm()[i].map(|p| [p, 0.0, 0.0, 0.0]);
+        motion.push(dwell_s, at, path.tool_on()[i], Some(i));
+    }
+    if motion.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let durations: Vec<f64> = served.iter().map(|i| dwell.dwell_s()[*i]).collect();
-    let at = |i: &usize| path.dwell_point_mm()[*i].map(|p| [p, 0.0, 0.0, 0.0]);
-    Ok(Trajectory::new(
-        break_times(&durations),
-        served.iter().map(at).collect(),
-        served.iter().map(|i| path.tool_on()[*i]).collect(),
-        served.iter().map(|i| *i as i64).collect(),
-    )?)
+    Ok(motion.build()?)
 }
 
 #[cfg(test)]
@@ -41,7 +38,7 @@ mod tests {
         assert_eq!((t.len(), t.total_time_s()), (2, 2.5));
         assert_eq!(t.segment(0).position_mm(0.3), [0.5, 0.0]);
         assert_eq!(t.segment(1).position_mm(1.7), [0.5, 1.0]);
-        assert_eq!((t.segment(1).tool_on, t.segment(1).dwell_index), (false, 2));
+        assert_eq!((t.segment(1).tool_on, t.segment(1).dwell_index), (false, Some(2)));
     }
 
     #[test]

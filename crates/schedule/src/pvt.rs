@@ -57,11 +57,11 @@
 use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
 
 use planish_numerics::qp::chain;
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::{ScheduleError, break_times, check_lengths};
+use crate::{ScheduleError, check_lengths};
 
 /// What the motion shall be like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -77,7 +77,7 @@ impl Mode {
     /// The mode for a machine where none is asked for: monotone, which never leaves the box of a segment;
     /// where the machine limits jerk, smooth, because the acceleration of monotone motions steps.
     pub fn within(limits: &Limits) -> Self {
-        match limits.axes.iter().any(|axis| axis.max_jerk_mm_per_s3.is_some()) {
+        match limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
             true => Self::Smooth,
             false => Self::Monotone,
         }
@@ -192,8 +192,8 @@ fn schedule_stretched(
         max_velocity: (1.0 - MARGIN) * limits.max_velocity_mm_per_s()[axis],
         max_acceleration: (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2()[axis],
         // Twice: its use of the limit is a cube root, compared with 1 + MARGIN / 2.
-        max_jerk: limits.axes[axis]
-            .max_jerk_mm_per_s3
+        max_jerk: limits.axes()[axis]
+            .max_jerk_mm_per_s3()
             .map_or(f64::INFINITY, |j| (1.0 - 2.0 * MARGIN) * j),
     });
     if settings.mode == Mode::Smooth && axes.iter().any(|a| a.max_jerk.is_finite()) {
@@ -222,7 +222,7 @@ fn schedule_stretched(
                 break_time_s,
                 segments.collect(),
                 parallel(h.len()).map(|k| path.tool_on()[timing.kept[k]]).collect(),
-                parallel(h.len()).map(|k| timing.kept[k] as i64).collect(),
+                parallel(h.len()).map(|k| Some(timing.kept[k])).collect(),
             )?;
             return Ok(Schedule { trajectory, report: timing.report(path, dwell, solver, rounds) });
         };
@@ -295,7 +295,7 @@ fn jerk_limited(
         _ => (0..n).map(|k| if k == 0 || k == n - 1 { 2 } else { 1 }).collect(),
     };
     for (h, parts) in timing.duration_s.iter_mut().zip(&parts) {
-        *h = h.max(*parts as f64 * limits.min_segment_s);
+        *h = h.max(*parts as f64 * limits.min_segment_s());
     }
     // Segment of every piece.
     let of: Vec<usize> = (0..n).flat_map(|k| std::iter::repeat_n(k, parts[k])).collect();
@@ -332,7 +332,7 @@ fn jerk_limited(
                 break_time_s,
                 segments,
                 of.iter().map(|k| path.tool_on()[timing.kept[*k]]).collect(),
-                of.iter().map(|k| timing.kept[*k] as i64).collect(),
+                of.iter().map(|k| Some(timing.kept[*k])).collect(),
             )?;
             let solver = [Solver::Tridiagonal; 2];
             return Ok(Schedule { trajectory, report: timing.report(path, dwell, solver, rounds) });
@@ -437,7 +437,7 @@ impl Timing {
 pub(crate) fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
     let axis = |a: usize| dp[a].abs() / v[a];
-    axis(0).max(axis(1)).max(limits.min_segment_s)
+    axis(0).max(axis(1)).max(limits.min_segment_s())
 }
 
 /// Coefficients of (1).

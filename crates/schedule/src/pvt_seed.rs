@@ -56,10 +56,10 @@ use clarabel::{
         SupportedConeT::{NonnegativeConeT, ZeroConeT},
     },
 };
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
 use serde::Serialize;
 
-use crate::{ScheduleError, break_times, check_lengths, pvt::accelerations, pvt::hermite};
+use crate::{ScheduleError, check_lengths, pvt::accelerations, pvt::hermite};
 
 /// Which node the first two rows of Eq. 16 fix.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -164,7 +164,7 @@ pub fn schedule(
         break_time_s,
         segments.collect(),
         kept.iter().map(|i| path.tool_on()[*i]).collect(),
-        kept.iter().map(|i| *i as i64).collect(),
+        kept.iter().copied().map(Some).collect(),
     )?;
     Ok(Schedule { trajectory, report })
 }
@@ -774,14 +774,16 @@ mod tests {
         let points = vec![[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0], [2.0, 3.0]];
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
         let dwell = DwellTime::new(vec![0.3, 0.25, 0.3, 0.25, 0.3]).unwrap();
-        let axis = |name: &str| planish_types::AxisLimits {
+        let axis = |name: &str| planish_types::MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: 100.0,
             max_acceleration_mm_per_s2: 1000.0,
             max_jerk_mm_per_s3: None,
         };
         let axes = vec![axis("x"), axis("y")];
-        let limits = Limits { name: "m".into(), axes, min_segment_s: 0.0 };
+        let limits = planish_types::MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }
+            .checked()
+            .unwrap();
         let s = schedule(&path, &dwell, &limits, Eq16::Corrected).unwrap();
         assert_eq!(s.report.resting_segments, [3, 2]);
         assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);

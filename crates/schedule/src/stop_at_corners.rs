@@ -37,11 +37,11 @@
 //! | d | `Along::duration_s` | (n) | s |
 //! | V | `bound` | (n+1) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, break_times, check_lengths,
+    ScheduleError, check_lengths,
     constant_acceleration::least_piece_s,
     link::{End, link},
 };
@@ -91,15 +91,8 @@ pub fn schedule(
         all.partition(|s| s.length_mm > 0.0 || s.dwell_s > 0.0);
     report.dropped = dropped.iter().map(|s| s.index).collect();
     let bound = bounds(&along);
-    let (mut duration_s, mut coefficient_mm) = (Vec::new(), Vec::new());
-    let (mut tool_on, mut dwell_index) = (Vec::new(), Vec::new());
+    let mut motion = TrajectoryBuilder::default();
     let mut end_s = 0.0;
-    let mut add = |piece_s: f64, c: [[f64; 4]; 2], on: bool, i: usize| {
-        duration_s.push(piece_s);
-        coefficient_mm.push(c);
-        tool_on.push(on);
-        dwell_index.push(i as i64);
-    };
     let mut v = 0.0;
     for (k, segment) in along.iter().enumerate() {
         let i = segment.index;
@@ -108,7 +101,7 @@ pub fn schedule(
             let at_rest = |position_mm| End { position_mm, velocity_mm_per_s: [0.0; 2] };
             let to = at_rest(path.point_mm()[i + 1]);
             if let Some(link) = link(at_rest(start), to, limits, segment.dwell_s) {
-                add(link.duration_s, link.coefficient_mm, false, i);
+                motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                 end_s += link.duration_s;
                 report.lifts += 1;
                 report.added_lifted_s += link.duration_s - segment.dwell_s;
@@ -125,7 +118,7 @@ pub fn schedule(
                 let t = segment.direction[a];
                 [start[a] + t * s, t * ds, t * half, 0.0]
             });
-            add(to - from, c, true, i);
+            motion.push(to - from, c, true, Some(i));
         }
         v = profile.velocity[2];
         let added = profile.duration_s() - segment.dwell_s;
@@ -135,12 +128,10 @@ pub fn schedule(
             report.largest_added_s = report.largest_added_s.max(added);
         }
     }
-    if duration_s.is_empty() {
+    if motion.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let trajectory =
-        Trajectory::new(break_times(&duration_s), coefficient_mm, tool_on, dwell_index)?;
-    Ok(Schedule { trajectory, report })
+    Ok(Schedule { trajectory: motion.build()?, report })
 }
 
 /// A segment as the motion along it sees it.
@@ -172,7 +163,7 @@ impl Along {
             length_mm,
             direction,
             dwell_s: dwell.dwell_s()[i],
-            duration_s: dwell.dwell_s()[i].max(limits.min_segment_s),
+            duration_s: dwell.dwell_s()[i].max(limits.min_segment_s()),
             max_velocity: along(limits.max_velocity_mm_per_s()),
             max_acceleration: along(limits.max_acceleration_mm_per_s2()),
         }
@@ -298,16 +289,18 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     fn limits(v: f64, a: f64) -> Limits {
-        let axis = |name: &str| AxisLimits {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
         };
-        Limits { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+        MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
+            .checked()
+            .unwrap()
     }
 
     fn motion(points: &[[f64; 2]], dwell_s: &[f64], limits: &Limits) -> Schedule {
@@ -384,10 +377,7 @@ mod tests {
         let points = [[0.0, 0.0], [10.0, 0.0], [10.1, 0.0], [10.2, 0.0]];
         let dwell_s = [0.6, 2.0, 0.05];
         let s = motion(&points, &dwell_s, &limits(30.0, 100.0));
-        let mut served = [0.0; 3];
-        for piece in s.trajectory.segments() {
-            served[piece.dwell_index as usize] += piece.duration_s;
-        }
+        let served = s.trajectory.served_s(3, |_| true).unwrap();
         for (served, dwell_s) in served.iter().zip(dwell_s) {
             assert!(*served >= dwell_s - 1e-15, "{served} {dwell_s}");
         }

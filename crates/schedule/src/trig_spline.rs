@@ -55,11 +55,11 @@
 use std::f64::consts::PI;
 
 use planish_numerics::motion::timing_law;
-use planish_types::{DwellTime, Feed, Invalid, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Feed, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, break_times, check_lengths,
+    ScheduleError, check_lengths,
     link::{End, link},
     pvt::{accelerations, hermite, peak_velocity},
 };
@@ -208,10 +208,7 @@ pub fn schedule(
             tolerance_mm: settings.fit_tolerance_mm,
             report: report.clone(),
             unproven: Vec::new(),
-            duration_s: Vec::new(),
-            coefficient_mm: Vec::new(),
-            tool_on: Vec::new(),
-            dwell_index: Vec::new(),
+            made: TrajectoryBuilder::default(),
             now: End { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] },
         };
         motion.walk(&passes);
@@ -232,15 +229,10 @@ pub fn schedule(
     for node in passes.iter().flat_map(|p| &p.nodes) {
         motion.report.feed_use = motion.report.feed_use.max(node.fastest / node.density);
     }
-    if motion.duration_s.is_empty() {
+    if motion.made.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let trajectory = Trajectory::new(
-        break_times(&motion.duration_s),
-        motion.coefficient_mm,
-        motion.tool_on,
-        motion.dwell_index,
-    )?;
+    let trajectory = motion.made.build()?;
     Ok(Schedule { trajectory, feed: feed_of(path, &passes)?, report: motion.report })
 }
 
@@ -820,10 +812,8 @@ struct Motion<'a> {
     report: Report,
     /// Pieces that are not proven: number of the pass, first node.
     unproven: Vec<(usize, usize)>,
-    duration_s: Vec<f64>,
-    coefficient_mm: Vec<[[f64; 4]; 2]>,
-    tool_on: Vec<bool>,
-    dwell_index: Vec<i64>,
+    /// The segments so far.
+    made: TrajectoryBuilder,
     /// Where the motion is, and how fast.
     now: End,
 }
@@ -849,13 +839,6 @@ impl Motion<'_> {
         }
     }
 
-    fn push(&mut self, duration_s: f64, c: [[f64; 4]; 2], tool_on: bool, dwell_index: i64) {
-        self.duration_s.push(duration_s);
-        self.coefficient_mm.push(c);
-        self.tool_on.push(tool_on);
-        self.dwell_index.push(dwell_index);
-    }
-
     /// From rest to the start of the first pass, along its extension backwards.
     fn run_up(&mut self, start: End) {
         let (speed, direction) = polar(start.velocity_mm_per_s);
@@ -866,7 +849,7 @@ impl Motion<'_> {
                 let u = direction[x];
                 [start.position_mm[x] - u * distance, 0.0, 0.5 * u * a, 0.0]
             });
-            self.link(t, c, -1);
+            self.link(t, c, None);
         }
         self.now = start;
     }
@@ -884,7 +867,7 @@ impl Motion<'_> {
                     0.0,
                 ]
             });
-            self.link(speed / a, c, -1);
+            self.link(speed / a, c, None);
         }
     }
 
@@ -899,19 +882,19 @@ impl Motion<'_> {
                 End { position_mm: self.path.point_mm()[i + 1], velocity_mm_per_s: [0.0; 2] };
             let to = if i + 1 == run.end { end } else { rest };
             match link(self.now, to, self.limits, self.dwell.dwell_s()[i]) {
-                Some(link) => self.link(link.duration_s, link.coefficient_mm, i as i64),
+                Some(link) => self.link(link.duration_s, link.coefficient_mm, Some(i)),
                 None => self.report.dropped.push(i),
             }
             self.now = to;
         }
     }
 
-    fn link(&mut self, duration_s: f64, c: [[f64; 4]; 2], dwell_index: i64) {
+    fn link(&mut self, duration_s: f64, c: [[f64; 4]; 2], dwell_index: Option<usize>) {
         // A shorter one would vanish in the rounding of the break times.
         if duration_s <= 64.0 * f64::EPSILON * self.dwell.total_s() {
             return;
         }
-        self.push(duration_s, c, false, dwell_index);
+        self.made.push(duration_s, c, false, dwell_index);
         self.report.links += 1;
         self.report.link_s += duration_s;
     }
@@ -923,7 +906,7 @@ impl Motion<'_> {
                 let t = self.dwell.dwell_s()[i];
                 let p = self.path.point_mm()[i];
                 if t > 0.0 {
-                    self.push(t, p.map(|p| [p, 0.0, 0.0, 0.0]), true, i as i64);
+                    self.made.push(t, p.map(|p| [p, 0.0, 0.0, 0.0]), true, Some(i));
                 } else {
                     self.report.dropped.push(i);
                 }
@@ -950,7 +933,7 @@ impl Motion<'_> {
     fn plateau(&mut self, s: &Straight, from: f64, to: f64, density: f64) {
         let c = [0, 1]
             .map(|a| [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]);
-        self.push((to - from) * density, c, true, s.index as i64);
+        self.made.push((to - from) * density, c, true, Some(s.index));
     }
 
     /// The parabola at corner node k, in two halves.
@@ -967,8 +950,8 @@ impl Motion<'_> {
         let middle = c.map(|c| {
             [c[0] + half_s * (c[1] + half_s * c[2]), c[1] + 2.0 * c[2] * half_s, c[2], 0.0]
         });
-        self.push(half_s, c, true, s.index as i64);
-        self.push(half_s, middle, true, next.index as i64);
+        self.made.push(half_s, c, true, Some(s.index));
+        self.made.push(half_s, middle, true, Some(next.index));
     }
 
     /// Step 5 for the piece from node k to the next one; whether it is proven within the limits.
@@ -1008,7 +991,7 @@ impl Motion<'_> {
                     let [c0, c1, c2, c3] = cubic.coefficient_mm;
                     [straight.start[x] + u * (offset + c0), u * c1, u * c2, u * c3]
                 });
-                self.push(cubic.duration_s, c, true, index as i64);
+                self.made.push(cubic.duration_s, c, true, Some(index));
             }
         }
         proven
@@ -1123,16 +1106,18 @@ fn feed_of(path: &ToolPath, passes: &[Pass]) -> Result<Option<Feed>, Invalid> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::AxisLimits;
+    use planish_types::{MachineFile, MachineFileAxis};
 
     fn machine(v: [f64; 2], a: [f64; 2]) -> Limits {
-        let axis = |i: usize| AxisLimits {
+        let axis = |i: usize| MachineFileAxis {
             name: ["x", "y"][i].into(),
             max_velocity_mm_per_s: v[i],
             max_acceleration_mm_per_s2: a[i],
             max_jerk_mm_per_s3: None,
         };
-        Limits { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+        MachineFile { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+            .checked()
+            .unwrap()
     }
 
     fn piece(d1: f64, d2: f64, length_mm: f64) -> Piece {
@@ -1272,11 +1257,7 @@ mod tests {
 
     /// Time of every segment of the path in the motion.
     fn times(t: &Trajectory, n: usize) -> Vec<f64> {
-        let mut times = vec![0.0; n];
-        for s in t.segments().filter(|s| s.dwell_index >= 0) {
-            times[s.dwell_index as usize] += s.duration_s;
-        }
-        times
+        t.served_s(n, |_| true).unwrap()
     }
 
     #[test]

@@ -114,7 +114,7 @@ fn pvt_is_the_clamped_spline_at_the_dwell_times() {
     let (t, outcome) = scheduled(tmp.path(), "pvt", &["--mode=smooth"]);
     judge(&t, &points);
     assert_eq!(t.break_time_s(), [0.0, 1.0, 2.0, 3.0]);
-    assert_eq!(t.dwell_index(), [0, 1, 2]);
+    assert_eq!(t.dwell_index(), [0, 1, 2].map(Some));
     // By hand: 4 v1 + v2 = 9, v1 + 4 v2 = 9 along x; -2 times that along y.
     for (axis, factor) in [(0, 1.0), (1, -2.0)] {
         for (i, v) in [0.0, 1.8, 1.8].iter().enumerate() {
@@ -253,7 +253,10 @@ fn constant_acceleration_is_its_closed_form() {
     assert!((number(&outcome["total_time_s"]) - d - v / a).abs() < 1e-15);
     assert_eq!((&report["late_segments"], number(&report["added_s"])), (&json!(0), 0.0));
     // Acceleration, constant velocity, brake with the tool off.
-    assert_eq!((t.dwell_index(), t.tool_on()), (&[0, 0, -1][..], &[true, true, false][..]));
+    assert_eq!(
+        (t.dwell_index(), t.tool_on()),
+        (&[Some(0), Some(0), None][..], &[true, true, false][..])
+    );
     let end = state(&t.coefficient_mm()[1][0], t.segment(1).duration_s);
     assert!((end[0] - 6.0).abs() < 1e-13 && (end[1] - v).abs() < 1e-11, "{end:?}");
 
@@ -271,7 +274,10 @@ fn position_stands_at_the_dwell_points() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &[[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [4.0, 1.0]], &[0.25, 0.0, 0.5]);
     let (t, outcome) = scheduled(tmp.path(), "position", &[]);
-    assert_eq!((t.break_time_s(), t.dwell_index()), (&[0.0, 0.25, 0.75][..], &[0, 2][..]));
+    assert_eq!(
+        (t.break_time_s(), t.dwell_index()),
+        (&[0.0, 0.25, 0.75][..], &[Some(0), Some(2)][..])
+    );
     assert_eq!(t.coefficient_mm()[0], [[1.0, 0.0, 0.0, 0.0], [0.0; 4]]);
     assert_eq!(t.coefficient_mm()[1], [[3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]);
     assert_eq!(number(&outcome["total_time_s"]), 0.75);
@@ -554,7 +560,7 @@ fn corners_cost_time_and_no_overshoot_when_it_stops_there() {
 /// Whether a piece leaves the box of the segment that it serves.
 fn leaves_the_path(t: &Trajectory, points: &[[f64; 2]]) -> bool {
     t.segments().any(|s| {
-        let i = s.dwell_index as usize;
+        let i = s.dwell_index.unwrap();
         (0..=50).any(|k| {
             let p = s.position_mm(s.duration_s * f64::from(k) / 50.0);
             (0..2).any(|a| {
@@ -577,7 +583,7 @@ fn a_lift_is_a_link_of_the_path_speed_methods() {
     for scheduler in ["trig-spline", "constant-acceleration"] {
         let (t, outcome) = scheduled(tmp.path(), scheduler, &["--force"]);
         assert_eq!(outcome["claim"]["limits_respected"], true, "{scheduler}: {outcome}");
-        let lifts: Vec<Segment> = t.segments().filter(|s| s.dwell_index == 2).collect();
+        let lifts: Vec<Segment> = t.segments().filter(|s| s.dwell_index == Some(2)).collect();
         assert_eq!((lifts.len(), lifts[0].tool_on), (1, false), "{scheduler}");
         // From 2 mm/s the link is a little shorter or longer.
         let h = lifts[0].duration_s;
@@ -634,7 +640,7 @@ fn a_feed_becomes_a_program_and_positions() {
     }
     // The motion is there at the same time, after its run-up.
     let run_up_s = t.break_time_s()[1];
-    assert_eq!(t.dwell_index()[0], -1);
+    assert_eq!(t.dwell_index()[0], None);
     for row in table.outer_iter() {
         let at = t.break_time_s().partition_point(|b| *b <= row[0] + run_up_s).min(t.len()) - 1;
         let p = t.segment(at).position_mm(row[0] + run_up_s - t.break_time_s()[at]);

@@ -146,8 +146,13 @@ mod tests {
             [[5.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]],
             [[5.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]],
         ];
-        Trajectory::new(vec![2.0, 5.0, 6.3, 9.1], c, vec![true, true, false], vec![0, 1, -1])
-            .unwrap()
+        Trajectory::new(
+            vec![2.0, 5.0, 6.3, 9.1],
+            c,
+            vec![true, true, false],
+            vec![Some(0), Some(1), None],
+        )
+        .unwrap()
     }
 
     #[test]

@@ -252,7 +252,7 @@ mod tests {
     const ALL: Window = Window { low: [-1000; 2], high: [1000; 2] };
 
     fn trajectory(c: [[f64; 4]; 2], end: f64) -> Trajectory {
-        Trajectory::new(vec![0.0, end], vec![c], vec![true], vec![0]).unwrap()
+        Trajectory::new(vec![0.0, end], vec![c], vec![true], vec![Some(0)]).unwrap()
     }
 
     fn cells(first: f64, step: f64) -> [Cells; 2] {

@@ -57,7 +57,8 @@ fn pass() -> Trajectory {
         [[-20.0, 4.0, 0.0, 0.0], [2.53, 0.0, 0.0, 0.0]],
         [[5.0, 0.0, 0.0, 0.0], [3.0, 0.0, 0.0, 0.0]],
     ];
-    Trajectory::new(vec![0.0, 12.5, 15.5], coefficients, vec![true, false], vec![0, -1]).unwrap()
+    Trajectory::new(vec![0.0, 12.5, 15.5], coefficients, vec![true, false], vec![Some(0), None])
+        .unwrap()
 }
 
 /// Asymmetric about both axes, with an invalid pixel.
@@ -159,7 +160,7 @@ fn a_resting_tool_removes_its_tif_at_pixel_minus_tool() {
     let tif = Tif::new(g, Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.at(c), g.y.at(r))));
     write(tmp.path(), "tif", &tif.unwrap());
     let c = [[3.33, 0.0, 0.0, 0.0], [2.71, 0.0, 0.0, 0.0]];
-    let rest = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![0]).unwrap();
+    let rest = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![Some(0)]).unwrap();
     write(tmp.path(), "trajectory", &rest);
     let removal = simulate(tmp.path(), &[]);
     let map = map_grid();
@@ -178,7 +179,7 @@ fn the_direct_method_converges_to_the_gridded_one_with_the_second_order_of_the_m
     prepare(tmp.path());
     // A curved, accelerated motion inside the map.
     let c = vec![[[2.0, 1.0, 0.7, -0.2], [1.0, 2.0, -0.3, 0.1]]];
-    let t = Trajectory::new(vec![0.0, 2.0], c, vec![true], vec![0]).unwrap();
+    let t = Trajectory::new(vec![0.0, 2.0], c, vec![true], vec![Some(0)]).unwrap();
     write(tmp.path(), "trajectory", &t);
     let gridded = simulate(tmp.path(), &[]);
     let error = |steps: &str| {
@@ -253,7 +254,7 @@ fn the_bytes_do_not_depend_on_the_threads() {
                     breaks,
                     segments.collect(),
                     vec![true; 200],
-                    (0..200).collect(),
+                    (0..200).map(Some).collect(),
                 );
                 write(tmp.path(), "trajectory", &t.unwrap());
                 let output = run_on(threads, tmp.path(), more);
@@ -364,7 +365,7 @@ fn a_motion_out_of_reach_removes_nothing_and_says_so() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
     let far = |c: f64| [[1e3 + c, 1.0, 0.0, 0.0], [0.0; 4]];
-    let t = Trajectory::new(vec![0.0, 1.0], vec![far(0.0)], vec![true], vec![0]).unwrap();
+    let t = Trajectory::new(vec![0.0, 1.0], vec![far(0.0)], vec![true], vec![Some(0)]).unwrap();
     write(tmp.path(), "trajectory", &t);
     let removal = simulate(tmp.path(), &[]);
     assert!(removal.removal_nm().iter().all(|r| *r == 0.0));

@@ -43,13 +43,13 @@ fn resting(positions: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
     }
     let c = positions.iter().map(|p| [[p[0], 0.0, 0.0, 0.0], [p[1], 0.0, 0.0, 0.0]]).collect();
     let n = positions.len();
-    Trajectory::new(breaks, c, vec![true; n], (0..n as i64).collect()).unwrap()
+    Trajectory::new(breaks, c, vec![true; n], (0..n).map(Some).collect()).unwrap()
 }
 
 /// Straight line from `a` to `b` at constant velocity.
 fn pass(a: [f64; 2], b: [f64; 2], seconds: f64) -> Trajectory {
     let c = [0, 1].map(|k| [a[k], (b[k] - a[k]) / seconds, 0.0, 0.0]);
-    Trajectory::new(vec![0.0, seconds], vec![c], vec![true], vec![0]).unwrap()
+    Trajectory::new(vec![0.0, seconds], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
 fn gridded(t: &Trajectory, tif: &Tif, g: &Grid) -> Array2<f64> {
@@ -177,7 +177,7 @@ fn the_removed_volume_is_the_vrr_times_the_time_for_any_motion_inside() {
     let g = grid([0.0, 0.0], [0.1; 2], [140, 130]);
     // A curved, accelerated motion that stays more than the TIF's half size inside.
     let c = [[6.0, 1.0, -0.3, 0.02], [6.5, -1.2, 0.1, 0.05]];
-    let t = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![0]).unwrap();
+    let t = Trajectory::new(vec![0.0, 2.5], vec![c], vec![true], vec![Some(0)]).unwrap();
     let volume = gridded(&t, &tif, &g).sum() * g.pixel_mm2();
     let expected = tif.vrr_nm_mm2_per_s() * 2.5;
     // Keys' weights sum to one, so the sum over the pixels is exact but for the 1.5e-8 of the peak
@@ -199,7 +199,7 @@ fn parallel_lines_leave_the_ripple_of_the_poisson_sum() {
         breaks.push(breaks[breaks.len() - 1] + 2.0 * half / v);
     }
     let n = c.len();
-    let t = Trajectory::new(breaks, c, vec![true; n], vec![0; n]).unwrap();
+    let t = Trajectory::new(breaks, c, vec![true; n], vec![Some(0); n]).unwrap();
     let g = grid([0.0, -d], [step; 2], [2, (2.0 * d / step) as usize + 1]);
     let removal = gridded(&t, &tif, &g);
     let s = statistics::statistics(removal.column(0).insert_axis(ndarray::Axis(1))).unwrap();
@@ -221,7 +221,7 @@ fn wavy() -> Trajectory {
         breaks.push(breaks[breaks.len() - 1] + 0.7);
     }
     let n = c.len();
-    Trajectory::new(breaks, c, vec![true; n], vec![0; n]).unwrap()
+    Trajectory::new(breaks, c, vec![true; n], vec![Some(0); n]).unwrap()
 }
 
 #[test]
@@ -250,7 +250,7 @@ fn a_lifted_tool_and_time_reversal() {
     let back = pass([4.5, 2.7], [-1.0, 0.4], 3.0);
     assert!(largest(&gridded(&t, &tif, &g), &gridded(&back, &tif, &g)) < 1e-12);
     let lifted =
-        Trajectory::new(vec![0.0, 3.0], t.coefficient_mm().to_vec(), vec![false], vec![-1])
+        Trajectory::new(vec![0.0, 3.0], t.coefficient_mm().to_vec(), vec![false], vec![None])
             .unwrap();
     assert!(gridded(&lifted, &tif, &g).iter().all(|v| v.abs() < 1e-15));
 }
@@ -293,8 +293,8 @@ fn everywhere() -> Trajectory {
     push(1.0, [[8.0, 0.0, -9.0, 3.0], [3.0, 0.0, 0.0, 0.0]], true);
     push(0.5, rest(-400.0, 2.0), true);
     push(1.0, [[300.0, 5.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]], true);
-    let n = c.len() as i64;
-    Trajectory::new(breaks, c, on, (0..n).collect()).unwrap()
+    let n = c.len();
+    Trajectory::new(breaks, c, on, (0..n).map(Some).collect()).unwrap()
 }
 
 /// The limit of the direct quadrature, and how far the gridded result is from it, of a smooth TIF
@@ -334,8 +334,8 @@ fn halved(t: &Trajectory) -> Trajectory {
         c.extend([*s.coefficient_mm, [later(&s.coefficient_mm[0]), later(&s.coefficient_mm[1])]]);
         on.extend([s.tool_on; 2]);
     }
-    let n = c.len() as i64;
-    Trajectory::new(breaks, c, on, (0..n).collect()).unwrap()
+    let n = c.len();
+    Trajectory::new(breaks, c, on, (0..n).map(Some).collect()).unwrap()
 }
 
 #[test]

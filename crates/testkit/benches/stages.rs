@@ -166,7 +166,8 @@ fn simulate_resting(bencher: Bencher) {
     let n = 8434;
     let breaks = (0..=n).map(|i| 0.2 * i as f64).collect();
     let trajectory =
-        Trajectory::new(breaks, (0..n).map(rest).collect(), vec![true; n], vec![0; n]).unwrap();
+        Trajectory::new(breaks, (0..n).map(rest).collect(), vec![true; n], vec![Some(0); n])
+            .unwrap();
     let plan = Plan::new(&c.tif, c.surface.grid(), Settings::Gridded).unwrap();
     bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));
 }
@@ -203,7 +204,8 @@ fn simulate_large(bencher: Bencher, (pixels, points): (usize, usize)) {
         breaks.push(breaks[i] + time_s);
     }
     let n = coefficients.len();
-    let trajectory = Trajectory::new(breaks, coefficients, vec![true; n], vec![0; n]).unwrap();
+    let trajectory =
+        Trajectory::new(breaks, coefficients, vec![true; n], vec![Some(0); n]).unwrap();
     let grid = Grid { x: axis, y: axis };
     let plan = Plan::new(tif, &grid, Settings::Gridded).unwrap();
     bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));

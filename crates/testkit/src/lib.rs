@@ -15,7 +15,7 @@ pub mod mirror;
 
 use std::path::{Path, PathBuf};
 
-use planish_types::{AxisLimits, Limits};
+use planish_types::{Limits, MachineFile, MachineFileAxis};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -27,13 +27,15 @@ pub fn workspace() -> PathBuf {
 
 /// A machine from the limits of (x, y), without a limit on jerk.
 pub fn machine(velocity_mm_per_s: [f64; 2], acceleration_mm_per_s2: [f64; 2]) -> Limits {
-    let axis = |a: usize| AxisLimits {
+    let axis = |a: usize| MachineFileAxis {
         name: ["x", "y"][a].into(),
         max_velocity_mm_per_s: velocity_mm_per_s[a],
         max_acceleration_mm_per_s2: acceleration_mm_per_s2[a],
         max_jerk_mm_per_s3: None,
     };
-    Limits { name: "test".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+    MachineFile { name: "test".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
+        .checked()
+        .unwrap()
 }
 
 /// The ion beam machine of the reference mirror.

@@ -10,7 +10,8 @@ use planish_schedule::{position, pvt};
 use planish_simulate::simulate;
 use planish_testkit::{ion_beam, machine, workspace};
 use planish_types::{
-    Axis, ClearAperture, DwellTime, Grid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
+    Axis, ClearAperture, DwellTime, Grid, Limits, MachineFile, Removal, Surface, Tif, ToolPath,
+    Trajectory,
 };
 use planish_verify::{Verdict, VerifySettings, verify};
 
@@ -80,7 +81,7 @@ fn one_sample(row: usize, column: usize) -> Tif {
 /// A tool that stands at `at` for `time_s`.
 fn standing(at: [f64; 2], time_s: f64) -> Trajectory {
     let c = at.map(|p| [p, 0.0, 0.0, 0.0]);
-    Trajectory::new(vec![0.0, time_s], vec![c], vec![true], vec![0]).unwrap()
+    Trajectory::new(vec![0.0, time_s], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
 /// A straight path along x.
@@ -126,9 +127,9 @@ fn units_are_in_the_names() {
         };
         assert!(array.name.ends_with(&format!("_{unit}")), "{} in {}", array.name, array.unit);
     }
-    let mut limits = ion_beam();
-    limits.axes[0].max_jerk_mm_per_s3 = Some(1.0);
-    let axis = serde_json::to_value(&limits.axes[0]).unwrap();
+    let mut machine = MachineFile::from(&ion_beam());
+    machine.axes[0].max_jerk_mm_per_s3 = Some(1.0);
+    let axis = serde_json::to_value(&machine.axes[0]).unwrap();
     let names: Vec<&String> = axis.as_object().unwrap().keys().collect();
     assert_eq!(
         names,
@@ -171,7 +172,7 @@ fn motion_is_mm_per_s() {
         vec![0.0, 1.0],
         vec![[[0.0, 1.0, 2.0, 3.0], [0.0; 4]]],
         vec![true],
-        vec![0],
+        vec![Some(0)],
     );
     let verdict = judge(&t.unwrap(), &ion_beam());
     assert_eq!(verdict.max_velocity_mm_per_s, [14.0, 0.0]);
@@ -379,7 +380,7 @@ fn tif_is_cubic_between_its_samples() {
 #[test]
 fn tool_off_removes_nothing() {
     let c = [[14.0, 1.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]];
-    let t = |on: bool| Trajectory::new(vec![0.0, 1.0], vec![c], vec![on], vec![0]).unwrap();
+    let t = |on: bool| Trajectory::new(vec![0.0, 1.0], vec![c], vec![on], vec![Some(0)]).unwrap();
     let total = |t: &Trajectory| removal(t, &gaussian(), &flat(part())).removal_nm().sum();
     assert_eq!(total(&t(false)), 0.0);
     assert!(total(&t(true)) > 1.0);
@@ -413,7 +414,12 @@ fn dwell_time_is_per_segment() {
 #[test]
 fn motion_is_cubic_in_segment_local_time() {
     let c = [[1.0, 2.0, 3.0, 4.0], [5.0, 0.0, 0.0, 0.0]];
-    let t = Trajectory::new(vec![500.0, 501.0, 503.0], vec![c; 2], vec![true; 2], vec![0, 1]);
+    let t = Trajectory::new(
+        vec![500.0, 501.0, 503.0],
+        vec![c; 2],
+        vec![true; 2],
+        vec![Some(0), Some(1)],
+    );
     let t = t.unwrap();
     // c0 + c1 u + c2 u^2 + c3 u^3, u from the start of each segment.
     for i in 0..2 {
@@ -427,7 +433,12 @@ fn motion_is_cubic_in_segment_local_time() {
 #[test]
 fn a_jump_can_be_stored_and_is_found() {
     let c = |x: f64| [[x, 0.0, 0.0, 0.0], [0.0; 4]];
-    let t = Trajectory::new(vec![0.0, 1.0, 2.0], vec![c(0.0), c(-3.0)], vec![true; 2], vec![0, 1]);
+    let t = Trajectory::new(
+        vec![0.0, 1.0, 2.0],
+        vec![c(0.0), c(-3.0)],
+        vec![true; 2],
+        vec![Some(0), Some(1)],
+    );
     let verdict = judge(&t.unwrap(), &ion_beam());
     assert_eq!(verdict.max_position_step_mm, [3.0, 0.0]);
     assert!(!verdict.limits_respected);
@@ -437,7 +448,7 @@ fn a_jump_can_be_stored_and_is_found() {
 fn the_machine_rests_before_and_after() {
     // Uniform motion at 2 mm/s: velocity steps of 2 mm/s at both ends.
     let c = [[0.0, 2.0, 0.0, 0.0], [0.0; 4]];
-    let t = Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap();
+    let t = Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![Some(0)]).unwrap();
     let x = &judge(&t, &ion_beam()).axes[0].velocity_step_mm_per_s;
     assert_eq!((x.max.value, x.min.value, x.exceeding_count), (2.0, -2.0, 2));
 }
@@ -448,12 +459,13 @@ fn limits_are_magnitudes_per_axis() {
     let along = |axis: usize| {
         let mut c = [[0.0; 4]; 2];
         c[axis] = [0.0, 0.0, -6.0, 4.0]; // -2 mm in 1 s, at most 3 mm/s, 12 mm/s^2
-        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![0]).unwrap()
+        Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![Some(0)]).unwrap()
     };
     let limits = machine([2.0, 4.0], [20.0, 20.0]);
     let (x, y) = (judge(&along(0), &limits), judge(&along(1), &limits));
     assert_eq!((x.max_velocity_mm_per_s, x.limits_respected), ([3.0, 0.0], false));
     assert_eq!((y.max_velocity_mm_per_s, y.limits_respected), ([0.0, 3.0], true));
-    let reordered = Limits { axes: limits.axes.iter().rev().cloned().collect(), ..limits };
-    assert!(reordered.validated().is_err(), "the axes are x, then y");
+    let mut reordered = MachineFile::from(&limits);
+    reordered.axes.reverse();
+    assert!(reordered.checked().is_err(), "the axes are x, then y");
 }

@@ -112,7 +112,7 @@ fn motion(random: &mut ChaCha8Rng) -> Trajectory {
     });
     let coefficients = coefficients.collect();
     let tool_on = (0..n).map(|_| random.random_range(0..3) > 0).collect();
-    Trajectory::new(time, coefficients, tool_on, vec![0; n]).unwrap()
+    Trajectory::new(time, coefficients, tool_on, vec![Some(0); n]).unwrap()
 }
 
 #[test]

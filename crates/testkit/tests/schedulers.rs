@@ -15,7 +15,7 @@ use planish_schedule::{
     trig_spline::{self, Repair},
 };
 use planish_testkit::{case_generator, ion_beam, machine};
-use planish_types::{DwellTime, Limits, ToolPath, Trajectory};
+use planish_types::{DwellTime, Limits, MachineFile, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -115,6 +115,18 @@ fn trig(
 ) -> Result<trig_spline::Schedule, String> {
     let settings = trig_spline::Settings { repair, ..Default::default() };
     trig_spline::schedule(path, dwell, limits, &settings).map_err(|e| e.to_string())
+}
+
+fn with_max_jerk(limits: &Limits, mm_per_s3: [f64; 2]) -> Limits {
+    let mut file = MachineFile::from(limits);
+    for (axis, j) in file.axes.iter_mut().zip(mm_per_s3) {
+        axis.max_jerk_mm_per_s3 = Some(j);
+    }
+    file.checked().unwrap()
+}
+
+fn with_min_segment(limits: &Limits, min_segment_s: f64) -> Limits {
+    MachineFile { min_segment_s, ..MachineFile::from(limits) }.checked().unwrap()
 }
 
 fn judge(trajectory: &Trajectory, limits: &Limits) -> Verdict {
@@ -270,8 +282,8 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 1e-3, 50.0);
     let mut limit = |low, high| [0, 1].map(|_| log_uniform(generator, low, high));
-    let mut limits = machine(limit(1.0, 300.0), limit(1.0, 3000.0));
-    limits.min_segment_s = log_uniform(generator, 1e-3, 0.1);
+    let limits = machine(limit(1.0, 300.0), limit(1.0, 3000.0));
+    let limits = with_min_segment(&limits, log_uniform(generator, 1e-3, 0.1));
     Case { points: walk(generator, &lengths), dwell_s: times(generator, n, 1e-4, 10.0), limits }
 }
 
@@ -361,8 +373,7 @@ fn lifted(case: &Case) -> ToolPath {
 fn the_judge_agrees_with_every_claim() {
     on_every_case(|case| {
         // Once as it is, and once on a machine that limits the jerk.
-        let mut with_jerk = case.limits.clone();
-        with_jerk.axes.iter_mut().for_each(|a| a.max_jerk_mm_per_s3 = Some(5e3));
+        let with_jerk = with_max_jerk(&case.limits, [5e3; 2]);
         for (path, (name, scheduler)) in
             [case.path(), lifted(case)].iter().flat_map(|p| SCHEDULERS.map(|s| (p, s)))
         {
@@ -503,19 +514,19 @@ fn trig_spline_stays_on_the_path_and_accounts_for_its_time() {
         for repair in [Repair::Offset, Repair::Local] {
             for path in [case.path(), lifted(case)] {
                 let s = trig(&path, &case.dwell(), &case.limits, repair)?;
-                let mut before = -1;
+                let mut before = 0;
                 for (k, piece) in s.trajectory.segments().enumerate() {
                     if !piece.tool_on {
                         continue;
                     }
-                    let i = piece.dwell_index;
+                    let i = piece.dwell_index.ok_or("a pass serves no dwell point")?;
                     ensure(i >= before, || {
                         format!("{repair:?}: piece {k} serves {i} after {before}")
                     })?;
                     before = i;
                     for part in [0.0, 0.3, 0.7, 1.0] {
                         let p = piece.position_mm(part * piece.duration_s);
-                        let [a, b] = [0, 1].map(|e| case.points[i as usize + e]);
+                        let [a, b] = [0, 1].map(|e| case.points[i + e]);
                         let off = distance_to_chord(p, a, b);
                         ensure(off <= 0.02 + 2e-6, || {
                             format!("{repair:?}: piece {k} is {off} mm beside segment {i}")
@@ -711,7 +722,7 @@ fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result
     let rounding_mm = 1e-13 * case.extent_mm().max(1.0) * 10.0;
     let total_s = t.total_time_s();
     for (k, s) in t.segments().enumerate() {
-        let i = s.dwell_index as usize;
+        let i = s.dwell_index.ok_or("a segment serves no dwell point")?;
         let (start, end) = (s.position_mm(0.0), s.position_mm(s.duration_s));
         ensure(start == case.points[i], || {
             format!("{mode:?}: segment {k} starts at {start:?}, not at {:?}", case.points[i])
@@ -860,7 +871,7 @@ fn equal_dwell_on_equal_spacing_gives_constant_feed() {
     }
     // Constant acceleration from rest swings about the feed and keeps the mean.
     let t = case.constant_acceleration().unwrap().trajectory;
-    let served: f64 = t.segments().filter(|s| s.dwell_index >= 0).map(|s| s.duration_s).sum();
+    let served: f64 = t.segments().filter(|s| s.dwell_index.is_some()).map(|s| s.duration_s).sum();
     assert!((served - 10.0).abs() < 1e-9, "{served}");
 }
 
@@ -897,7 +908,7 @@ fn zero_length_segments_take_their_time_or_vanish() {
     for mode in MODES {
         let schedule = case.pvt(mode).unwrap();
         assert_eq!(schedule.report.dropped, [2], "{mode:?}");
-        assert_eq!(schedule.trajectory.dwell_index(), [0, 1, 3, 4], "{mode:?}");
+        assert_eq!(schedule.trajectory.dwell_index(), [0, 1, 3, 4].map(Some), "{mode:?}");
         assert_eq!(schedule.trajectory.break_time_s(), [0.0, 0.5, 0.75, 1.25, 1.375], "{mode:?}");
         assert!(judge(&schedule.trajectory, &case.limits).limits_respected, "{mode:?}");
     }
@@ -962,7 +973,7 @@ fn constant_acceleration_reports_what_it_missed() {
         let mut largest = 0.0_f64;
         for i in 0..case.dwell_s.len() {
             let last =
-                (0..s.trajectory.len()).rev().find(|k| s.trajectory.dwell_index()[*k] == i as i64);
+                (0..s.trajectory.len()).rev().find(|k| s.trajectory.dwell_index()[*k] == Some(i));
             let Some(k) = last else { continue };
             let segment = s.trajectory.segment(k);
             let end = segment.position_mm(segment.duration_s);
@@ -985,10 +996,10 @@ fn stop_at_corners_stays_on_the_path_and_cuts_no_dwell_time() {
             let s = stop_at_corners::schedule(&path, &case.dwell(), &case.limits)
                 .map_err(|e| e.to_string())?;
             let (t, n) = (&s.trajectory, case.dwell_s.len());
-            let (mut served_s, mut end) = (vec![0.0; n], case.points.clone());
+            let mut end = case.points.clone();
+            let served_s = t.served_s(n, |_| true).map_err(|e| e.to_string())?;
             for (k, piece) in t.segments().enumerate() {
-                let i = piece.dwell_index as usize;
-                served_s[i] += piece.duration_s;
+                let i = piece.dwell_index.ok_or("a segment serves no dwell point")?;
                 end[i + 1] = piece.position_mm(piece.duration_s);
                 if !piece.tool_on {
                     continue;
@@ -1025,18 +1036,17 @@ fn stop_at_corners_stays_on_the_path_and_cuts_no_dwell_time() {
 fn pvt_keeps_a_limit_on_jerk() {
     on_every_case(|case| {
         let mut limited = case.clone();
-        for (axis, j) in limited.limits.axes.iter_mut().zip([5e3, 2e3]) {
-            axis.max_jerk_mm_per_s3 = Some(j);
-        }
+        limited.limits = with_max_jerk(&case.limits, [5e3, 2e3]);
         let s = limited.pvt(Mode::Smooth)?;
         let verdict = judge(&s.trajectory, &limited.limits);
         ensure(verdict.limits_respected, || format!("smooth: {:?}", verdict.violations))?;
         let claim = Claim::of(&s.trajectory, &limited.limits);
         ensure(claim.limits_respected && claim.jerk == Some(true), || format!("{claim:?}"))?;
-        let (mut served_s, mut end) = (vec![0.0; case.dwell_s.len()], case.points.clone());
+        let mut end = case.points.clone();
+        let served_s =
+            s.trajectory.served_s(case.dwell_s.len(), |_| true).map_err(|e| e.to_string())?;
         for piece in s.trajectory.segments() {
-            let i = piece.dwell_index as usize;
-            served_s[i] += piece.duration_s;
+            let i = piece.dwell_index.ok_or("a segment serves no dwell point")?;
             end[i + 1] = piece.position_mm(piece.duration_s);
         }
         let total_s = s.trajectory.total_time_s();
@@ -1066,14 +1076,14 @@ fn position_mode_stands_and_is_found_out() {
         let path = case.path();
         let t = position::schedule(&path, &case.dwell()).map_err(|e| e.to_string())?;
         for s in t.segments() {
-            let p = path.dwell_point_mm()[s.dwell_index as usize];
+            let p = path.dwell_point_mm()[s.dwell_index.ok_or("a rest serves no dwell point")?];
             ensure(*s.coefficient_mm == p.map(|p| [p, 0.0, 0.0, 0.0]), || {
-                format!("dwell point {}: {:?}", s.dwell_index, s.coefficient_mm)
+                format!("dwell point {:?}: {:?}", s.dwell_index, s.coefficient_mm)
             })?;
         }
         let jumps = t.coefficient_mm().windows(2).any(|w| w[0] != w[1]);
         // It knows no least segment time.
-        let verdict = judge(&t, &Limits { min_segment_s: 0.0, ..case.limits.clone() });
+        let verdict = judge(&t, &with_min_segment(&case.limits, 0.0));
         ensure(verdict.limits_respected != jumps, || format!("{:?}", verdict.violations))
     });
 }

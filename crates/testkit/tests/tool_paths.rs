@@ -28,7 +28,7 @@ fn removal_nm(
         let (p, d) = (path.point_mm()[*i], path.displacement_mm(*i));
         pieces.push([0, 1].map(|a| [p[a], d[a] / time_s, 0.0, 0.0]));
     }
-    let index = run.iter().map(|i| *i as i64).collect();
+    let index = run.iter().copied().map(Some).collect();
     let motion = Trajectory::new(break_s, pieces, vec![true; run.len()], index).unwrap();
     simulate(&motion, tif, on, Settings::Gridded).unwrap().removal.removal_nm().clone()
 }

@@ -610,17 +610,19 @@ mod tests {
 
     #[test]
     fn the_least_time_is_that_of_the_slower_axis() {
-        let axis = |name: &str, v| planish_types::AxisLimits {
+        let axis = |name: &str, v| planish_types::MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: 1.0,
             max_jerk_mm_per_s3: None,
         };
-        let machine = Limits {
+        let machine = planish_types::MachineFile {
             name: "m".into(),
             axes: vec![axis("x", 4.0), axis("y", 2.0)],
             min_segment_s: 0.0,
-        };
+        }
+        .checked()
+        .unwrap();
         let path = through(&[[0.0, 0.0], [8.0, 2.0], [7.0, -4.0]]);
         assert_eq!(time_lower_bound_s(&path, &machine), 2.0 + 3.0);
     }

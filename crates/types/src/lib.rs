@@ -17,6 +17,7 @@
 mod aperture;
 pub mod budget;
 mod dwell_time;
+mod end;
 mod feed;
 mod grid;
 mod limits;
@@ -29,13 +30,17 @@ mod trajectory;
 
 pub use aperture::ClearAperture;
 pub use dwell_time::DwellTime;
+pub use end::End;
 pub use feed::Feed;
 pub use grid::{Axis, Grid};
-pub use limits::{AxisLimits, Limits};
+pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, Surface};
 pub use tif::Tif;
 pub use tool_path::ToolPath;
-pub use trajectory::{Segment, Trajectory};
+pub use trajectory::{
+    Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,
+    stored_dwell_index,
+};
 
 /// A value that cannot be what it claims to be.
 ///

@@ -1,26 +1,49 @@
 //! What a machine can do.
+//!
+//! [`MachineFile`] is what a machine file says, unchecked; [`Limits`] is what a stage works with, made
+//! from it by [`MachineFile::checked`], so that no stage ever divides by a limit of zero.
 
 use serde::{Deserialize, Serialize};
 
 use crate::Invalid;
 
-/// A machine: the limits of its x and y axes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Names of the axes, in their order.
+const AXES: [&str; 2] = ["x", "y"];
+
+/// The limits of a machine: two axes, every limit positive and finite.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
+    name: String,
+    axes: [AxisLimits; 2],
+    min_segment_s: f64,
+}
+
+/// Limits of one axis, all on magnitudes; positive and finite.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisLimits {
+    name: &'static str,
+    max_velocity_mm_per_s: f64,
+    max_acceleration_mm_per_s2: f64,
+    max_jerk_mm_per_s3: Option<f64>,
+}
+
+/// A machine as its JSON file states it, not checked yet.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Limits")]
+pub struct MachineFile {
     /// Name of the machine.
     pub name: String,
     /// The axes, x first, then y.
-    pub axes: Vec<AxisLimits>,
+    pub axes: Vec<MachineFileAxis>,
     /// Shortest segment that the controller accepts, s; 0 when it does not matter.
     #[serde(default)]
     pub min_segment_s: f64,
 }
 
-/// Limits of one axis, all on magnitudes.
+/// An axis as the JSON file of a machine states it, not checked yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AxisLimits {
+#[serde(deny_unknown_fields, rename = "AxisLimits")]
+pub struct MachineFileAxis {
     /// "x" or "y".
     pub name: String,
     /// Largest velocity, mm/s.
@@ -32,30 +55,18 @@ pub struct AxisLimits {
     pub max_jerk_mm_per_s3: Option<f64>,
 }
 
-impl Limits {
+impl MachineFile {
     /// Checks what the JSON types do not: two axes named x and y, every limit positive and finite.
-    pub fn validated(self) -> Result<Self, Invalid> {
+    pub fn checked(self) -> Result<Limits, Invalid> {
         let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
-        if names != ["x", "y"] {
+        if names != AXES {
             return Err(Invalid::whole(
                 "axes",
                 format!("are {names:?}"),
                 "give exactly two axes named \"x\" and \"y\", in this order",
             ));
         }
-        for (i, axis) in self.axes.iter().enumerate() {
-            let limits = [
-                ("max_velocity_mm_per_s", Some(axis.max_velocity_mm_per_s)),
-                ("max_acceleration_mm_per_s2", Some(axis.max_acceleration_mm_per_s2)),
-                ("max_jerk_mm_per_s3", axis.max_jerk_mm_per_s3),
-            ];
-            for (name, value) in limits {
-                if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
-                    let problem = format!("{name} is {v}");
-                    return Err(Invalid::at("axes", i, problem, "a limit is positive and finite"));
-                }
-            }
-        }
+        let axes = [self.axes[0].checked(0)?, self.axes[1].checked(1)?];
         if !(self.min_segment_s.is_finite() && self.min_segment_s >= 0.0) {
             return Err(Invalid::whole(
                 "min_segment_s",
@@ -63,17 +74,95 @@ impl Limits {
                 "give a time in seconds, or leave it out",
             ));
         }
-        Ok(self)
+        Ok(Limits { name: self.name, axes, min_segment_s: self.min_segment_s })
+    }
+}
+
+impl MachineFileAxis {
+    fn checked(&self, index: usize) -> Result<AxisLimits, Invalid> {
+        let limits = [
+            ("max_velocity_mm_per_s", Some(self.max_velocity_mm_per_s)),
+            ("max_acceleration_mm_per_s2", Some(self.max_acceleration_mm_per_s2)),
+            ("max_jerk_mm_per_s3", self.max_jerk_mm_per_s3),
+        ];
+        for (name, value) in limits {
+            if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                let problem = format!("{name} is {v}");
+                return Err(Invalid::at("axes", index, problem, "a limit is positive and finite"));
+            }
+        }
+        Ok(AxisLimits {
+            name: AXES[index],
+            max_velocity_mm_per_s: self.max_velocity_mm_per_s,
+            max_acceleration_mm_per_s2: self.max_acceleration_mm_per_s2,
+            max_jerk_mm_per_s3: self.max_jerk_mm_per_s3,
+        })
+    }
+}
+
+/// The file that states these limits, to change one of them and check it again.
+impl From<&Limits> for MachineFile {
+    fn from(limits: &Limits) -> Self {
+        let axis = |a: &AxisLimits| MachineFileAxis {
+            name: a.name.into(),
+            max_velocity_mm_per_s: a.max_velocity_mm_per_s,
+            max_acceleration_mm_per_s2: a.max_acceleration_mm_per_s2,
+            max_jerk_mm_per_s3: a.max_jerk_mm_per_s3,
+        };
+        Self {
+            name: limits.name.clone(),
+            axes: limits.axes.iter().map(axis).collect(),
+            min_segment_s: limits.min_segment_s,
+        }
+    }
+}
+
+impl Limits {
+    /// Name of the machine.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The axes x and y.
+    pub fn axes(&self) -> &[AxisLimits; 2] {
+        &self.axes
+    }
+
+    /// Shortest segment that the controller accepts, s; 0 when it does not matter.
+    pub fn min_segment_s(&self) -> f64 {
+        self.min_segment_s
     }
 
     /// Largest velocity of (x, y), mm/s.
     pub fn max_velocity_mm_per_s(&self) -> [f64; 2] {
-        [0, 1].map(|a| self.axes[a].max_velocity_mm_per_s)
+        self.axes.map(|a| a.max_velocity_mm_per_s)
     }
 
     /// Largest acceleration of (x, y), mm/s^2.
     pub fn max_acceleration_mm_per_s2(&self) -> [f64; 2] {
-        [0, 1].map(|a| self.axes[a].max_acceleration_mm_per_s2)
+        self.axes.map(|a| a.max_acceleration_mm_per_s2)
+    }
+}
+
+impl AxisLimits {
+    /// "x" or "y".
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Largest velocity, mm/s.
+    pub fn max_velocity_mm_per_s(&self) -> f64 {
+        self.max_velocity_mm_per_s
+    }
+
+    /// Largest acceleration, mm/s^2.
+    pub fn max_acceleration_mm_per_s2(&self) -> f64 {
+        self.max_acceleration_mm_per_s2
+    }
+
+    /// Largest jerk, mm/s^3; none when the machine does not limit it.
+    pub fn max_jerk_mm_per_s3(&self) -> Option<f64> {
+        self.max_jerk_mm_per_s3
     }
 }
 
@@ -81,26 +170,37 @@ impl Limits {
 mod tests {
     use super::*;
 
-    fn machine(velocity: f64, names: [&str; 2]) -> Limits {
-        let axis = |name: &str| AxisLimits {
+    fn machine(velocity: f64, names: [&str; 2]) -> MachineFile {
+        let axis = |name: &str| MachineFileAxis {
             name: name.into(),
             max_velocity_mm_per_s: velocity,
             max_acceleration_mm_per_s2: 10.0,
             max_jerk_mm_per_s3: None,
         };
-        Limits { name: "m".into(), axes: names.map(axis).to_vec(), min_segment_s: 0.0 }
+        MachineFile { name: "m".into(), axes: names.map(axis).to_vec(), min_segment_s: 0.0 }
     }
 
     #[test]
     fn limits_must_be_positive_on_two_named_axes() {
-        assert!(machine(1.0, ["x", "y"]).validated().is_ok());
+        let file = machine(1.0, ["x", "y"]);
+        let limits = file.clone().checked().unwrap();
+        assert_eq!((limits.name(), limits.axes().map(|a| a.name())), ("m", AXES));
+        assert_eq!(MachineFile::from(&limits), file);
         for v in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            let message = machine(v, ["x", "y"]).validated().unwrap_err().to_string();
+            let message = machine(v, ["x", "y"]).checked().unwrap_err().to_string();
             assert!(message.contains("axes[0]: max_velocity_mm_per_s is"), "{message}");
+            let mut slow = file.clone();
+            slow.axes[1].max_jerk_mm_per_s3 = Some(v);
+            let message = slow.checked().unwrap_err().to_string();
+            assert!(message.contains("axes[1]: max_jerk_mm_per_s3 is"), "{message}");
         }
-        assert!(machine(1.0, ["y", "x"]).validated().is_err());
-        let mut one = machine(1.0, ["x", "y"]);
+        for v in [-1.0, f64::NAN, f64::INFINITY] {
+            let refused = MachineFile { min_segment_s: v, ..file.clone() }.checked();
+            assert!(refused.unwrap_err().to_string().contains("min_segment_s: is"));
+        }
+        assert!(machine(1.0, ["y", "x"]).checked().is_err());
+        let mut one = file;
         one.axes.pop();
-        assert!(one.validated().unwrap_err().to_string().contains("exactly two axes"));
+        assert!(one.checked().unwrap_err().to_string().contains("exactly two axes"));
     }
 }

@@ -13,7 +13,7 @@ pub struct Trajectory {
     break_time_s: Vec<f64>,
     coefficient_mm: Vec<[[f64; 4]; 2]>,
     tool_on: Vec<bool>,
-    dwell_index: Vec<i64>,
+    dwell_index: Vec<Option<usize>>,
 }
 
 /// One polynomial piece of a trajectory.
@@ -27,8 +27,8 @@ pub struct Segment<'a> {
     pub coefficient_mm: &'a [[f64; 4]; 2],
     /// False when the tool removes nothing.
     pub tool_on: bool,
-    /// Dwell point that the segment serves; -1 when none.
-    pub dwell_index: i64,
+    /// Dwell point that the segment serves, if any.
+    pub dwell_index: Option<usize>,
 }
 
 impl Segment<'_> {
@@ -42,12 +42,12 @@ impl Trajectory {
     /// Checks lengths, finiteness, and that break times ascend strictly.
     ///
     /// `break_time_s` (k+1), `coefficient_mm` (k, axis, order), `tool_on` (k),
-    /// `dwell_index` (k): the dwell point that a segment serves, -1 when none.
+    /// `dwell_index` (k): the dwell point that a segment serves, if any.
     pub fn new(
         break_time_s: Vec<f64>,
         coefficient_mm: Vec<[[f64; 4]; 2]>,
         tool_on: Vec<bool>,
-        dwell_index: Vec<i64>,
+        dwell_index: Vec<Option<usize>>,
     ) -> Result<Self, Invalid> {
         let k = coefficient_mm.len();
         if k == 0 {
@@ -114,8 +114,8 @@ impl Trajectory {
         &self.tool_on
     }
 
-    /// Dwell point that each segment serves, -1 when none (k).
-    pub fn dwell_index(&self) -> &[i64] {
+    /// Dwell point that each segment serves, if any (k).
+    pub fn dwell_index(&self) -> &[Option<usize>] {
         &self.dwell_index
     }
 
@@ -139,6 +139,122 @@ impl Trajectory {
     pub fn total_time_s(&self) -> f64 {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }
+
+    /// Time served per dwell point by the segments that are `counted`, (`dwell_points`), s.
+    ///
+    /// A point that no such segment serves gets 0, and a segment that serves no point counts nowhere.
+    /// Refuses a dwell index beyond the points.
+    pub fn served_s(
+        &self,
+        dwell_points: usize,
+        counted: impl Fn(&Segment<'_>) -> bool,
+    ) -> Result<Vec<f64>, Invalid> {
+        // served_i = sum of the durations h_k over the segments k with dwell_index_k = i
+        let mut served_s = vec![0.0; dwell_points];
+        for (k, segment) in self.segments().enumerate() {
+            let Some(i) = segment.dwell_index else { continue };
+            let Some(served_s) = served_s.get_mut(i) else {
+                let problem = format!("is {i}, the dwell times are {dwell_points}");
+                let remedy = "give the dwell times of this run";
+                return Err(Invalid::at("dwell_index", k, problem, remedy));
+            };
+            if counted(&segment) {
+                *served_s += segment.duration_s;
+            }
+        }
+        Ok(served_s)
+    }
+}
+
+/// Break times of consecutive durations (k), from 0: (k+1), s.
+pub fn break_times(duration_s: &[f64]) -> Vec<f64> {
+    let mut breaks = Vec::with_capacity(duration_s.len() + 1);
+    let mut time = 0.0;
+    breaks.push(time);
+    for d in duration_s {
+        time += d;
+        breaks.push(time);
+    }
+    breaks
+}
+
+/// A trajectory that is made segment by segment, in order, from the time 0.
+#[derive(Clone, Debug, Default)]
+pub struct TrajectoryBuilder {
+    end_s: f64,
+    duration_s: Vec<f64>,
+    coefficient_mm: Vec<[[f64; 4]; 2]>,
+    tool_on: Vec<bool>,
+    dwell_index: Vec<Option<usize>>,
+}
+
+impl TrajectoryBuilder {
+    /// Appends a segment with ascending coefficients per axis [x, y], order k in mm/s^k.
+    pub fn push(
+        &mut self,
+        duration_s: f64,
+        coefficient_mm: [[f64; 4]; 2],
+        tool_on: bool,
+        dwell_index: Option<usize>,
+    ) {
+        self.end_s += duration_s;
+        self.duration_s.push(duration_s);
+        self.coefficient_mm.push(coefficient_mm);
+        self.tool_on.push(tool_on);
+        self.dwell_index.push(dwell_index);
+    }
+
+    /// Number of segments so far.
+    pub fn len(&self) -> usize {
+        self.duration_s.len()
+    }
+
+    /// Whether there is no segment yet.
+    pub fn is_empty(&self) -> bool {
+        self.duration_s.is_empty()
+    }
+
+    /// Time at which the last segment so far ends, s.
+    pub fn end_s(&self) -> f64 {
+        self.end_s
+    }
+
+    /// Durations so far (k), s.
+    pub fn duration_s(&self) -> &[f64] {
+        &self.duration_s
+    }
+
+    /// Ascending coefficients so far (k, axis, order).
+    pub fn coefficient_mm(&self) -> &[[[f64; 4]; 2]] {
+        &self.coefficient_mm
+    }
+
+    /// The trajectory; refuses one without segments, and durations that are not positive.
+    pub fn build(self) -> Result<Trajectory, Invalid> {
+        let break_time_s = break_times(&self.duration_s);
+        Trajectory::new(break_time_s, self.coefficient_mm, self.tool_on, self.dwell_index)
+    }
+}
+
+/// What files hold for the dwell index of a segment that serves no dwell point.
+const STORED_NONE: i64 = -1;
+
+/// A dwell index as files hold it: -1 for none.
+pub fn stored_dwell_index(dwell_index: Option<usize>) -> i64 {
+    dwell_index.map_or(STORED_NONE, |i| i as i64)
+}
+
+/// Dwell indices (k) from what a file holds; refuses a negative one other than -1, which is none.
+pub fn dwell_index_from_stored(stored: &[i64]) -> Result<Vec<Option<usize>>, Invalid> {
+    let one = |(k, stored): (usize, &i64)| match usize::try_from(*stored) {
+        Ok(i) => Ok(Some(i)),
+        Err(_) if *stored == STORED_NONE => Ok(None),
+        Err(_) => {
+            let remedy = "give the dwell point that the segment serves, or -1 for none";
+            Err(Invalid::at("dwell_index", k, format!("is {stored}"), remedy))
+        }
+    };
+    stored.iter().enumerate().map(one).collect()
 }
 
 #[cfg(test)]
@@ -148,8 +264,13 @@ mod tests {
     #[test]
     fn local_time_starts_at_zero_in_every_segment() {
         let c = [[1.0, 2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
-        let t = Trajectory::new(vec![0.0, 500.0, 502.0], vec![c, c], vec![true; 2], vec![0, 1])
-            .unwrap();
+        let t = Trajectory::new(
+            vec![0.0, 500.0, 502.0],
+            vec![c, c],
+            vec![true; 2],
+            vec![Some(0), Some(1)],
+        )
+        .unwrap();
         assert_eq!(t.segment(1).position_mm(2.0), [5.0, 8.0]);
         assert_eq!(t.total_time_s(), 502.0);
     }
@@ -159,7 +280,7 @@ mod tests {
         let c = [[0.0; 4]; 2];
         let error = |t: Vec<f64>, c: Vec<[[f64; 4]; 2]>| {
             let k = c.len();
-            Trajectory::new(t, c, vec![true; k], vec![0; k]).unwrap_err().to_string()
+            Trajectory::new(t, c, vec![true; k], vec![None; k]).unwrap_err().to_string()
         };
         assert!(error(vec![0.0], vec![]).contains("empty"));
         assert!(error(vec![0.0, 1.0], vec![c, c]).contains("break_time_s: has 2"));
@@ -167,5 +288,51 @@ mod tests {
         let mut bad = c;
         bad[1][2] = f64::NAN;
         assert!(error(vec![0.0, 1.0], vec![bad]).contains("coefficient_mm[0, 1, 2]: is NaN"));
+    }
+
+    /// 1 s for point 0, 2 s for point 2, 4 s for none, 8 s for point 2 with the tool off.
+    fn served() -> Trajectory {
+        let mut builder = TrajectoryBuilder::default();
+        let c = [[0.0; 4]; 2];
+        let segments = [(1.0, Some(0)), (2.0, Some(2)), (4.0, None), (8.0, Some(2))];
+        for (k, (h, point)) in segments.into_iter().enumerate() {
+            assert_eq!(builder.len(), k);
+            builder.push(h, c, k < 3, point);
+        }
+        assert_eq!((builder.end_s(), builder.is_empty()), (15.0, false));
+        builder.build().unwrap()
+    }
+
+    #[test]
+    fn a_builder_adds_the_durations_up() {
+        let t = served();
+        assert_eq!(t.break_time_s(), [0.0, 1.0, 3.0, 7.0, 15.0]);
+        assert_eq!(t.tool_on(), [true, true, true, false]);
+        assert_eq!(t.dwell_index(), [Some(0), Some(2), None, Some(2)]);
+        let message = TrajectoryBuilder::default().build().unwrap_err().to_string();
+        assert!(message.contains("at least one segment"), "{message}");
+        let mut still = TrajectoryBuilder::default();
+        still.push(0.0, [[0.0; 4]; 2], true, None);
+        let message = still.build().unwrap_err().to_string();
+        assert!(message.contains("break_time_s[1]: is 0 after 0"), "{message}");
+    }
+
+    #[test]
+    fn served_time_is_summed_per_dwell_point() {
+        let t = served();
+        assert_eq!(t.served_s(4, |_| true).unwrap(), [1.0, 0.0, 10.0, 0.0]);
+        assert_eq!(t.served_s(3, |s| s.tool_on).unwrap(), [1.0, 0.0, 2.0]);
+        let message = t.served_s(2, |_| true).unwrap_err().to_string();
+        assert!(message.contains("dwell_index[1]: is 2, the dwell times are 2"), "{message}");
+    }
+
+    #[test]
+    fn a_file_holds_minus_one_for_no_dwell_point() {
+        let index = vec![Some(0), None, Some(7)];
+        let stored: Vec<i64> = index.iter().map(|i| stored_dwell_index(*i)).collect();
+        assert_eq!(stored, [0, -1, 7]);
+        assert_eq!(dwell_index_from_stored(&stored), Ok(index));
+        let message = dwell_index_from_stored(&[0, -2]).unwrap_err().to_string();
+        assert!(message.contains("dwell_index[1]: is -2; give the dwell point"), "{message}");
     }
 }

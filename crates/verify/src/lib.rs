@@ -94,7 +94,7 @@ pub fn verify(
     let mut duration = Tally::new(
         "segment duration",
         "s",
-        (limits.min_segment_s > 0.0).then_some(Bound::AtLeast(limits.min_segment_s)),
+        (limits.min_segment_s() > 0.0).then_some(Bound::AtLeast(limits.min_segment_s())),
     );
 
     for (i, segment) in trajectory.segments().enumerate() {
@@ -120,7 +120,7 @@ type State = [f64; 3];
 
 /// Everything that is collected along one axis.
 struct AxisTally {
-    name: String,
+    name: &'static str,
     /// Position, velocity, acceleration, jerk.
     ranges: [Tally; 4],
     /// Position, velocity, acceleration.
@@ -133,14 +133,14 @@ struct AxisTally {
 
 impl AxisTally {
     fn new(limits: &Limits, settings: &VerifySettings, axis: usize) -> Self {
-        let limit = &limits.axes[axis];
-        let (v, a) = (limit.max_velocity_mm_per_s, limit.max_acceleration_mm_per_s2);
+        let limit = &limits.axes()[axis];
+        let (v, a) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
         let velocity_step = settings.velocity_step_mm_per_s + VELOCITY_STEP_ALLOWANCE * v;
         // Without a limit on jerk any step in acceleration is allowed.
-        let acceleration_step = limit.max_jerk_mm_per_s3.map(|_| ACCELERATION_STEP_ALLOWANCE * a);
+        let acceleration_step = limit.max_jerk_mm_per_s3().map(|_| ACCELERATION_STEP_ALLOWANCE * a);
         let within = |limit: f64| Some(Bound::Within(limit));
         let step = |tolerance: f64| Some(Bound::StepWithin(tolerance));
-        let name = &limit.name;
+        let name = limit.name();
         Self {
             ranges: [
                 Tally::new(format!("{name} position"), "mm", None),
@@ -149,7 +149,7 @@ impl AxisTally {
                 Tally::new(
                     format!("{name} jerk"),
                     "mm/s^3",
-                    limit.max_jerk_mm_per_s3.and_then(within),
+                    limit.max_jerk_mm_per_s3().and_then(within),
                 ),
             ],
             steps: [
@@ -161,7 +161,7 @@ impl AxisTally {
                     acceleration_step.and_then(step),
                 ),
             ],
-            name: name.clone(),
+            name,
             overshoot: Excursions::new(EXCURSION_NOISE_MM),
             reversal: Excursions::new(REVERSAL_NOISE_MM_PER_S),
             before: None,
@@ -222,7 +222,7 @@ impl AxisTally {
         let [position_step_mm, velocity_step_mm_per_s, acceleration_step_mm_per_s2] =
             self.steps.map(Tally::finish);
         AxisVerdict {
-            name: self.name,
+            name: self.name.into(),
             position_mm,
             velocity_mm_per_s,
             acceleration_mm_per_s2,

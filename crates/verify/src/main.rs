@@ -61,7 +61,7 @@ fn main() -> ExitCode {
         say(format!(
             "{}: velocity up to {vx:.2}, {vy:.2} mm/s, acceleration up to {ax:.1}, {ay:.1} mm/s^2 \
              (x, y) in {} segments, limits {} -> {}",
-            limits.name,
+            limits.name(),
             verdict.segment_count,
             if verdict.limits_respected { "kept" } else { "exceeded" },
             cli.output.out.display()

@@ -1,7 +1,7 @@
 //! What the judge says: numbers for programs, one sentence for people.
 
-use planish_types::{Segment, Trajectory};
-use serde::Serialize;
+use planish_types::{Segment, Trajectory, stored_dwell_index};
+use serde::{Serialize, Serializer};
 
 use crate::LIMIT_ALLOWANCE;
 
@@ -10,8 +10,9 @@ use crate::LIMIT_ALLOWANCE;
 pub struct Place {
     /// Segment; for a step the break, which is where segment `index` starts.
     pub index: usize,
-    /// Dwell point that the segment serves, -1 when none.
-    pub dwell_index: i64,
+    /// Dwell point that the segment serves, if any; serialised as -1 when none.
+    #[serde(serialize_with = "as_stored")]
+    pub dwell_index: Option<usize>,
     /// Time of the trajectory, s.
     pub time_s: f64,
     /// The value, with its sign, in the unit of the check.
@@ -23,6 +24,10 @@ impl Place {
     pub(crate) fn new(index: usize, segment: &Segment<'_>, u_s: f64, value: f64) -> Self {
         Self { index, dwell_index: segment.dwell_index, time_s: segment.start_s + u_s, value }
     }
+}
+
+fn as_stored<S: Serializer>(index: &Option<usize>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_i64(stored_dwell_index(*index))
 }
 
 /// The exact range of one quantity over the whole trajectory, and its limit.

@@ -26,7 +26,7 @@ fn prepare(dir: &Path, max_velocity: f64) {
         vec![0.0, 0.5, 1.0],
         vec![c([0.0, 0.0, 10.0, 0.0]), c([2.5, 10.0, -10.0, 0.0])],
         vec![true; 2],
-        vec![0, 1],
+        vec![Some(0), Some(1)],
     )
     .unwrap();
     let output = OutputArgs { out: dir.join("trajectory"), force: true, wall_time: None };

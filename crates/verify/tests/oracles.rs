@@ -1,6 +1,6 @@
 //! The verdict against closed forms, invariants and dense sampling.
 
-use planish_types::{AxisLimits, Limits, Trajectory};
+use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 use planish_verify::{Check, Verdict, VerifySettings, verify};
 use proptest::prelude::*;
 
@@ -8,13 +8,15 @@ use proptest::prelude::*;
 type Cubic = [f64; 4];
 
 fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>, min_segment_s: f64) -> Limits {
-    let axis = |name: &str| AxisLimits {
+    let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: jerk,
     };
-    Limits { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
+        .checked()
+        .unwrap()
 }
 
 /// A trajectory from durations and coefficients of x; y rests at 0. Dwell indices count from 100.
@@ -29,7 +31,7 @@ fn both(duration_s: &[f64], x: &[Cubic], y: &[Cubic]) -> Trajectory {
     }
     let k = duration_s.len();
     let c = x.iter().zip(y).map(|(x, y)| [*x, *y]).collect();
-    let index = (100..100 + k as i64).collect();
+    let index = (100..100 + k).map(Some).collect();
     Trajectory::new(breaks, c, vec![true; k], index).unwrap()
 }
 
@@ -178,7 +180,7 @@ fn a_hermite_cubic_with_known_accelerations_and_a_peak_between_its_nodes() {
     let verdict = judge(&trajectory, &machine(2.0, 2.4, None, 0.0));
     let velocity = &verdict.axes[0].velocity_mm_per_s;
     assert_eq!((velocity.exceeding_count, velocity.worst[0].index), (1, 1));
-    assert_eq!(velocity.worst[0].dwell_index, 101);
+    assert_eq!(velocity.worst[0].dwell_index, Some(101));
     near(velocity.worst_ratio.unwrap(), 1.05, ROUNDING);
     assert_eq!(
         verdict.reason().unwrap(),
@@ -196,7 +198,7 @@ fn a_jump_is_a_step_in_position_at_its_break() {
     assert!(!verdict.limits_respected);
     let step = &verdict.axes[1].position_step_mm;
     assert_eq!((step.max.value, step.max.index, step.max.time_s), (3.0, 1, 1.0));
-    assert_eq!((step.min.value, step.min.index, step.min.dwell_index), (-2.0, 2, 102));
+    assert_eq!((step.min.value, step.min.index, step.min.dwell_index), (-2.0, 2, Some(102)));
     assert_eq!(step.worst.iter().map(|w| w.value).collect::<Vec<_>>(), [3.0, -2.0]);
     assert_eq!((verdict.max_position_step_mm, verdict.violations.len()), ([0.0, 3.0], 1));
     assert!(verdict.reason().unwrap().starts_with("y position steps by 3 mm at break 1"));
@@ -246,7 +248,7 @@ fn segments_shorter_than_the_controller_accepts() {
     assert!(verdict.reason().unwrap().contains("segment duration is"));
     // 0.01 s as the difference of two break times at 1e6 s is short by up to 1e-10 s: rounding.
     let breaks: Vec<f64> = (0..=100).map(|i| 1e6 + 0.01 * f64::from(i)).collect();
-    let t = Trajectory::new(breaks, vec![[[0.0; 4]; 2]; 100], vec![true; 100], vec![0; 100]);
+    let t = Trajectory::new(breaks, vec![[[0.0; 4]; 2]; 100], vec![true; 100], vec![Some(0); 100]);
     let t = t.unwrap();
     assert!((0..100).any(|i| t.segment(i).duration_s < 0.01 * (1.0 - 5e-9)));
     assert!(judge(&t, &limits).limits_respected);
@@ -262,7 +264,7 @@ fn the_twenty_worst_are_listed_worst_first() {
     let listed: Vec<f64> = velocity.worst.iter().map(|w| w.value).collect();
     assert_eq!(listed, (81..=100).rev().map(f64::from).collect::<Vec<_>>());
     for w in &velocity.worst {
-        assert_eq!((v(w.index), w.dwell_index), (w.value, 100 + w.index as i64));
+        assert_eq!((v(w.index), w.dwell_index), (w.value, Some(100 + w.index)));
     }
 }
 

@@ -132,10 +132,7 @@ pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> 
     if plan.dwell_s().len() != n {
         return None;
     }
-    let mut executed_s = vec![0.0; n];
-    for segment in t.segments().filter(|s| s.dwell_index >= 0) {
-        *executed_s.get_mut(usize::try_from(segment.dwell_index).ok()?)? += segment.duration_s;
-    }
+    let executed_s = t.served_s(n, |_| true).ok()?;
     let every = n.div_ceil(most.max(1));
     let thin = |values: &[f64]| values.iter().step_by(every).copied().collect::<Vec<_>>();
     let error = plan.dwell_s().iter().zip(&executed_s).map(|(p, e)| (e - p).abs());
@@ -159,7 +156,7 @@ mod tests {
         let mut times = vec![10.0, 12.0];
         times.extend((1..=rests).map(|i| 12.0 + i as f64));
         let n = c.len();
-        Trajectory::new(times, c, vec![true; n], (0..n as i64).collect()).unwrap()
+        Trajectory::new(times, c, vec![true; n], (0..n).map(Some).collect()).unwrap()
     }
 
     #[test]
@@ -196,13 +193,14 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
         let plan = DwellTime::new(vec![2.0, 2.5]).unwrap();
         let c = vec![[[0.0; 4]; 2]; 4];
-        let t = |index: Vec<i64>| {
-            Trajectory::new(vec![0.0, 1.0, 3.0, 4.0, 5.0], c.clone(), vec![true; 4], index).unwrap()
+        let t = |index: [Option<usize>; 4]| {
+            Trajectory::new(vec![0.0, 1.0, 3.0, 4.0, 5.0], c.clone(), vec![true; 4], index.into())
+                .unwrap()
         };
-        let d = dwell(&path, &plan, &t(vec![0, 1, 0, -1]), 10).unwrap();
+        let d = dwell(&path, &plan, &t([Some(0), Some(1), Some(0), None]), 10).unwrap();
         assert_eq!((d.executed_s, d.total_error_s), (vec![2.0, 2.0], 0.5));
-        assert_eq!(dwell(&path, &plan, &t(vec![0, 1, 2, 0]), 10), None);
+        assert_eq!(dwell(&path, &plan, &t([Some(0), Some(1), Some(2), Some(0)]), 10), None);
         let short = DwellTime::new(vec![2.0]).unwrap();
-        assert_eq!(dwell(&path, &short, &t(vec![0; 4]), 10), None);
+        assert_eq!(dwell(&path, &short, &t([Some(0); 4]), 10), None);
     }
 }

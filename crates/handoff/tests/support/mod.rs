@@ -34,8 +34,13 @@ pub fn tool_path() -> ToolPath {
 
 pub fn trajectory() -> Trajectory {
     let c = [[0.1, 0.2, 0.3, 0.4], [-1.0, 1e-20, 3.0, 1e9]];
-    Trajectory::new(vec![0.0, 0.25, 7.0], vec![c, [c[1], c[0]]], vec![true, false], vec![4, -1])
-        .unwrap()
+    Trajectory::new(
+        vec![0.0, 0.25, 7.0],
+        vec![c, [c[1], c[0]]],
+        vec![true, false],
+        vec![Some(4), None],
+    )
+    .unwrap()
 }
 
 pub fn removal() -> Removal {

@@ -54,7 +54,7 @@ pub fn read(text: &str) -> Result<Trajectory, Invalid> {
     if n == 0 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
     }
-    Trajectory::new(machine.times, machine.segments, machine.tool, vec![-1; n])
+    Trajectory::new(machine.times, machine.segments, machine.tool, vec![None; n])
 }
 
 struct Machine {

@@ -64,7 +64,7 @@ impl Run<'_> {
         let within = |a: &planish_types::Axis, v: f64| (a.start_mm()..=a.end_mm()).contains(&v);
         let mut largest = 0.0_f64;
         for segment in trajectory.segments() {
-            let Ok(k) = usize::try_from(segment.dwell_index) else { continue };
+            let Some(k) = segment.dwell_index else { continue };
             for i in 0..=16 {
                 let p = segment.position_mm(segment.duration_s * f64::from(i) / 16.0);
                 if !(within(&grid.x, p[0]) && within(&grid.y, p[1])) {
