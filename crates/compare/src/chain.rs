@@ -480,7 +480,7 @@ mod tests {
         let found = check(&run(), &[method]).remove(0);
         assert_eq!(found.standing, Standing::Valid);
         assert!(found.remarks[0].ends_with("trajectory, removal, verdict"), "{found:?}");
-        // A script in the place of the dwell solver: everything behind it is checked all the same.
+        // A script in the place of the dwell solver: everything after it is checked all the same.
         let run = RunParts { dwell: Some(bare("dwell")), ..run() };
         assert!(check(&run, &[scheduled()])[0].remarks.is_empty());
         let mut other = scheduled();

@@ -60,9 +60,9 @@ impl Execution {
         let mut first = 0;
         while first < trajectory.len() {
             let own = |k: &usize| index[*k] != index[first] || index[first].is_none();
-            let behind = (first + 1..trajectory.len()).find(own).unwrap_or(trajectory.len());
-            execution.add_overshoot(trajectory, first, behind);
-            first = behind;
+            let end = (first + 1..trajectory.len()).find(own).unwrap_or(trajectory.len());
+            execution.add_overshoot(trajectory, first, end);
+            first = end;
         }
         for (c, axis) in trajectory.coefficient_mm().iter().flat_map(|c| [(c[0], 0), (c[1], 1)]) {
             let jerk = &mut execution.max_jerk_mm_per_s3[axis];
@@ -71,13 +71,13 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Of the segments [first, behind), which serve one point.
-    fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, behind: usize) {
+    /// Of the segments [first, end), which serve one point.
+    fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, end: usize) {
         for axis in 0..2 {
-            let last = trajectory.segment(behind - 1);
+            let last = trajectory.segment(end - 1);
             let from = trajectory.coefficient_mm()[first][axis][0];
             let to = evaluate(&last.coefficient_mm[axis], last.duration_s);
-            let beyond = (first..behind).map(|k| {
+            let beyond = (first..end).map(|k| {
                 let segment = trajectory.segment(k);
                 let r = range(&segment.coefficient_mm[axis], segment.duration_s);
                 (r.max - from.max(to)).max(from.min(to) - r.min)

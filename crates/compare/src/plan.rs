@@ -71,7 +71,7 @@ impl Plan {
                 return Self::of_manifest(trajectory.unwrap_or(&Value::Null));
             }
             Some("planish-import") => {
-                let text = "read back from a controller's program; how good the plan behind it is, \
+                let text = "read back from a controller's program; how good the plan is that it was made of, \
                             the plan says";
                 return Self::new(State::Unknown, PROGRAM, text);
             }

@@ -149,7 +149,7 @@ struct FrameView {
 pub fn views(runs: Vec<Run>) -> Vec<View> {
     let methods: usize = runs.iter().map(|r| r.methods.len()).sum::<usize>().max(1);
     let maps = 2 * methods + runs.len() + runs.iter().filter(|r| r.measured.is_some()).count();
-    let share = Share {
+    let allotment = Allotment {
         pixels: MAX_MAP_PIXELS.min(MAX_ALL_PIXELS / maps),
         points: MAX_ALL_POINTS / methods,
         pieces: MAX_ALL_PIECES / methods,
@@ -157,11 +157,11 @@ pub fn views(runs: Vec<Run>) -> Vec<View> {
         frame_pixels: MAX_ALL_FRAME_PIXELS
             / runs.iter().flat_map(|r| &r.methods).filter(|m| m.frames.is_some()).count().max(1),
     };
-    runs.into_iter().map(|run| view(run, &share)).collect()
+    runs.into_iter().map(|run| view(run, &allotment)).collect()
 }
 
 /// How much of each thing a method may take.
-struct Share {
+struct Allotment {
     pixels: usize,
     points: usize,
     pieces: usize,
@@ -169,9 +169,9 @@ struct Share {
     frame_pixels: usize,
 }
 
-fn view(run: Run, share: &Share) -> View {
+fn view(run: Run, allotment: &Allotment) -> View {
     let grid = *run.desired.grid();
-    let every = block_side(&grid, share.pixels);
+    let every = block_side(&grid, allotment.pixels);
     let on_screen = |s: &Surface, every| screen_map(s.height_nm().view(), s.grid(), every);
     let analysed =
         |s: &Surface| (histogram(s.height_nm().view()), spectrum(s.height_nm().view(), s.grid()));
@@ -182,14 +182,14 @@ fn view(run: Run, share: &Share) -> View {
         removal: screen_map(m.removal.removal_nm().view(), &grid, every),
         residual: on_screen(m.removal.residual(), every),
         after: analysed(m.removal.residual()),
-        line: motion::line(&m.trajectory, share.points),
-        ranges: motion::ranges(&m.trajectory, share.pieces),
+        line: motion::line(&m.trajectory, allotment.points),
+        ranges: motion::ranges(&m.trajectory, allotment.pieces),
         dwell: run
             .path
             .as_ref()
             .zip(m.dwell.as_ref())
-            .and_then(|(path, plan)| motion::dwell(path, plan, &m.trajectory, share.dwell)),
-        frames: m.frames.map(|f| frame_view(f, &run.desired, share.frame_pixels)),
+            .and_then(|(path, plan)| motion::dwell(path, plan, &m.trajectory, allotment.dwell)),
+        frames: m.frames.map(|f| frame_view(f, &run.desired, allotment.frame_pixels)),
         name: m.name,
         verdict: m.verdict,
         rounds: m.rounds,
@@ -200,7 +200,7 @@ fn view(run: Run, share: &Share) -> View {
         name: run.name,
         summary: run.summary,
         desired: on_screen(&run.desired, every),
-        measured: run.measured.map(|s| on_screen(&s, block_side(s.grid(), share.pixels))),
+        measured: run.measured.map(|s| on_screen(&s, block_side(s.grid(), allotment.pixels))),
         before: analysed(&run.desired),
         methods,
         provenance: run.provenance,
@@ -279,11 +279,11 @@ fn filled(template: &str, values: &[(&str, &str)]) -> String {
     let mut out = String::new();
     let mut rest = template;
     while let Some((before, after)) = rest.split_once("{{") {
-        let (key, behind) = after.split_once("}}").expect("a key of the template ends");
+        let (key, after) = after.split_once("}}").expect("a key of the template ends");
         let value = values.iter().find(|(k, _)| *k == key).expect("every key has its value").1;
         out += before;
         out += value;
-        rest = behind;
+        rest = after;
     }
     out + rest
 }

@@ -239,8 +239,8 @@ impl Summary {
         let plans: Vec<(String, Plan)> =
             methods.iter().map(|(name, m)| (name.clone(), m.plan.clone())).collect();
         for (name, method) in methods.iter_mut().filter(|(_, m)| m.plan.word == PROGRAM) {
-            let behind = name.rsplit_once('+').map(|(base, _)| base);
-            if let Some((base, plan)) = plans.iter().find(|(n, _)| Some(n.as_str()) == behind) {
+            let base_name = name.rsplit_once('+').map(|(base, _)| base);
+            if let Some((base, plan)) = plans.iter().find(|(n, _)| Some(n.as_str()) == base_name) {
                 method.plan = plan.clone();
                 method.plan.text = format!("the program of {base}: {}", plan.text);
             }

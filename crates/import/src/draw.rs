@@ -146,8 +146,8 @@ fn cells(
             }
         }
         let mean = if sum.1 == 0 { return None } else { sum.0 / f64::from(sum.1) };
-        let share = if most > least { (mean - least) / (most - least) } else { 0.5 };
-        Some(((share * LEVELS as f64) as usize).min(LEVELS - 1))
+        let fraction = if most > least { (mean - least) / (most - least) } else { 0.5 };
+        Some(((fraction * LEVELS as f64) as usize).min(LEVELS - 1))
     };
     out.push_str("<g shape-rendering=\"crispEdges\">\n");
     let x_at = |c: usize| left + width * ((c * block).min(nx)) as f64 / nx as f64;
@@ -210,8 +210,8 @@ fn short(v: f64) -> String {
     if digits > 12 { significant(v, 5) } else { fixed(v, digits.max(0) as usize) }
 }
 
-fn colour(share: f64) -> String {
-    let position = share.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
+fn colour(fraction: f64) -> String {
+    let position = fraction.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
     let i = (position as usize).min(COLOURS.len() - 2);
     let f = position - i as f64;
     let [r, g, b] =

@@ -31,7 +31,7 @@ use serde::Serialize;
 /// Gauss-Newton steps before the alignment is given up.
 const MOST_STEPS: usize = 50;
 
-/// Aligned when a step is below this share of a pixel: 1e-4 of a pixel moves the steepest spot by
+/// Aligned when a step is below this fraction of a pixel: 1e-4 of a pixel moves the steepest spot by
 /// less than its noise.
 const TOLERANCE: f64 = 1e-6;
 
@@ -354,7 +354,7 @@ fn centroid(
     Ok([sums[0] / sums[2], sums[1] / sums[2]])
 }
 
-/// The square around the centre as a TIF, its depth, and the share that was clipped.
+/// The square around the centre as a TIF, its depth, and the fraction that was clipped.
 fn cut(
     grid: &Grid,
     removal: &Array2<f64>,

@@ -181,9 +181,9 @@ fn recurrence<const N: usize>(t: impl Fn(usize) -> f64, k: usize, s: f64) -> [f6
         let mut carried = 0.0;
         for r in 0..degree {
             let (left, right) = (t(k + 1 + r - degree), t(k + 1 + r));
-            let share = b[r] / (right - left);
-            b[r] = carried + (right - s) * share;
-            carried = (s - left) * share;
+            let fraction = b[r] / (right - left);
+            b[r] = carried + (right - s) * fraction;
+            carried = (s - left) * fraction;
         }
         b[degree] = carried;
     }

@@ -18,7 +18,7 @@
 //!
 //! The operator must be the executed one: a fixed one converges on gentle paths and diverges where
 //! the curve leaves the chords. It holds for the curve that it was made of, and t^ bends the curve:
-//! the rougher the correction, the more. Hence the share s of the step, which is halved until the
+//! the rougher the correction, the more. Hence the fraction s of the step, which is halved until the
 //! executed residual falls and doubled where it falls at the first try; and hence the smoothness,
 //! which falls from round to round to its last value: the
 //! first corrections are of a plan far from its own operator, the last ones are not.
@@ -36,7 +36,7 @@
 //! | t, h | `dwell_s` | (n) | s |
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | e | `rms_nm` | - | nm |
-//! | t^, s | `proposed_s`, `share` | (n), - | s, 1 |
+//! | t^, s | `proposed_s`, `step_fraction` | (n), - | s, 1 |
 
 pub mod trade_off;
 
@@ -167,7 +167,7 @@ pub struct Refined {
 /// By what the smoothness falls from one correction to the next: half a decade.
 const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
 /// Share of the step below which a correction is given up.
-const LEAST_SHARE: f64 = 0.1;
+const LEAST_STEP_FRACTION: f64 = 0.1;
 /// Part steps in a row without progress after which the loop ends; of full steps, one is enough.
 const PATIENCE: usize = 2;
 
@@ -234,7 +234,7 @@ pub fn refine(
     let known = solver.noise_rms_nm.map_or(0.0, |s| s * (1.0 + 3.0 / (2.0 * pixels).sqrt()));
     let mut iterates: Vec<Iterate> = Vec::new();
     let mut best: Option<(usize, Trajectory)> = None;
-    let (mut proposed_s, mut share, mut tries) = (Vec::new(), 1.0, 0);
+    let (mut proposed_s, mut step_fraction, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
     let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
@@ -286,11 +286,11 @@ pub fn refine(
             }
             without_progress = match progress {
                 true => 0,
-                false if share < 1.0 => without_progress + 1,
+                false if step_fraction < 1.0 => without_progress + 1,
                 false => PATIENCE,
             };
         }
-        let spent = !better && 0.5 * share < LEAST_SHARE;
+        let spent = !better && 0.5 * step_fraction < LEAST_STEP_FRACTION;
         if at_last && (spent || without_progress >= PATIENCE) {
             end = End::NoImprovement;
             break;
@@ -305,7 +305,7 @@ pub fn refine(
             // A step that held at the first try may be longer, and rougher, the next time; a
             // correction that is given up is tried as rough as they get.
             if tries == 1 || spent {
-                share = f64::min(2.0 * share, 1.0);
+                step_fraction = f64::min(2.0 * step_fraction, 1.0);
                 if round > 0 && !at_last {
                     solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
                 }
@@ -322,10 +322,10 @@ pub fn refine(
             proposed_s = solution.dwell.dwell_s().to_vec();
             tries = 0;
         } else {
-            share *= 0.5;
+            step_fraction *= 0.5;
         }
         // t = t* + s (t^ - t*)
-        let step = best_s.iter().zip(&proposed_s).map(|(t, to)| t + share * (to - t));
+        let step = best_s.iter().zip(&proposed_s).map(|(t, to)| t + step_fraction * (to - t));
         t = DwellTime::new(step.collect())?;
     }
     let (best, trajectory) = best.expect("the first round is the best one so far");

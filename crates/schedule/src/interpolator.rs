@@ -72,7 +72,7 @@ pub enum Record {
 pub fn records(feed: &Feed) -> impl Iterator<Item = Record> + '_ {
     let (s, d, p) = (feed.arc_length_mm(), feed.dwell_density_s_per_mm(), feed.point_mm());
     let starts = |i: usize| i == 0 || feed.pass_idx()[i] != feed.pass_idx()[i - 1];
-    // A corner is part of the block that ends at the node behind it.
+    // A corner is part of the block that ends at the node after it.
     (0..feed.len()).filter(|i| !feed.corner()[*i]).map(move |i| {
         if starts(i) {
             return Record::Start { point_mm: p[i], arc_length_mm: s[i] };

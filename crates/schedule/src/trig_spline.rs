@@ -22,15 +22,15 @@
 //!    added to the removal density, which is a piston wherever the path goes far enough beyond the
 //!    aperture. [`Repair::Local`] raises only the nodes that need it instead.
 //! 3. *Corners.* Where the direction changes from `u1` to `u2` the tool leaves the path `b` before
-//!    the corner and joins it `b` behind it on a parabola of constant acceleration, at a density
+//!    the corner and joins it again at the distance `b` after it on a parabola of constant acceleration, at a density
 //!    that the axes can follow:
 //!
 //! ```text
 //! a = v^2 (u2 - u1) / (2 b)     d >= sqrt(|u2 - u1| / (2 b a_max)) per axis     deviation b |u2 - u1| / 4
 //! ```
 //!
-//!    The nodes before and behind are raised as far as the acceleration along the path needs it.
-//! 4. *Links.* A pass starts and ends at its feed. The tool, off, runs up to it and brakes behind it
+//!    The nodes before and after it are raised as far as the acceleration along the path needs it.
+//! 4. *Links.* A pass starts and ends at its feed. The tool, off, runs up to it and brakes after it
 //!    on the extended line at constant acceleration; lifts are links within all limits.
 //! 5. *Fit.* (2) is inverted and fitted by cubic Hermite polynomials in time, with exact velocities
 //!    at their ends, cut until they are within the tolerance of the position and within the limits.
@@ -415,7 +415,7 @@ struct Node {
     least: f64,
     /// Smallest density that the velocity alone allows, without the margin.
     fastest: f64,
-    /// Length on which the density is constant before and behind it; b of a corner, else 0.
+    /// Length on which the density is constant before and after it; b of a corner, else 0.
     half_length_mm: f64,
 }
 
@@ -438,7 +438,7 @@ struct Straight {
 /// A run of segments with the tool on.
 #[derive(Clone, Debug)]
 struct Pass {
-    /// Segments [first, behind) of the path.
+    /// Segments [first, end) of the path.
     run: std::ops::Range<usize>,
     /// Where it starts.
     start_mm: [f64; 2],
@@ -456,9 +456,9 @@ fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = std::ops::Range<us
     let mut next = 0;
     std::iter::from_fn(move || {
         let first = (next..on.len()).find(|i| on[*i])?;
-        let behind = (first..on.len()).find(|i| !on[*i]).unwrap_or(on.len());
-        next = behind;
-        Some(first..behind)
+        let after = (first..on.len()).find(|i| !on[*i]).unwrap_or(on.len());
+        next = after;
+        Some(first..after)
     })
 }
 
@@ -497,13 +497,13 @@ impl Pass {
             arc_length += length;
         }
         for k in 1..straights.len() {
-            let (before, behind) = (straights[k - 1], straights[k]);
-            let turn = [0, 1].map(|a| behind.direction[a] - before.direction[a]);
+            let (before, after) = (straights[k - 1], straights[k]);
+            let turn = [0, 1].map(|a| after.direction[a] - before.direction[a]);
             let size = turn[0].hypot(turn[1]);
             if size > SAME_DIRECTION {
                 // deviation = b |u2 - u1| / 4
                 let half_length_mm = (4.0 * settings.corner_deviation_mm / size)
-                    .min(LARGEST_BLEND * before.length.min(behind.length));
+                    .min(LARGEST_BLEND * before.length.min(after.length));
                 straights[k - 1].corner = Some(Corner { half_length_mm, turn });
                 report.corners += 1;
                 let deviation = 0.25 * half_length_mm * size;
@@ -533,8 +533,8 @@ impl Pass {
             let bend =
                 |a: usize| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt();
             let least = (fastest / (1.0 - MARGIN)).max(bend(0)).max(bend(1));
-            let share = share(s.length, next.length);
-            let density = share[0] * density + share[1] * densities[k + 1];
+            let weights = corner_weights(s.length, next.length);
+            let density = weights[0] * density + weights[1] * densities[k + 1];
             pass.nodes.push(Node { density, least, fastest, half_length_mm: b });
             pass.straight_of.push(k);
         }
@@ -542,7 +542,7 @@ impl Pass {
     }
 
     /// Dwell time of every straight; a segment without length gives its time to the straights
-    /// before and behind it.
+    /// before and after it.
     fn times(&self, dwell: &DwellTime, report: &mut Report) -> Vec<f64> {
         let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
         let has_length = |i: &usize| self.straights.binary_search_by_key(i, |s| s.index).is_ok();
@@ -552,8 +552,8 @@ impl Pass {
                 report.dropped.push(i);
                 continue;
             }
-            let behind = self.straights.partition_point(|s| s.index < i);
-            let takers = behind.saturating_sub(1)..(behind + 1).min(times.len());
+            let after = self.straights.partition_point(|s| s.index < i);
+            let takers = after.saturating_sub(1)..(after + 1).min(times.len());
             let part = t / takers.len() as f64;
             times[takers].iter_mut().for_each(|time| *time += part);
             report.moved_dwell.push(i);
@@ -575,15 +575,15 @@ impl Pass {
         }
         for k in 0..n - 1 {
             let (s, next) = (&self.straights[k], &self.straights[k + 1]);
-            let [before, behind] = match s.corner {
+            let [before, after] = match s.corner {
                 Some(corner) => {
                     // Dwell point, cosine to the corner, plateau b | b, cosine, dwell point:
                     // (l/2 - b) (d + d_c)/2 + b d_c
-                    let share = share(s.length, next.length);
+                    let weights = corner_weights(s.length, next.length);
                     let half = |length: f64, own: usize| {
                         let rest = 0.5 * length - corner.half_length_mm;
                         let at_corner = 0.5 * rest + corner.half_length_mm;
-                        let mut weight = share.map(|w| w * at_corner);
+                        let mut weight = weights.map(|w| w * at_corner);
                         weight[own] += 0.5 * rest;
                         weight
                     };
@@ -600,8 +600,8 @@ impl Pass {
             };
             rows[k][1] += before[0];
             rows[k][2] += before[1];
-            rows[k + 1][0] += behind[0];
-            rows[k + 1][1] += behind[1];
+            rows[k + 1][0] += after[0];
+            rows[k + 1][1] += after[1];
         }
         // A density that falls too low is held, and its row given up; the others stay exact.
         let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
@@ -704,9 +704,9 @@ fn tridiagonal(rows: &[[f64; 3]], right: &[f64], fixed: &[f64], held: &[bool]) -
     d
 }
 
-/// Weights of the dwell points before and behind in the density of a corner: the nearer has more.
-fn share(before: f64, behind: f64) -> [f64; 2] {
-    [behind / (before + behind), before / (before + behind)]
+/// Weights of the dwell points before and after it in the density of a corner: the nearer has more.
+fn corner_weights(before: f64, after: f64) -> [f64; 2] {
+    [after / (before + after), before / (before + after)]
 }
 
 // ---------------------------------------------------------------------------------------------
@@ -854,7 +854,7 @@ impl Motion<'_> {
         self.now = start;
     }
 
-    /// To rest behind the end of the last pass.
+    /// To rest after the end of the last pass.
     fn brake(&mut self) {
         let (speed, direction) = polar(self.now.velocity_mm_per_s);
         if speed > 0.0 {

@@ -665,7 +665,7 @@ fn a_feed_becomes_a_program_and_positions() {
     refuse(&["interpolate", "--program", "bad.nc", "--out", "c.csv"], "bad.nc: line 4: the word");
     fs::write(tmp.path().join("empty.nc"), "(nothing)\n").unwrap();
     refuse(&["interpolate", "--program", "empty.nc", "--out", "c.csv"], "moves nothing");
-    // Nothing is left behind.
+    // Nothing temporary is left.
     let left = |name: &str| name.starts_with("c.") || name.contains("tmp");
     let names = fs::read_dir(tmp.path()).unwrap().map(|e| e.unwrap().file_name());
     assert!(!names.into_iter().any(|n| left(&n.to_string_lossy())));

@@ -50,7 +50,7 @@ fn gaussian(dx: f64, dy: f64) -> f64 {
     PEAK * (-(dx * dx + dy * dy) / (2.0 * SIGMA * SIGMA)).exp()
 }
 
-/// A pass along x at y = 2.53 from far before to far behind the map at 4 mm/s, then 3 s elsewhere
+/// A pass along x at y = 2.53 from far before to far beyond the map at 4 mm/s, then 3 s elsewhere
 /// with the tool off.
 fn pass() -> Trajectory {
     let coefficients = vec![

@@ -102,11 +102,11 @@ mod tests {
     #[test]
     fn equals_the_definition() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        for (ny, nx, share) in [(9, 14, 0.2), (20, 7, 0.03), (2, 2, 0.3), (31, 30, 0.9)] {
+        for (ny, nx, fraction) in [(9, 14, 0.2), (20, 7, 0.03), (2, 2, 0.3), (31, 30, 0.9)] {
             let grid =
                 Grid { x: Axis::new(0.0, 0.3, nx).unwrap(), y: Axis::new(5.0, 0.2, ny).unwrap() };
             let mut map = Array2::from_shape_simple_fn((ny, nx), || {
-                if rng.random_range(0.0..1.0) < share { 1.0 } else { f64::NAN }
+                if rng.random_range(0.0..1.0) < fraction { 1.0 } else { f64::NAN }
             });
             map[[ny - 1, nx / 2]] = 1.0;
             let found = nearest(map.view(), &grid);

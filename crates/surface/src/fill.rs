@@ -27,7 +27,7 @@ use crate::distance::nearest;
 /// hole of 1000 px is 1e6, so the heights are good to about 1e-6 of the rim's range.
 const TOLERANCE: f64 = 1e-12;
 
-/// More filled pixels than this share are worth a note.
+/// More filled pixels than this fraction are worth a note.
 const NOTEWORTHY_FRACTION: f64 = 0.05;
 
 /// What was filled.

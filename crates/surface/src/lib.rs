@@ -47,7 +47,7 @@ pub enum PrepareError {
         /// Columns of the bounding box.
         columns: usize,
     },
-    /// The outlier mask would take more than the allowed share of the pixels.
+    /// The outlier mask would take more than the allowed fraction of the pixels.
     #[error(
         "outlier mask: takes {masked} of {valid} valid pixels ({percent:.2} %, at most {limit} %); \
          raise the thresholds, or give the right feature size"

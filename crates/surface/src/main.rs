@@ -256,7 +256,7 @@ struct TifArgs {
     /// Resample to this pitch, with a sample at the centre, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: Option<f64>,
-    /// Let the outer share of the half size go to zero by a cosine, in (0, 1]; 0.15 is usual
+    /// Let the outer fraction of the half size go to zero by a cosine, in (0, 1]; 0.15 is usual
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it

@@ -36,7 +36,7 @@ use serde::Serialize;
 
 use crate::{PrepareError, median::median_filter};
 
-/// The grown threshold's share of the floor.
+/// The grown threshold's fraction of the floor.
 const GROW_FLOOR: f64 = 0.3;
 
 /// Smallest window of the median filter, px: a window of 9 x 9 still outvotes a pit of 6 x 6.
@@ -45,7 +45,7 @@ const MIN_WINDOW_PX: usize = 9;
 /// 1 / (the 0.75 quantile of the standard normal distribution).
 const SIGMA_PER_MAD: f64 = 1.4826;
 
-/// A larger share of masked pixels means that the parameters are wrong, not the mirror.
+/// A larger fraction of masked pixels means that the parameters are wrong, not the mirror.
 const MAX_MASKED_FRACTION: f64 = 0.02;
 
 /// What counts as an outlier.

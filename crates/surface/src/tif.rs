@@ -62,7 +62,7 @@ pub struct TifSettings {
     pub rotate_deg: f64,
     /// Pitch of the new lattice, mm; `None` keeps the samples.
     pub pitch_mm: Option<f64>,
-    /// Outer share of the half size in which the TIF goes to zero, in (0, 1]; `None` keeps the
+    /// Outer fraction of the half size in which the TIF goes to zero, in (0, 1]; `None` keeps the
     /// border.
     pub taper_fraction: Option<f64>,
 }
@@ -183,7 +183,7 @@ impl TifSettings {
             return Err(Invalid::whole("rotation", problem, "give degrees"));
         }
         if let Some(f) = self.taper_fraction.filter(|f| !(*f > 0.0 && *f <= 1.0)) {
-            let remedy = "give the tapered share of the half size, above 0 and at most 1";
+            let remedy = "give the tapered fraction of the half size, above 0 and at most 1";
             return Err(Invalid::whole("taper fraction", format!("is {f}"), remedy));
         }
         if let Some(p) = self.pitch_mm.filter(|p| !(p.is_finite() && *p > 0.0)) {

@@ -29,7 +29,7 @@ use crate::outliers::half_maximum_width_mm;
 /// Steps before the fit is given up.
 const MAX_STEPS: usize = 200;
 
-/// Converged when a step changes no parameter by more than this share of its scale.
+/// Converged when a step changes no parameter by more than this fraction of its scale.
 const TOLERANCE: f64 = 1e-10;
 
 /// Step of the central differences, in the scale of the parameter: the error of the derivative is

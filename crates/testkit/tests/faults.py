@@ -14,7 +14,7 @@ setting (the new one), and is disturbed:
 
 Whatever happens, the directory must hold the old result or the new one, byte for byte, all artifacts of
 the run together after the next command has looked at them; the next run must end well and leave nothing
-temporary behind. Every violation is printed; the exit code is 1 when there is one.
+temporary. Every violation is printed; the exit code is 1 when there is one.
 
 Needs Linux, Python 3 and strace; the power failures need root and a loop device, and are skipped with a
 message without them.
@@ -202,7 +202,7 @@ class Faults:
         if result.returncode not in (0, 1) or tree(where / "out") != new:
             self.violation(kind, stage, f"{what}: the next run ended with {result.returncode}: {result.stderr.strip()}")
         elif temporaries(where):
-            self.violation(kind, stage, f"{what}: left behind {temporaries(where)}")
+            self.violation(kind, stage, f"{what}: left {temporaries(where)}")
 
     def killed_at(self, stage, call, number, where):
         """Runs the new setting and kills it at this call; whether it was reached."""
@@ -255,7 +255,7 @@ class Faults:
             elif found not in (old, new):
                 self.violation("race", stage, f"a mixture: {sorted(found)}")
             elif temporaries(where):
-                self.violation("race", stage, f"left behind {temporaries(where)}")
+                self.violation("race", stage, f"left {temporaries(where)}")
             else:
                 self.count("race", stage, "old" if found == old else "new")
 
@@ -340,7 +340,7 @@ class Faults:
                 if result.returncode != 2 or "error:" not in result.stderr:
                     self.violation(kind, stage, f"ended with {result.returncode}: {result.stderr.strip()}")
                 elif temporaries(where):
-                    self.violation(kind, stage, f"left behind {temporaries(where)}")
+                    self.violation(kind, stage, f"left {temporaries(where)}")
                 else:
                     old = self.results[stage.name][0]
                     if tree(where / "out") != old:

@@ -1,4 +1,4 @@
-//! What the lines of a path leave behind, by simulation: ripple against pitch, and multi-pitch
+//! The residual that the lines of a path leave, by simulation: ripple against pitch, and multi-pitch
 //! against uniform rasters.
 
 use std::{f64::consts::PI, fs};

@@ -302,7 +302,7 @@ impl Trial {
             let n = nodes.len();
             let off = |k: usize| lifted(nodes[k % n], nodes[(k + 1) % n]);
             match (0..n).find(|k| off(*k) && !off(k + 1)) {
-                // Open: it begins behind a lift, and ends before one.
+                // Open: it begins after a lift, and ends before one.
                 Some(k) => {
                     nodes.rotate_left((k + 1) % n);
                     while nodes.len() > 2 && lifted(nodes[nodes.len() - 2], nodes[nodes.len() - 1])

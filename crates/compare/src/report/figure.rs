@@ -105,8 +105,8 @@ fn path(views: &[View]) -> Option<String> {
         let mut bins = vec![String::new(); BINS + 1];
         for pair in kept.windows(2) {
             let jump = (pair[0] + 1..=pair[1]).any(|i| line.speed_mm_per_s[i].is_nan());
-            let share = line.speed_mm_per_s[pair[1]] / top * BINS as f64;
-            let bin = if jump { BINS } else { (share as usize).min(BINS - 1) };
+            let fraction = line.speed_mm_per_s[pair[1]] / top * BINS as f64;
+            let bin = if jump { BINS } else { (fraction as usize).min(BINS - 1) };
             let [a, b] = [pair[0], pair[1]].map(|i| panel.at(line.point_mm[i]));
             let _ = write!(bins[bin], "M{:.1} {:.1}L{:.1} {:.1}", a[0], a[1], b[0], b[1]);
         }
@@ -208,15 +208,15 @@ fn dwell(views: &[View]) -> Option<String> {
             (&error, [-reach, reach], &HEIGHT_COLOURS[..], format!("executed - planned, {of}")),
         ] {
             let mut panel = sheet.panel(x, y, ["x (mm)", "y (mm)"], &title);
-            // A square as large as its share of the picture, and no gap to the next one on the path.
+            // A square as large as its fraction of the picture, and no gap to the next one on the path.
             let px_per_mm = panel.at([1.0, 0.0])[0] - panel.at([0.0, 0.0])[0];
-            let share = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
-            let side = share.max(1.1 * (px_per_mm * gap_mm).min(10.0));
+            let fraction = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
+            let side = fraction.max(1.1 * (px_per_mm * gap_mm).min(10.0));
             let mut bins = vec![String::new(); BINS];
             for (p, v) in d.point_mm.iter().zip(values) {
-                let share = (v - range[0]) / (range[1] - range[0]) * BINS as f64;
+                let fraction = (v - range[0]) / (range[1] - range[0]) * BINS as f64;
                 let [px, py] = panel.at(*p);
-                let bin = (share.max(0.0) as usize).min(BINS - 1);
+                let bin = (fraction.max(0.0) as usize).min(BINS - 1);
                 let _ = write!(bins[bin], "M{:.1} {py:.1}h{side:.1}", px - 0.5 * side);
             }
             for (i, path) in bins.iter().enumerate().filter(|(_, d)| !d.is_empty()) {
@@ -242,7 +242,7 @@ fn histograms(views: &[View]) -> String {
             curves.iter().flat_map(|(_, h)| &h.density_per_nm).fold(0.0_f64, |m, v| m.max(*v));
         let low = high * 1e-5;
         let x = curves.iter().fold(0.0_f64, |m, (_, h)| m.max(-h.low_nm));
-        let labels = ["height from the mean (nm)", "share of the pixels (1/nm)"];
+        let labels = ["height from the mean (nm)", "fraction of the pixels (1/nm)"];
         let mut panel =
             sheet.log_panel([false, true], (-x, x), (low, high * 2.0), labels, &title(views, view));
         for (i, (_, h)) in curves.iter().enumerate() {
@@ -388,12 +388,12 @@ fn same_scale(x: (f64, f64), y: (f64, f64), shape: f64) -> ((f64, f64), (f64, f6
     (around(x, width), around(y, width * shape))
 }
 
-/// The value below which this share of `values` is.
-fn quantile(values: &[f64], share: f64) -> f64 {
+/// The value below which this fraction of `values` is.
+fn quantile(values: &[f64], fraction: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     sorted
-        .get(((sorted.len() as f64 - 1.0) * share).round().max(0.0) as usize)
+        .get(((sorted.len() as f64 - 1.0) * fraction).round().max(0.0) as usize)
         .copied()
         .unwrap_or(1.0)
 }
@@ -413,14 +413,14 @@ fn columns(ends: &[f64], e: &super::motion::Envelope, total_s: f64) -> Vec<(f64,
     found.iter().enumerate().map(|(c, (l, h))| (middle(c), *l, *h)).collect()
 }
 
-/// The colour at `share` (0 .. 1) of the way through `colours`.
-fn colour_at(colours: &[&str], share: f64) -> String {
-    let [r, g, b] = rgb_at(colours, share);
+/// The colour at `fraction` (0 .. 1) of the way through `colours`.
+fn colour_at(colours: &[&str], fraction: f64) -> String {
+    let [r, g, b] = rgb_at(colours, fraction);
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-fn rgb_at(colours: &[&str], share: f64) -> [u8; 3] {
-    let at = share.clamp(0.0, 1.0) * (colours.len() - 1) as f64;
+fn rgb_at(colours: &[&str], fraction: f64) -> [u8; 3] {
+    let at = fraction.clamp(0.0, 1.0) * (colours.len() - 1) as f64;
     let i = (at as usize).min(colours.len() - 2);
     let part = |text: &str, k: usize| {
         f64::from(u8::from_str_radix(&text[1 + 2 * k..3 + 2 * k], 16).unwrap_or(0))
@@ -436,8 +436,8 @@ fn png_of(map: &ScreenMap, scale: f64) -> Vec<u8> {
     let [nx, ny] = map.size;
     let mut palette = vec![255; 3];
     palette.extend((0..255).flat_map(|i| rgb_at(&HEIGHT_COLOURS, f64::from(i) / 254.0)));
-    let share = |v: f64| ((v - map.mean_nm) / scale * 127.0 + 127.0).round().clamp(0.0, 254.0);
-    let index = |v: f64| if v.is_nan() { 0 } else { 1 + share(v) as u8 };
+    let fraction = |v: f64| ((v - map.mean_nm) / scale * 127.0 + 127.0).round().clamp(0.0, 254.0);
+    let index = |v: f64| if v.is_nan() { 0 } else { 1 + fraction(v) as u8 };
     let rows = map.means_nm.outer_iter().rev();
     let pixels: Vec<u8> =
         rows.flat_map(|row| row.iter().map(|v| index(*v)).collect::<Vec<_>>()).collect();
@@ -536,7 +536,7 @@ impl Panel {
 
     /// From units of the axes to pixels of the picture.
     fn at(&self, p: [f64; 2]) -> [f64; 2] {
-        let share = |a: usize| {
+        let fraction = |a: usize| {
             let [low, high] = self.range[a];
             match self.log[a] {
                 true => (p[a] / low).ln() / (high / low).ln(),
@@ -544,7 +544,7 @@ impl Panel {
             }
         };
         let [x0, y0] = self.origin;
-        [x0 + share(0) * self.size[0], y0 + (1.0 - share(1)) * self.size[1]]
+        [x0 + fraction(0) * self.size[0], y0 + (1.0 - fraction(1)) * self.size[1]]
     }
 
     fn curve(&mut self, points: impl Iterator<Item = [f64; 2]>, colour: &str) {

@@ -30,7 +30,7 @@ struct Lane {
     direction: Vec<f64>,
     phi_bar: f64,
     rho_bar: f64,
-    /// Squares of the part of the residual that the damping leaves behind.
+    /// Squares of the components of the residual that the damping leaves.
     left: f64,
     /// Squared Frobenius norm of the bidiagonal matrix so far.
     norm2: f64,

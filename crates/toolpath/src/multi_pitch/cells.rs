@@ -276,7 +276,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// A short order of the cells, those of a region behind each other.
+/// A short order of the cells, those of a region one after another.
 pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     let lowest = (0..cells.len()).min_by(|a, b| {
         let key = |i: &usize| cells[*i].lines[0];

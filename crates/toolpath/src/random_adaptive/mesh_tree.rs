@@ -1,7 +1,7 @@
 //! The mesh-tree path: around a random tree of triangles.
 //!
 //! A triangulation whose edges follow the spacing; a random spanning tree of its triangles
-//! (neighbours share an edge); every triangle f cut into six by its centroid C, its vertices V_e
+//! (neighbours have an edge in common); every triangle f cut into six by its centroid C, its vertices V_e
 //! and the middles M_e of its edges. The small triangle (f, e, s) has the corners C, M_e and V_e
 //! (s = 0) or V_e+1 (s = 1). Counter-clockwise pointers
 //!
@@ -43,9 +43,9 @@ pub(super) const EDGE_PER_SPACING: f64 = 2.4;
 const VERTEX_WEIGHT: f64 = 1.4;
 /// Lloyd iterations.
 const LLOYD_ITERATIONS: usize = 20;
-/// Triangles on the border that are lower than this share of their longest edge are left out.
+/// Triangles on the border that are lower than this fraction of their longest edge are left out.
 const MIN_HEIGHT: f64 = 0.1;
-/// Where a step over an edge meets it when it would pass it by: this share of the way from
+/// Where a step over an edge meets it when it would pass it by: this fraction of the way from
 /// (w V + M)/(w + 1) to the end that it passes by.
 const MEETS_AT: f64 = 0.5;
 
@@ -187,15 +187,15 @@ impl Mesh {
         // The line a b meets the line V M at V + u (M - V).
         let (along, step) = (minus(m, v), minus(b, a));
         let u = cross(minus(a, v), step) / cross(along, step);
-        // (w V + M)/(w + 1) = V + e (M - V). Drawn towards it by a share, a b meets V M at
-        // e + share (u - e).
+        // (w V + M)/(w + 1) = V + e (M - V). Drawn towards it by a fraction, a b meets V M at
+        // e + fraction (u - e).
         let e = 1.0 / (VERTEX_WEIGHT + 1.0);
         let end = if u < e { 0.0 } else { 1.0 };
-        let share = MEETS_AT * (end - e) / (u - e);
+        let fraction = MEETS_AT * (end - e) / (u - e);
         let drawn = |p: Point| {
             [0, 1].map(|x| {
                 let centre = v[x] + e * along[x];
-                centre + share * (p[x] - centre)
+                centre + fraction * (p[x] - centre)
             })
         };
         (u <= 0.0 || u >= 1.0).then(|| [drawn(a), drawn(b)])

@@ -138,7 +138,7 @@ fn empty_buckets(field: &Field, length: &impl Fn(Point) -> f64) -> Buckets {
 fn throw(
     field: &Field,
     length: &impl Fn(Point) -> f64,
-    share: f64,
+    fraction: f64,
     points: &mut Vec<Point>,
     buckets: &mut Buckets,
     rng: &mut ChaCha8Rng,
@@ -151,8 +151,8 @@ fn throw(
             let centre = field.centre(*k);
             let p = [0, 1].map(|a| centre[a] + (rng.random::<f64>() - 0.5) * field.side_mm[a]);
             let own = length(p);
-            let clear = |i: usize| distance(points[i], p) >= share * (own + length(points[i]));
-            if buckets.around(p, share * (own + largest)).all(clear) {
+            let clear = |i: usize| distance(points[i], p) >= fraction * (own + length(points[i]));
+            if buckets.around(p, fraction * (own + largest)).all(clear) {
                 buckets.insert(points.len(), p);
                 points.push(p);
             }

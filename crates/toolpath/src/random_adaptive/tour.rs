@@ -290,8 +290,8 @@ impl<'a> Tour<'a> {
         let first_by_x = (end == first) == (b == x);
         let n = self.len() as u32;
         let ahead = |t: &Self, c: u32| (t.place[c as usize] + n - t.place[last as usize]) % n;
-        let behind = |t: &Self, c: u32| (t.place[first as usize] + n - t.place[c as usize]) % n;
-        if ahead(self, x) <= behind(self, y) {
+        let back = |t: &Self, c: u32| (t.place[first as usize] + n - t.place[c as usize]) % n;
+        if ahead(self, x) <= back(self, y) {
             // before F..L after..x y: reverse (F..x), then its parts.
             self.reverse(first, x);
             // before x..after L..F y
@@ -379,5 +379,5 @@ impl<'a> Tour<'a> {
     }
 }
 
-/// A move counts when it gains this share: more than rounding.
+/// A move counts when it gains this fraction: more than rounding.
 const TINY: f64 = 1e-9;
