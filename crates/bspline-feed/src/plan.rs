@@ -158,7 +158,7 @@ pub struct Plan {
 /// Rounds of sweeps after which what the links remove has to stand still.
 const MAX_ROUNDS: usize = 5;
 
-/// What the links remove has stood still when it changes by less than this part of the residual.
+/// What the links remove has stood still when it changes by less than this fraction of the residual.
 const LINK_TOLERANCE: f64 = 1e-3;
 
 /// Plans feed and motion along `path` for the desired removal `surface`.

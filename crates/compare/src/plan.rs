@@ -2,7 +2,7 @@
 //!
 //! | state | what |
 //! |---|---|
-//! | certified | the objective is proven to be within a stated part of its minimum |
+//! | certified | the objective is proven to be within a stated fraction of its minimum |
 //! | converged | the method ended by itself; nothing proves how near the optimum it is |
 //! | unconverged | it stagnated, reached a limit, or was solved for something else |
 //! | ideal | dwell times without a motion: nothing that runs |

@@ -29,10 +29,10 @@ pub const IDEAL: &str = "position";
 const ORDER: [&str; 6] =
     [IDEAL, "average-velocity", "constant-acceleration", "pvt", "trig-spline", "bspline"];
 
-/// Coordinates of two maps agree to this part of a pixel, as axes do that passed through text.
+/// Coordinates of two maps agree to this fraction of a pixel, as axes do that passed through text.
 const SAME_PIXEL: f64 = 1e-4;
 
-/// `residual = desired - removal` holds to this part of the largest of the three: the rounding
+/// `residual = desired - removal` holds to this fraction of the largest of the three: the rounding
 /// of maps that passed through 32-bit floats (6e-8), and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
 

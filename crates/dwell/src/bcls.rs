@@ -43,7 +43,7 @@ use crate::{
 pub struct Settings {
     /// What a dwell time is spent on.
     pub columns: Columns,
-    /// eta: least feed as a part of the largest reachable one; in [0, 1), 0 for none.
+    /// eta: least feed as a fraction of the largest reachable one; in [0, 1), 0 for none.
     pub least_feed: f64,
     /// alpha of the least squares.
     pub tikhonov: f64,

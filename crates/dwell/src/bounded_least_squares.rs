@@ -22,7 +22,7 @@
 //! g = B' W (z - its part in f) + alpha D lo
 //! ```
 //!
-//! H is never made. Steps come from a cheap stand-in for it (`approximate`: cells of pixels and the
+//! H is never made. Steps come from a cheap surrogate of it (`surrogate`: cells of pixels and the
 //! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and
 //! conjugate gradients with a spline lattice; where the lattice would be too large, projected
 //! gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
@@ -54,9 +54,9 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    approximate::{self, Convolved, Ordered},
     columns::{self, Place, Stored},
     fft_operator::FftOperator,
+    surrogate::{self, Convolved, Ordered},
 };
 
 /// A bound on the dwell times.
@@ -100,13 +100,13 @@ pub struct Settings {
     pub huber_nm: Option<f64>,
     /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
     pub noise_rms_nm: Option<f64>,
-    /// Dwell points up to which the stand-in for H is factorised.
+    /// Dwell points up to which the surrogate of H is factorised.
     pub max_factorised_points: usize,
     /// Natural residual that is enough, s.
     pub tolerance_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it, that is enough.
     pub relative_gap: f64,
-    /// Most products with the stand-in for H where it is not factorised.
+    /// Most products with the surrogate of H where it is not factorised.
     pub max_iterations: usize,
 }
 
@@ -136,7 +136,7 @@ impl Default for Settings {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Algorithm {
-    /// Active sets on the factorised stand-in for H.
+    /// Active sets on the factorised surrogate of H.
     ActiveSet,
     /// Conjugate gradients on the active set, preconditioned on a lattice of B-splines.
     TwoLevel,
@@ -155,7 +155,7 @@ impl fmt::Display for Algorithm {
 pub struct Report {
     /// How the steps were found.
     pub algorithm: Algorithm,
-    /// Factorisations, or products with the stand-in for H.
+    /// Factorisations, or products with the surrogate of H.
     pub iterations: usize,
     /// Steps of the approximation, each corrected by the exact gradient.
     pub corrections: usize,
@@ -172,12 +172,12 @@ pub struct Report {
     pub relative_gap: Option<f64>,
     /// beta that was used: the given one, or what the noise level asked for.
     pub smoothness: f64,
-    /// Dwell points at their lower bound, dead and lifted ones not counted.
+    /// Dwell points at their lower bound, unreached and lifted ones not counted.
     pub at_lower_bound: usize,
     /// Dwell points at their upper bound.
     pub at_upper_bound: usize,
     /// Dwell points that do not reach the map, at their lower bound.
-    pub dead: usize,
+    pub unreached_points: usize,
     /// Valid pixels that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm.
@@ -374,26 +374,26 @@ impl Columns {
 }
 
 /// H~.
-enum Approximate {
+enum Surrogate {
     Ordered(Ordered),
     Convolved(Box<Convolved>),
 }
 
 fn convolved(
     places: &[Vec<Place>],
-    live: &[bool],
+    reached: &[bool],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
     free: Free,
     cells: (usize, Option<f64>),
-) -> Result<Approximate, Invalid> {
-    let h = Convolved::new(places, live, tif, grid, weight, free, cells)?;
-    Ok(Approximate::Convolved(Box::new(h)))
+) -> Result<Surrogate, Invalid> {
+    let h = Convolved::new(places, reached, tif, grid, weight, free, cells)?;
+    Ok(Surrogate::Convolved(Box::new(h)))
 }
 
 /// Sum of `w B^2` of every column. By FFT the mean of R^2 stands for the square of the mean, and
-/// what leaks counts: not where that decides whether a column reaches the map at all.
+/// what spills counts: not where that decides whether a column reaches the map at all.
 fn energies(
     columns: &Columns,
     places: &[Vec<Place>],
@@ -641,26 +641,26 @@ struct Problem<'a> {
     /// As given.
     weight: Array2<f64>,
     lo: &'a [f64],
-    /// Upper bounds; the lower ones of dead columns, which keep them whatever the others do.
+    /// Upper bounds; the lower ones of unreached columns, which keep them whatever the others do.
     hi: Vec<f64>,
-    live: Vec<bool>,
+    reached: Vec<bool>,
     /// Diagonal of H without the penalty.
     diagonal: Vec<f64>,
     /// D.
     strongest: f64,
     u: Vec<Vec<f64>>,
-    approximate: Approximate,
-    /// Pixels along the side of a cell of `approximate`.
+    surrogate: Surrogate,
+    /// Pixels along the side of a cell of `surrogate`.
     cell: usize,
     /// Pitch of its splines, mm.
     splines_mm: Option<f64>,
     start: Vec<f64>,
 }
 
-/// A column below this part of the largest diagonal element does not reach the map.
-const DEAD: f64 = 1e-9;
+/// A column below this fraction of the largest diagonal element does not reach the map.
+const UNREACHED_FRACTION: f64 = 1e-9;
 
-/// Below this part of the largest the energy of a column is not estimated.
+/// Below this fraction of the largest the energy of a column is not estimated.
 const WEAK: f64 = 1e-3;
 
 /// Where the iteration is.
@@ -689,8 +689,8 @@ impl<'a> Problem<'a> {
         let basis = Basis::new(grid, &weight, settings.free);
         let u = basis.columns(&weight, |m| columns.adjoint(m));
         let factorised = n <= settings.max_factorised_points;
-        let loss = if factorised { approximate::LOSS } else { approximate::LOSS_TWO_LEVEL };
-        let mut cell = approximate::cell_size(tif, grid, loss);
+        let loss = if factorised { surrogate::LOSS } else { surrogate::LOSS_TWO_LEVEL };
+        let mut cell = surrogate::cell_size(tif, grid, loss);
         // diag H = sum of w B^2 less U^2
         let (cells, energy) = if factorised {
             let (cells, energy) = columns::on_cells(program.places, tif, grid, &weight, cell);
@@ -705,7 +705,8 @@ impl<'a> Problem<'a> {
         if largest.is_nan() || largest <= 0.0 {
             return Err(DwellError::OutOfReach { points: n });
         }
-        let live: Vec<bool> = diagonal.iter().map(|d| *d > DEAD * largest).collect();
+        let reached: Vec<bool> =
+            diagonal.iter().map(|d| *d > UNREACHED_FRACTION * largest).collect();
         let strongest = match &cells {
             Some(_) => largest,
             // D decides the weights of (1): the element itself, not the estimate.
@@ -716,29 +717,29 @@ impl<'a> Problem<'a> {
                 p.energy(&weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
             }
         };
-        for j in (0..n).filter(|j| !live[*j]) {
+        for j in (0..n).filter(|j| !reached[*j]) {
             diagonal[j] = 0.0;
         }
 
         let hi: Vec<f64> =
-            (0..n).map(|j| if live[j] { program.hi[j] } else { program.lo[j] }).collect();
+            (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
         let penalty = Penalty::new(path, &program.lo, strongest, weight.sum(), settings);
         let mut splines_mm = None;
-        let approximate = match &cells {
+        let surrogate = match &cells {
             Some(cells) => {
-                Approximate::Ordered(Ordered::new(cells, &u, &live, &penalty, cell == 1))
+                Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
             }
             None => {
                 if settings.tikhonov >= LEAST_TIKHONOV {
-                    splines_mm = approximate::spline_pitch(program.places, &live, tif, grid, cell);
+                    splines_mm = surrogate::spline_pitch(program.places, &reached, tif, grid, cell);
                 }
                 if splines_mm.is_none() {
-                    cell = approximate::cell_size(tif, grid, approximate::LOSS_GRADIENT);
+                    cell = surrogate::cell_size(tif, grid, surrogate::LOSS_GRADIENT);
                 }
                 let cells = (cell, splines_mm);
-                convolved(program.places, &live, tif, grid, &weight, settings.free, cells)?
+                convolved(program.places, &reached, tif, grid, &weight, settings.free, cells)?
             }
         };
         Ok(Self {
@@ -752,11 +753,11 @@ impl<'a> Problem<'a> {
             weight,
             lo: &program.lo,
             hi,
-            live,
+            reached,
             diagonal,
             strongest,
             u,
-            approximate,
+            surrogate,
             cell,
             splines_mm,
             start,
@@ -816,20 +817,20 @@ impl<'a> Problem<'a> {
         }
         self.cell /= 2;
         let (tif, grid, weight) = (self.tif, self.desired.grid(), &self.weight);
-        self.approximate = match &self.approximate {
-            Approximate::Ordered(_) => {
+        self.surrogate = match &self.surrogate {
+            Surrogate::Ordered(_) => {
                 let (cells, _) = columns::on_cells(self.places, tif, grid, weight, self.cell);
-                Approximate::Ordered(Ordered::new(
+                Surrogate::Ordered(Ordered::new(
                     &cells,
                     &self.u,
-                    &self.live,
+                    &self.reached,
                     penalty,
                     self.cell == 1,
                 ))
             }
-            Approximate::Convolved(_) => {
+            Surrogate::Convolved(_) => {
                 let cells = (self.cell, self.splines_mm);
-                convolved(self.places, &self.live, tif, grid, weight, self.settings.free, cells)?
+                convolved(self.places, &self.reached, tif, grid, weight, self.settings.free, cells)?
             }
         };
         Ok(true)
@@ -853,7 +854,7 @@ impl<'a> Problem<'a> {
             Penalty::new(self.path, self.lo, self.strongest, self.weight.sum(), &settings);
         let own = penalty.diagonal();
         let diagonal: Vec<f64> = (0..own.len())
-            .map(|j| if self.live[j] { self.diagonal[j] + own[j] } else { 0.0 })
+            .map(|j| if self.reached[j] { self.diagonal[j] + own[j] } else { 0.0 })
             .collect();
         let grid = *self.desired.grid();
         let mut basis = Basis::new(&grid, &self.weight, settings.free);
@@ -885,7 +886,7 @@ impl<'a> Problem<'a> {
                 + penalty.value(&t);
 
             let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
-            let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha, &self.live)
+            let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha, &self.reached)
                 .map(|gap| gap / objective.max(f64::MIN_POSITIVE));
             let optimal = natural_residual <= settings.tolerance_s
                 || relative_gap.is_some_and(|gap| gap <= settings.relative_gap);
@@ -895,7 +896,7 @@ impl<'a> Problem<'a> {
             }
             slow = if natural_residual > 0.5 * residual_before { slow + 1 } else { 0 };
             residual_before = natural_residual;
-            let factorised = matches!(self.approximate, Approximate::Ordered(_));
+            let factorised = matches!(self.surrogate, Surrogate::Ordered(_));
             let by_gradient = !factorised && self.splines_mm.is_none();
             if slow >= 2 && factorised && end.is_none() {
                 slow = 0;
@@ -904,8 +905,8 @@ impl<'a> Problem<'a> {
             // d by H~; where that is singular, by smaller cells
             let mut to = t.clone();
             while end.is_none() {
-                match &mut self.approximate {
-                    Approximate::Ordered(h) => {
+                match &mut self.surrogate {
+                    Surrogate::Ordered(h) => {
                         let h = h.penalised(&penalty);
                         if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
                             (to, iterations) = (found, iterations + count);
@@ -915,7 +916,7 @@ impl<'a> Problem<'a> {
                             return Err(DwellError::Singular { tikhonov: settings.tikhonov });
                         }
                     }
-                    Approximate::Convolved(h) => {
+                    Surrogate::Convolved(h) => {
                         let steps = GradientSettings {
                             tolerance: if by_gradient {
                                 (0.01 * natural_residual).max(0.5 * settings.tolerance_s)
@@ -928,7 +929,7 @@ impl<'a> Problem<'a> {
                         };
                         let bounds = (self.lo, self.hi.as_slice());
                         let (found, count) =
-                            h.minimum(&penalty, &t, &q, &self.live, bounds, &steps);
+                            h.minimum(&penalty, &t, &q, &self.reached, bounds, &steps);
                         (to, iterations) = (found, iterations + count);
                         if iterations >= settings.max_iterations {
                             end = Some(End::IterationLimit);
@@ -997,7 +998,7 @@ impl<'a> Problem<'a> {
 
     fn finish(&self, iterate: Iterate, smoothness: f64) -> Result<Solution, Invalid> {
         let t = &iterate.t;
-        let live = |j: &usize| self.live[*j];
+        let reached = |j: &usize| self.reached[*j];
         let mut residual = self.desired.height_nm() - &iterate.removal_nm;
         Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
             if *w == 0.0 {
@@ -1018,10 +1019,10 @@ impl<'a> Problem<'a> {
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let report = Report {
-            algorithm: match &self.approximate {
-                Approximate::Ordered(_) => Algorithm::ActiveSet,
-                Approximate::Convolved(_) if self.splines_mm.is_some() => Algorithm::TwoLevel,
-                Approximate::Convolved(_) => Algorithm::ProjectedGradient,
+            algorithm: match &self.surrogate {
+                Surrogate::Ordered(_) => Algorithm::ActiveSet,
+                Surrogate::Convolved(_) if self.splines_mm.is_some() => Algorithm::TwoLevel,
+                Surrogate::Convolved(_) => Algorithm::ProjectedGradient,
             },
             iterations: iterate.iterations,
             corrections: iterate.corrections,
@@ -1030,9 +1031,9 @@ impl<'a> Problem<'a> {
             kkt_residual_s: iterate.natural_residual,
             relative_gap: iterate.relative_gap,
             smoothness,
-            at_lower_bound: (0..t.len()).filter(live).filter(|j| t[*j] <= self.lo[*j]).count(),
-            at_upper_bound: (0..t.len()).filter(live).filter(|j| t[*j] >= self.hi[*j]).count(),
-            dead: (0..t.len()).filter(|j| !live(j)).count(),
+            at_lower_bound: (0..t.len()).filter(reached).filter(|j| t[*j] <= self.lo[*j]).count(),
+            at_upper_bound: (0..t.len()).filter(reached).filter(|j| t[*j] >= self.hi[*j]).count(),
+            unreached_points: (0..t.len()).filter(|j| !reached(j)).count(),
             unreached_pixels,
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
@@ -1126,12 +1127,12 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
 /// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever alpha.
 ///
 /// `None` without alpha.
-fn gap(t: &[f64], q: &[f64], lo: &[f64], hi: &[f64], alpha: f64, live: &[bool]) -> Option<f64> {
+fn gap(t: &[f64], q: &[f64], lo: &[f64], hi: &[f64], alpha: f64, reached: &[bool]) -> Option<f64> {
     let of = |j: usize| {
         let p = t[j] - (t[j] - q[j] / alpha).clamp(lo[j], hi[j]);
         p * (q[j] - 0.5 * alpha * p)
     };
-    (alpha > 0.0).then(|| (0..t.len()).filter(|j| live[*j]).map(of).sum())
+    (alpha > 0.0).then(|| (0..t.len()).filter(|j| reached[*j]).map(of).sum())
 }
 
 /// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
@@ -1157,5 +1158,5 @@ const ENOUGH: f64 = 0.1;
 /// Below this alpha the rounding of the two-level method is larger.
 const LEAST_TIKHONOV: f64 = 1e-7;
 
-/// A step that promises to lower (1) by less than this part of it is rounding.
+/// A step that promises to lower (1) by less than this fraction of it is rounding.
 const ROUNDING: f64 = 1e-15;

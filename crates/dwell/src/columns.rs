@@ -29,13 +29,13 @@ pub enum Columns {
     Segment,
 }
 
-/// The tool is at `position_mm` for this part of a dwell time.
+/// The tool is at `position_mm` for this fraction of a dwell time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
     /// Position [x, y], mm.
     pub position_mm: [f64; 2],
     /// Part of the dwell time; those of a column sum to 1.
-    pub part: f64,
+    pub fraction: f64,
 }
 
 impl Columns {
@@ -44,11 +44,11 @@ impl Columns {
         let rule = gauss_legendre::<3>();
         let column = |j: usize| match self {
             _ if !path.tool_on()[j] => Vec::new(),
-            Self::Point => vec![Place { position_mm: path.dwell_point_mm()[j], part: 1.0 }],
+            Self::Point => vec![Place { position_mm: path.dwell_point_mm()[j], fraction: 1.0 }],
             Self::Segment => {
                 let (start, d) = (path.point_mm()[j], path.displacement_mm(j));
                 let at = |s: f64| [start[0] + s * d[0], start[1] + s * d[1]];
-                rule.map(|(s, part)| Place { position_mm: at(s), part }).to_vec()
+                rule.map(|(s, fraction)| Place { position_mm: at(s), fraction }).to_vec()
             }
         };
         (0..path.len()).map(column).collect()
@@ -64,12 +64,12 @@ pub fn executed(trajectory: &Trajectory, columns: usize) -> Vec<Vec<Place>> {
         let Some(column) = segment.dwell_index.and_then(|j| places.get_mut(j)) else { continue };
         column.extend(rule.map(|(u, w)| Place {
             position_mm: segment.position_mm(u * segment.duration_s),
-            part: w * segment.duration_s,
+            fraction: w * segment.duration_s,
         }));
     }
     for column in &mut places {
-        let total: f64 = column.iter().map(|p| p.part).sum();
-        column.iter_mut().for_each(|p| p.part /= total);
+        let total: f64 = column.iter().map(|p| p.fraction).sum();
+        column.iter_mut().for_each(|p| p.fraction /= total);
     }
     places
 }
@@ -109,7 +109,7 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
         let along_x: Vec<(f64, Vec<Run>)> = places
             .iter()
-            .map(|p| (p.part, runs(p.position_mm[0], &grid.x, &tif.grid().x, x)))
+            .map(|p| (p.fraction, runs(p.position_mm[0], &grid.x, &tif.grid().x, x)))
             .collect();
         for run in runs(places[0].position_mm[1], &grid.y, &tif.grid().y, y) {
             for k in 0..run.len {
@@ -369,7 +369,7 @@ mod tests {
     fn a_patch_is_the_tif_at_pixel_minus_tool() {
         let (tif, map) = rough();
         for p in [[1.7, 1.3], [-1.0, 0.2], [3.9, 2.32], [0.0, 0.0], [99.0, 0.0]] {
-            let patch = patch(&[Place { position_mm: p, part: 1.0 }], &tif, &map);
+            let patch = patch(&[Place { position_mm: p, fraction: 1.0 }], &tif, &map);
             let mut full = Array2::zeros(map.shape());
             let (r, c) = patch.origin;
             let (ny, nx) = patch.rate_nm_per_s.dim();
@@ -413,7 +413,7 @@ mod tests {
         .unwrap();
         let places = executed(&t, 2);
         let mean = |f: fn(f64) -> f64| -> f64 {
-            places[0].iter().map(|p| p.part * f(p.position_mm[0])).sum()
+            places[0].iter().map(|p| p.fraction * f(p.position_mm[0])).sum()
         };
         assert!((mean(|_| 1.0) - 1.0).abs() < 1e-14);
         assert!((mean(|x| x * x) - 0.2).abs() < 1e-14);

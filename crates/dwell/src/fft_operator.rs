@@ -8,7 +8,7 @@
 //!
 //! E is what Keys' interpolation of the samples and their ghost nodes gives everywhere; R ends at its
 //! last samples. `ly` and `lx` are the indicators of the pixel rows and columns beyond them, at most
-//! three on each side of the TIF that E still reaches. A leaking row k of a tool in cell C at the
+//! three on each side of the TIF that E still reaches. A spilling row k of a tool in cell C at the
 //! offset f holds few samples,
 //!
 //! ```text
@@ -42,7 +42,7 @@ pub struct FftOperator {
     rows: Across,
     /// Transposed.
     columns_across: Across,
-    leaks: bool,
+    spills: bool,
 }
 
 /// The places in the order of their cells across, [across, along].
@@ -52,7 +52,7 @@ struct Across {
     places: Vec<Placed>,
     groups: Vec<Group>,
     lines: line::Lines,
-    /// Spectra of the samples that leak: j of the first, and one for each.
+    /// Spectra of the samples that spill: j of the first, and one for each.
     border: Vec<(isize, Vec<Complex64>)>,
 }
 
@@ -61,23 +61,23 @@ struct Across {
 struct Placed {
     cell: [i32; 2],
     offset: [f64; 2],
-    part: f64,
+    fraction: f64,
     column: u32,
 }
 
-/// Places of one cell across that leak into the same lines.
+/// Places of one cell across that spill into the same lines.
 struct Group {
     cell: isize,
-    /// Lines up to this one and from this one on leak.
-    leaks: [isize; 2],
+    /// Lines up to this one and from this one on spill.
+    spills: [isize; 2],
     places: Range<usize>,
 }
 
 /// Lines that one thread takes at a time.
 const BAND: usize = 32;
 
-/// Samples below this part of the peak do not leak.
-const NO_LEAK: f64 = 1e-14;
+/// Samples below this fraction of the peak do not spill.
+const NEGLIGIBLE_SPILL: f64 = 1e-14;
 
 impl FftOperator {
     /// Plans for the columns of one path, TIF and map.
@@ -85,7 +85,7 @@ impl FftOperator {
         Self::with_border(places, tif, grid, true)
     }
 
-    /// E alone, of samples that are continued by zeros: for a stand-in, whose samples are few, so that
+    /// E alone, of samples that are continued by zeros: for a surrogate, whose samples are few, so that
     /// ghost nodes would be far from R.
     pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
         Self::with_border(places, tif, grid, false)
@@ -110,12 +110,12 @@ impl FftOperator {
         let columns_across = Across::new(x, y, samples.t(), swapped);
         let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let (my, mx) = samples.dim();
-        let leaks = border
+        let spills = border
             && samples.indexed_iter().any(|((r, c), v)| {
                 let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
-                (at_border(r, my) || at_border(c, mx)) && v.abs() > NO_LEAK * peak
+                (at_border(r, my) || at_border(c, mx)) && v.abs() > NEGLIGIBLE_SPILL * peak
             });
-        Self { columns: places.len(), samples, convolution, rows, columns_across, leaks }
+        Self { columns: places.len(), samples, convolution, rows, columns_across, spills }
     }
 
     /// Whether (1) is exact: the TIF has the pitch of the map.
@@ -126,34 +126,34 @@ impl FftOperator {
     /// `B t`: (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = self.convolution.valid(self.rows.seconds(t).view());
-        if self.leaks {
-            map -= &self.rows.leak(t, Some(&self.samples));
-            let leak = self.columns_across.leak(t, None);
+        if self.spills {
+            map -= &self.rows.spill(t, Some(&self.samples));
+            let spill = self.columns_across.spill(t, None);
             map.axis_chunks_iter_mut(NdAxis(0), BAND)
                 .into_par_iter()
-                .zip(leak.axis_chunks_iter(NdAxis(1), BAND))
-                .for_each(|(mut map, leak)| map -= &leak.t());
+                .zip(spill.axis_chunks_iter(NdAxis(1), BAND))
+                .for_each(|(mut map, spill)| map -= &spill.t());
         }
         map
     }
 
     /// `B' m` for a map (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
-        let mut sums = self.adjoint_with_leak(map);
-        if self.leaks {
-            self.rows.subtract_leak(map.view(), Some(&self.samples), &mut sums);
+        let mut sums = self.adjoint_with_spill(map);
+        if self.spills {
+            self.rows.subtract_spill(map.view(), Some(&self.samples), &mut sums);
             let transposed = map.t().as_standard_layout().into_owned();
-            self.columns_across.subtract_leak(transposed.view(), None, &mut sums);
+            self.columns_across.subtract_spill(transposed.view(), None, &mut sums);
         }
         sums
     }
 
     /// `E' m`.
-    pub fn adjoint_with_leak(&self, map: &Array2<f64>) -> Vec<f64> {
+    pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
     }
 
-    /// `B' m` with R^2 in place of R, but for what leaks.
+    /// `B' m` with R^2 in place of R, but for what spills.
     pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let squared = self.samples.mapv(|r| r * r);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
@@ -233,7 +233,7 @@ impl Sums {
             let at = |axis: usize| (p.cell[axis] as isize - 1 - low[axis]) as usize;
             for (r, wy) in wy.iter().enumerate() {
                 for (c, wx) in wx.iter().enumerate() {
-                    seconds[[at(0) + r, at(1) + c]] += t * p.part * wy * wx;
+                    seconds[[at(0) + r, at(1) + c]] += t * p.fraction * wy * wx;
                 }
             }
         }
@@ -249,10 +249,10 @@ impl Sums {
 /// The tools of all columns that reach the map, in the order of the columns.
 fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
     let each = places.iter().enumerate().flat_map(|(j, places)| places.iter().map(move |p| (j, p)));
-    each.filter_map(|(j, Place { position_mm: p, part })| {
+    each.filter_map(|(j, Place { position_mm: p, fraction })| {
         let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
         let (cell, offset) = ([cy, cx], [fy, fx]);
-        Some(Placed { cell, offset, part: *part, column: j as u32 })
+        Some(Placed { cell, offset, fraction: *fraction, column: j as u32 })
     })
     .collect()
 }
@@ -310,14 +310,14 @@ impl Across {
         samples: ArrayView2<f64>,
         mut places: Vec<Placed>,
     ) -> Self {
-        let key = |p: &Placed| (p.cell[0], across.leaks(p.offset[0]));
+        let key = |p: &Placed| (p.cell[0], across.spills(p.offset[0]));
         places.sort_by_key(key);
         let mut groups: Vec<Group> = Vec::new();
         for (i, p) in places.iter().enumerate() {
-            let (cell, leaks) = (p.cell[0] as isize, across.leaks(p.offset[0]));
+            let (cell, spills) = (p.cell[0] as isize, across.spills(p.offset[0]));
             match groups.last_mut() {
-                Some(g) if g.cell == cell && g.leaks == leaks => g.places.end = i + 1,
-                _ => groups.push(Group { cell, leaks, places: i..i + 1 }),
+                Some(g) if g.cell == cell && g.spills == spills => g.places.end = i + 1,
+                _ => groups.push(Group { cell, spills, places: i..i + 1 }),
             }
         }
         let lines = line::Lines::new(along.sources());
@@ -365,7 +365,7 @@ impl Across {
     fn spread(&self, group: &Group, d: isize, t: &[f64], line: &mut [f64]) {
         for p in &self.places[group.places.clone()] {
             let seconds =
-                t[p.column as usize] * p.part * keys::weights(p.offset[0])[(d + 1) as usize];
+                t[p.column as usize] * p.fraction * keys::weights(p.offset[0])[(d + 1) as usize];
             let w = keys::weights(p.offset[1]);
             let first = p.cell[1] as isize - 1 + self.along.last;
             for (i, w) in w.iter().enumerate() {
@@ -397,7 +397,7 @@ impl Across {
         let values: Vec<f64> = self.places.par_iter().map(of).collect();
         let mut sums = vec![0.0; columns];
         for (p, v) in self.places.iter().zip(&values) {
-            sums[p.column as usize] += p.part * v;
+            sums[p.column as usize] += p.fraction * v;
         }
         sums
     }
@@ -412,17 +412,17 @@ impl Across {
         keys::weights(p.offset[1]).iter().enumerate().map(of).sum()
     }
 
-    /// The pairs (k, d) at which a group leaks, of its lower or its upper edge.
+    /// The pairs (k, d) at which a group spills, of its lower or its upper edge.
     fn pairs(&self, group: &Group, upper: bool) -> impl Iterator<Item = (isize, isize)> {
         let last = self.across.last;
-        let k = if upper { group.leaks[1]..=last + 2 } else { -2..=group.leaks[0] };
+        let k = if upper { group.spills[1]..=last + 2 } else { -2..=group.spills[0] };
         k.flat_map(move |k| {
             let d = if upper { (k - last).max(-1)..=2 } else { -1..=(k + 1).min(2) };
             d.map(move |d| (k, d))
         })
     }
 
-    /// Cells that leak into lines of the range, over their lower or their upper edge.
+    /// Cells that spill into lines of the range, over their lower or their upper edge.
     fn cells(&self, lines: &Range<isize>, upper: bool) -> Range<isize> {
         if upper {
             lines.start - self.across.last - 2..lines.end - self.across.edge.floor() as isize
@@ -431,8 +431,8 @@ impl Across {
         }
     }
 
-    /// (2): lines of the map; with `corners` (the samples) what leaks over both edges is left out.
-    fn leak(&self, t: &[f64], corners: Option<&Array2<f64>>) -> Array2<f64> {
+    /// (2): lines of the map; with `corners` (the samples) what spills over both edges is left out.
+    fn spill(&self, t: &[f64], corners: Option<&Array2<f64>>) -> Array2<f64> {
         let pixels = self.along.pixels;
         let mut map = Array2::zeros((self.across.pixels, pixels));
         let half = self.lines.half();
@@ -476,7 +476,7 @@ impl Across {
                 for upper in [false, true] {
                     for group in self.within(self.cells(&range, upper)) {
                         for p in &self.places[group.places.clone()] {
-                            let seconds = t[p.column as usize] * p.part;
+                            let seconds = t[p.column as usize] * p.fraction;
                             self.corner(p, group, upper, samples, &range, |r, c, rate| {
                                 band[[r - range.start as usize, c]] -= seconds * rate;
                             });
@@ -500,7 +500,7 @@ impl Across {
     ) {
         let (wy, wx) = (keys::weights(p.offset[0]), keys::weights(p.offset[1]));
         let along = &self.along;
-        let [low, high] = along.leaks(p.offset[1]);
+        let [low, high] = along.spills(p.offset[1]);
         let mut of_pixel = |c: isize, from: isize, to: isize| {
             let pixel = p.cell[1] as isize + c;
             if pixel < 0 || pixel >= along.pixels as isize {
@@ -534,8 +534,13 @@ impl Across {
         }
     }
 
-    /// Subtracts the adjoint of [`Self::leak`] from the sums of the columns.
-    fn subtract_leak(&self, map: ArrayView2<f64>, corners: Option<&Array2<f64>>, sums: &mut [f64]) {
+    /// Subtracts the adjoint of [`Self::spill`] from the sums of the columns.
+    fn subtract_spill(
+        &self,
+        map: ArrayView2<f64>,
+        corners: Option<&Array2<f64>>,
+        sums: &mut [f64],
+    ) {
         let half = self.lines.half();
         let mut values = vec![0.0; self.places.len()];
         // Groups of BAND cells, and their places.
@@ -596,21 +601,21 @@ impl Across {
                         let of = |(d, field): &(isize, Vec<f64>)| {
                             w[(d + 1) as usize] * self.along_sum(p, &field[..self.along.sources()])
                         };
-                        let mut leak: f64 = field.iter().map(of).sum();
+                        let mut spill: f64 = field.iter().map(of).sum();
                         if let Some(samples) = corners {
                             for upper in [false, true] {
                                 self.corner(p, group, upper, samples, &lines, |r, c, rate| {
-                                    leak -= map[[r, c]] * rate;
+                                    spill -= map[[r, c]] * rate;
                                 });
                             }
                         }
-                        *values.next().expect("one for each place") = leak;
+                        *values.next().expect("one for each place") = spill;
                     }
                 }
             },
         );
-        for (p, leak) in self.places.iter().zip(&values) {
-            sums[p.column as usize] -= p.part * leak;
+        for (p, spill) in self.places.iter().zip(&values) {
+            sums[p.column as usize] -= p.fraction * spill;
         }
     }
 }
@@ -671,7 +676,7 @@ impl Lattice {
     }
 
     /// Up to the first and from the second k on, pixel C + k is beyond R: k - f outside [0, edge].
-    fn leaks(&self, f: f64) -> [isize; 2] {
+    fn spills(&self, f: f64) -> [isize; 2] {
         let low = if f > 0.0 { 0 } else { -1 };
         let (whole, _) = keys::split(self.edge + f);
         [low, whole + 1]
@@ -727,7 +732,7 @@ mod tests {
             .map(|j| {
                 let (kx, ky) = ((7 * j) % 173, (11 * j) % 139);
                 let p = [at(&map.x, kx) - 1.8, at(&map.y, ky) - 1.5];
-                vec![Place { position_mm: p, part: 1.0 }]
+                vec![Place { position_mm: p, fraction: 1.0 }]
             })
             .collect()
     }
@@ -744,7 +749,7 @@ mod tests {
                 let operator = FftOperator::new(places, &tif, &map);
                 let expected = by_columns(places, &tif, &map, &t);
                 let error = largest(&(operator.apply(&t) - &expected)) / largest(&expected);
-                // Sums of at most 2600 terms; a leak left in would be 1e-2.
+                // Sums of at most 2600 terms; a spill left in would be 1e-2.
                 assert!(error < 1e-12, "border {border}, {} columns: {error}", places.len());
             }
         }
@@ -760,10 +765,10 @@ mod tests {
         let expected = by_columns(&places, &tif, &coarse, &t);
         let operator = FftOperator::new(&places, &tif, &coarse);
         let error = largest(&(operator.apply(&t) - &expected)) / largest(&expected);
-        let leaking = FftOperator::without_border(&places, &tif, &coarse);
-        let leak = largest(&(leaking.apply(&t) - &expected)) / largest(&expected);
+        let spilling = FftOperator::without_border(&places, &tif, &coarse);
+        let spill = largest(&(spilling.apply(&t) - &expected)) / largest(&expected);
         // Keys' interpolation of samples at 0.13 mm of a bell of 0.7 mm; the border is 0.3 of 1.3.
-        assert!(error < 5e-3 && leak > 10.0 * error, "{error} {leak}");
+        assert!(error < 5e-3 && spill > 10.0 * error, "{error} {spill}");
     }
 
     #[test]

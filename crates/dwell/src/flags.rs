@@ -89,7 +89,7 @@ pub struct LucyRichardson {
     /// Weight of the total variation, useful from 0 to 0.02
     #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
     total_variation: f64,
-    /// Removal at the lowest pixel, as a part of the PV of what is to be removed
+    /// Removal at the lowest pixel, as a fraction of the PV of what is to be removed
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
     margin: f64,
     /// Part of the pixels, the lowest ones, that may be cut off as pits
@@ -167,7 +167,7 @@ pub struct TikhonovLsqr {
     given: Given,
     #[command(flatten)]
     least: LeastDwell,
-    /// Damping as a part of the largest singular value [default: 0.01]
+    /// Damping as a fraction of the largest singular value [default: 0.01]
     #[arg(long, value_name = "PART", group = "choice")]
     damping: Option<f64>,
     /// Choose the largest damping whose residual is at most this noise, nm
@@ -187,7 +187,7 @@ pub struct TruncatedSvd {
     given: Given,
     #[command(flatten)]
     least: LeastDwell,
-    /// Leave out singular values up to this part of the largest
+    /// Leave out singular values up to this fraction of the largest
     #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
     cut: f64,
     /// Most steps; each keeps a vector of the number of dwell points
@@ -213,7 +213,7 @@ pub struct Bcls {
     /// Limits of the machine [.json file]
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
-    /// Least feed as a part of the largest that is reachable on a segment; 0 for none
+    /// Least feed as a fraction of the largest that is reachable on a segment; 0 for none
     #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
     least_feed: f64,
     /// Weight of the distance to the least dwell time, relative to the strongest column
@@ -321,7 +321,7 @@ fn solve<S: Serialize, R: Serialize>(
         outcome.total_time_s,
         outcome.model_rms_nm,
         outcome.at_floor,
-        outcome.dead,
+        outcome.unreached_points,
         given.output.out.display()
     ));
     Ok(status)

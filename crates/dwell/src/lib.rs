@@ -18,7 +18,6 @@
 //! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
 //! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
 
-mod approximate;
 pub mod bcls;
 pub mod bounded_least_squares;
 mod coarse;
@@ -31,6 +30,7 @@ pub mod non_negative_least_squares;
 mod operator;
 pub mod problem;
 pub mod rifta;
+mod surrogate;
 pub mod tikhonov_lsqr;
 pub mod truncated_svd;
 mod two_level;

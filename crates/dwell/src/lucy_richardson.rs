@@ -74,7 +74,7 @@ pub struct Settings {
     pub unknowns: Unknowns,
     /// mu: weight of the total variation; >= 0, useful up to 0.02.
     pub total_variation: f64,
-    /// c: what is removed at the lowest pixel, as a part of the largest minus the smallest E; > 0.
+    /// c: what is removed at the lowest pixel, as a fraction of the largest minus the smallest E; > 0.
     pub margin: f64,
     /// Part of the pixels, the lowest ones, that may be cut off; in [0, 1).
     pub pits: f64,
@@ -129,7 +129,7 @@ pub struct Report {
     pub pixels_per_cell: usize,
 }
 
-/// A dwell point below this part of the largest `B' w` stays at the floor.
+/// A dwell point below this fraction of the largest `B' w` stays at the floor.
 const ACTIVE: f64 = 0.02;
 
 /// No dwell time exceeds this multiple of the mean: at the edge of the reach T may run away.

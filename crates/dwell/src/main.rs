@@ -205,7 +205,7 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         r.iterations,
         r.kkt_residual_s,
         r.at_lower_bound,
-        r.dead,
+        r.unreached_points,
         cli.output.out.display()
     ));
     Ok(status)

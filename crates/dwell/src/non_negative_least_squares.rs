@@ -31,7 +31,7 @@ use crate::{
 pub struct Settings {
     /// alpha; >= 0.
     pub tikhonov: f64,
-    /// Gradient at which it ends, as a part of the largest at the floor.
+    /// Gradient at which it ends, as a fraction of the largest at the floor.
     pub tolerance: f64,
     /// Most components that are freed or put back, per dwell point.
     pub max_changes_per_point: usize,
@@ -65,7 +65,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let diagonal = (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max);
     for j in 0..n {
         // A column that does not reach the map takes no part.
-        h[[j, j]] = if model.live(j) { h[[j, j]] + settings.tikhonov * diagonal } else { 0.0 };
+        h[[j, j]] = if model.reached(j) { h[[j, j]] + settings.tikhonov * diagonal } else { 0.0 };
     }
     let g = model.gradient(&model.target());
     let found = nnls(&h, &g, settings.tolerance, settings.max_changes_per_point * n);

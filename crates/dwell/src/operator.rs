@@ -86,10 +86,10 @@ impl Operator {
     }
 
     /// [`Self::adjoint`]; where that is by FFT, the TIF ends up to two pixels beyond its last samples.
-    pub fn adjoint_with_leak(&self, map: &Array2<f64>) -> Vec<f64> {
+    pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
             Self::Stored { .. } => self.adjoint(map),
-            Self::Fft(operator) => operator.adjoint_with_leak(map),
+            Self::Fft(operator) => operator.adjoint_with_spill(map),
         }
     }
 

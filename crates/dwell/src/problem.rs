@@ -77,7 +77,7 @@ pub struct Outcome {
     /// Dwell points at their floor that reach the map.
     pub at_floor: usize,
     /// Dwell points that do not reach the map, at their floor.
-    pub dead: usize,
+    pub unreached_points: usize,
     /// Valid pixels that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
     /// Mean removal by the floor alone, nm.
@@ -96,7 +96,7 @@ pub(crate) struct Model<'a> {
     pub floor_removal: Array2<f64>,
     /// B' w.
     pub sensitivity: Vec<f64>,
-    dead_below: f64,
+    unreached_below: f64,
     /// l_j / l, at least 0.01.
     pub shape: Vec<f64>,
 }
@@ -116,8 +116,8 @@ pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
 /// Rows of the map that one thread takes at a time.
 const BAND: usize = 16;
 
-/// A dwell point below this part of the largest sensitivity does not reach the map.
-const DEAD: f64 = 1e-9;
+/// A dwell point below this fraction of the largest sensitivity does not reach the map.
+const UNREACHED_FRACTION: f64 = 1e-9;
 
 impl<'a> Model<'a> {
     pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
@@ -127,7 +127,7 @@ impl<'a> Model<'a> {
     /// For solvers on a map of dwell times, which ask the sensitivity of a dwell point only whether it
     /// reaches the map: within two pixels of its reach a point counts as one that does.
     pub fn for_map(problem: &Problem<'a>) -> Result<Self, DwellError> {
-        Self::with_sensitivity(problem, Operator::adjoint_with_leak)
+        Self::with_sensitivity(problem, Operator::adjoint_with_spill)
     }
 
     fn with_sensitivity(
@@ -159,7 +159,7 @@ impl<'a> Model<'a> {
             weight,
             lo,
             floor_removal,
-            dead_below: DEAD * largest,
+            unreached_below: UNREACHED_FRACTION * largest,
             sensitivity,
             shape: shape(path),
         };
@@ -217,7 +217,7 @@ impl<'a> Model<'a> {
         sum / weight
     }
 
-    /// Lowest value where the weight is not zero, but for this part of the pixels.
+    /// Lowest value where the weight is not zero, but for this fraction of the pixels.
     pub fn lowest(&self, map: &Array2<f64>, part: f64) -> f64 {
         let counted: usize =
             self.parts(map, |_, w| w.iter().filter(|w| **w > 0.0).count()).iter().sum();
@@ -256,8 +256,8 @@ impl<'a> Model<'a> {
     }
 
     /// Whether dwell point j reaches the map.
-    pub fn live(&self, j: usize) -> bool {
-        self.sensitivity[j] > self.dead_below
+    pub fn reached(&self, j: usize) -> bool {
+        self.sensitivity[j] > self.unreached_below
     }
 
     /// (2) of dwell times: `M W^1/2 B t`, by rows.
@@ -287,11 +287,11 @@ impl<'a> Model<'a> {
     }
 
     /// (3) with the least level c that brings every dwell time to its floor where a level can: where
-    /// b > 0.1. What is still below is put on its floor and counted; so are dead dwell points.
+    /// b > 0.1. What is still below is put on its floor and counted; so are unreached dwell points.
     pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
         let n = self.lo.len();
         let level = (0..n)
-            .filter(|j| self.live(*j) && b[*j] > 0.1)
+            .filter(|j| self.reached(*j) && b[*j] > 0.1)
             .map(|j| (self.lo[j] - a[j]) / b[j])
             .fold(f64::NEG_INFINITY, f64::max)
             .max(0.0);
@@ -299,7 +299,7 @@ impl<'a> Model<'a> {
         let dwell_s = (0..n)
             .map(|j| {
                 let t = a[j] + level * b[j];
-                if !self.live(j) {
+                if !self.reached(j) {
                     return self.lo[j];
                 }
                 // The one that decides the level is at its floor but for rounding.
@@ -351,8 +351,8 @@ impl<'a> Model<'a> {
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
             total_time_s: dwell_s.iter().sum(),
-            at_floor: (0..n).filter(|j| self.live(*j) && dwell_s[*j] <= self.lo[*j]).count(),
-            dead: (0..n).filter(|j| !self.live(*j)).count(),
+            at_floor: (0..n).filter(|j| self.reached(*j) && dwell_s[*j] <= self.lo[*j]).count(),
+            unreached_points: (0..n).filter(|j| !self.reached(*j)).count(),
             unreached_pixels: self.unreached(&removal, &dwell_s),
             floor_removal_nm: self.mean(&self.floor_removal),
         };

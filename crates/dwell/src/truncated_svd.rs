@@ -33,9 +33,9 @@ use crate::{
 /// How to solve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Singular values up to this part of the largest are left out; between 0 and 1.
+    /// Singular values up to this fraction of the largest are left out; between 0 and 1.
     pub cut: f64,
-    /// Change of the dwell times, as a part of them, at which the process ends.
+    /// Change of the dwell times, as a fraction of them, at which the process ends.
     pub tolerance: f64,
     /// Most steps of the process; each keeps a vector of n.
     pub max_steps: usize,

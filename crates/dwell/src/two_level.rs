@@ -36,7 +36,7 @@ use crate::{
 pub struct Nodes {
     /// (y, x)
     shape: (usize, usize),
-    /// Of every live column.
+    /// Of every reached column.
     at: Vec<Option<Weights>>,
     /// Columns by cell, and the first of every cell.
     by_cell: Vec<u32>,
@@ -77,14 +77,14 @@ fn cubic(f: f64) -> [f64; 4] {
 }
 
 impl Nodes {
-    /// The lattice over the live columns.
-    pub fn new(places: &[Vec<Place>], live: &[bool], pitch_mm: f64) -> Self {
+    /// The lattice over the reached columns.
+    pub fn new(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Self {
         let centre = |places: &Vec<Place>| {
-            let of = |k: usize| places.iter().map(|p| p.part * p.position_mm[k]).sum::<f64>();
+            let of = |k: usize| places.iter().map(|p| p.fraction * p.position_mm[k]).sum::<f64>();
             [of(0), of(1)]
         };
         let centres: Vec<Option<[f64; 2]>> =
-            places.iter().zip(live).map(|(p, live)| live.then(|| centre(p))).collect();
+            places.iter().zip(reached).map(|(p, reached)| reached.then(|| centre(p))).collect();
         let (low, high) = extent(centres.iter().flatten());
         let cells = |k: usize| ((high[k] - low[k]) / pitch_mm) as usize + 1;
         let (rows, columns) = (cells(1), cells(0));
@@ -269,9 +269,9 @@ pub struct Coarse {
 }
 
 impl Coarse {
-    /// Zero, for no free column; with room for the live ones.
-    pub fn new(nodes: &Nodes, sums: &Sums, live: &[bool]) -> Self {
-        let reach = |i: usize| sums.extent(nodes.under(i, live).into_iter().map(|(j, _)| j));
+    /// Zero, for no free column; with room for the reached ones.
+    pub fn new(nodes: &Nodes, sums: &Sums, reached: &[bool]) -> Self {
+        let reach = |i: usize| sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j));
         let reach: Vec<_> = (0..nodes.len()).into_par_iter().map(reach).collect();
         let meet = |a: &(_, _), b: &(_, _)| {
             let meet = |a: &std::ops::Range<usize>, b: &std::ops::Range<usize>| {
@@ -283,7 +283,7 @@ impl Coarse {
             (0..i).find(|k| nodes.are_linked(*k, i) || meet(&reach[*k], &reach[i])).unwrap_or(i)
         };
         Self {
-            free: vec![false; live.len()],
+            free: vec![false; reached.len()],
             patches: vec![Patch::default(); nodes.len()],
             matrix: Skyline::zeros((0..nodes.len()).into_par_iter().map(first).collect()),
         }

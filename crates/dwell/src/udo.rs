@@ -127,7 +127,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     }
     let dwell_s = match settings.floor {
         Floor::Model => {
-            (0..t.len()).map(|j| model.lo[j] + if model.live(j) { t[j] } else { 0.0 }).collect()
+            (0..t.len()).map(|j| model.lo[j] + if model.reached(j) { t[j] } else { 0.0 }).collect()
         }
         Floor::Shift => {
             // t - min t + the floor; a floor that differs from point to point is met everywhere.

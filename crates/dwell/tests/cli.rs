@@ -131,7 +131,7 @@ fn planted_dwell_times_come_back_and_the_manifest_has_the_report() {
     assert!(number(&report["model_rms_nm"]) < 1e-11, "{report}");
     let total: f64 = PLANTED_S.iter().sum();
     assert!((number(&report["total_time_s"]) - total).abs() < 1e-10);
-    assert_eq!((&report["at_lower_bound"], &report["dead"]), (&json!(0), &json!(0)));
+    assert_eq!((&report["at_lower_bound"], &report["unreached_points"]), (&json!(0), &json!(0)));
     assert_eq!(manifest["settings"]["columns"], "point");
     assert_eq!(manifest["settings"]["min_dwell"], json!({"seconds": 0.0}));
     let roles: Vec<_> = manifest["inputs"].as_array().unwrap().iter().map(|i| &i["role"]).collect();

@@ -101,7 +101,7 @@ fn every_solver_writes_the_same_bytes_on_one_and_two_threads() {
         assert!(bytes[0] == bytes[1], "{solver:?}");
         let manifest: Value = serde_json::from_slice(&bytes[0][1]).unwrap();
         let report = &manifest["outcome"]["report"];
-        for key in ["model_rms_nm", "total_time_s", "unreached_pixels", "dead"] {
+        for key in ["model_rms_nm", "total_time_s", "unreached_pixels", "unreached_points"] {
             assert!(report[key].is_number(), "{solver:?}: no {key} in {report}");
         }
         assert_eq!(

@@ -129,7 +129,7 @@ fn the_certificate_holds_by_an_independent_computation() {
         let after = if j + 1 < t.len() { t[j] - t[j + 1] } else { 0.0 };
         let gradient = -data + alpha * (t[j] - 0.05) + beta * (before + after);
         if energy[j] <= 1e-9 * d {
-            assert_eq!(t[j], 0.05, "a dead column stays at its bound");
+            assert_eq!(t[j], 0.05, "an unreached column stays at its bound");
         } else if t[j] > 0.05 {
             assert!(gradient.abs() < 1e-9 * d, "free {j}: {gradient}");
         } else {
@@ -149,7 +149,7 @@ fn both_algorithms_give_the_same_dwell() {
     // One minimum but for D: that of the column which the FFT estimates to be the strongest. It
     // changes alpha and beta by some 1e-3.
     assert!(apart(&dense, &by_fft) < 1e-3, "{} {:?}", apart(&dense, &by_fft), by_fft.report);
-    assert_eq!(dense.report.dead, by_fft.report.dead);
+    assert_eq!(dense.report.unreached_points, by_fft.report.unreached_points);
     // Where alpha is too small for that, gradient steps: they plan with what the TIF removes, its
     // border included, but do not reach the minimum.
     let weak = |max_factorised_points: usize, max_iterations: usize| {

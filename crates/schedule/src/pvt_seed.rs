@@ -253,7 +253,7 @@ const MAX_ROUNDS: usize = 60;
 /// Most changes of one bound; a random path of 60 segments needs some tens.
 const MAX_CHANGES: usize = 2000;
 
-/// Gradients below this part of the right-hand side are rounding.
+/// Gradients below this fraction of the right-hand side are rounding.
 const ROUNDING: f64 = 1e-13;
 
 /// A solution farther from a least one than this is refused; see [`Report::optimality`].

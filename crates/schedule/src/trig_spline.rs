@@ -157,7 +157,7 @@ const MARGIN: f64 = 1e-4;
 /// Directions closer than this are the same: it makes a velocity step of 1e-7 mm/s at 100 mm/s.
 const SAME_DIRECTION: f64 = 1e-9;
 
-/// A blend takes at most this part of the shorter of its two segments.
+/// A blend takes at most this fraction of the shorter of its two segments.
 const LARGEST_BLEND: f64 = 0.25;
 
 /// Bisections of a density: 2^-60 of the interval is its rounding.

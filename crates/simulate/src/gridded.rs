@@ -17,15 +17,15 @@
 //! # The border
 //!
 //! `R` ends at its last samples, `K` of (1) goes on for up to three pixels on the way to zero.
-//! A measured TIF ends with a step of some percent of its peak, and what leaks there is hundreds
-//! of times the accuracy wanted. The leak is removed exactly: with `E` the convolution and `ly`,
+//! A measured TIF ends with a step of some percent of its peak, and what spills there is hundreds
+//! of times the accuracy wanted. The spill is removed exactly: with `E` the convolution and `ly`,
 //! `lx` the indicators of pixel rows and columns beyond the samples,
 //!
 //! ```text
 //! R = E (1 - ly)(1 - lx) = E - E ly - E lx + E ly lx                              (2)
 //! ```
 //!
-//! A leaking row holds only the few samples next to the border, `E ly = sum_j (w (seconds))_j *
+//! A spilling row holds only the few samples next to the border, `E ly = sum_j (w (seconds))_j *
 //! g[j, :]`: convolutions along one axis. The last term is a few pixels at the corners of the
 //! TIF and is added point by point.
 //!
@@ -79,7 +79,7 @@ pub struct Plan {
     pub(crate) y: Lattice,
     tif_interpolation_error: f64,
     pub(crate) convolution: PairConvolution,
-    /// `None` where nothing leaks.
+    /// `None` where nothing spills.
     pub(crate) border: Option<Border>,
     /// Pixels per strip along x and per band along y.
     pixels: [usize; 2],
@@ -111,10 +111,10 @@ impl Plan {
             }
             refinement *= 2;
         };
-        let leaks = has_border(tif, &x, &y, &samples);
-        let (pixels, size) = layout(&x, &y, leaks);
+        let spills = has_border(tif, &x, &y, &samples);
+        let (pixels, size) = layout(&x, &y, spills);
         let convolution = PairConvolution::new(samples.view(), size);
-        let border = leaks.then(|| Border::new(&x, &y, samples.view(), size));
+        let border = spills.then(|| Border::new(&x, &y, samples.view(), size));
         Ok(Self {
             x,
             y,
@@ -246,7 +246,7 @@ const UNCACHED_COST: f64 = 2.0;
 
 /// Pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the
 /// least work for the busiest core.
-fn layout(x: &Lattice, y: &Lattice, leaks: bool) -> ([usize; 2], (usize, usize)) {
+fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)) {
     // Elements of a transform that holds all, and so for a part of the pixels.
     let whole = |l: &Lattice| quick_size(l.source_nodes());
     let choices = |l: &Lattice| -> Vec<(usize, usize)> {
@@ -259,7 +259,7 @@ fn layout(x: &Lattice, y: &Lattice, leaks: bool) -> ([usize; 2], (usize, usize))
         let log = |n: usize| (n as f64).log2().max(1.0);
         let (fx, fy) = (nx as f64 * log(nx), ny as f64 * log(ny));
         let convolution = 2.0 * (ny as f64 * fx + nx as f64 * fy);
-        let border = if leaks { 7.0 * (py as f64 * fx + px as f64 * fy) } else { 0.0 };
+        let border = if spills { 7.0 * (py as f64 * fx + px as f64 * fy) } else { 0.0 };
         let memory = if nx * ny > CACHED { UNCACHED_COST } else { 1.0 };
         tiles.div_ceil(CORES) as f64 * (convolution * memory + border)
     };

@@ -196,10 +196,10 @@ pub fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>)
     worst / tif.peak_nm_per_s()
 }
 
-/// Whether anything leaks: some sample next to the border is not negligible.
+/// Whether anything spills: some sample next to the border is not negligible.
 pub fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
     let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
     let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));
-    // Below this the leak is lost in the rounding of the peak.
+    // Below this the spill is lost in the rounding of the peak.
     border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * tif.peak_nm_per_s()
 }

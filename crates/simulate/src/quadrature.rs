@@ -25,7 +25,7 @@ pub const POINTS: usize = 3;
 /// a cell too long.
 const CUT_TOLERANCE: f64 = 1e-11;
 
-/// A piece below this part of its segment is rounding: two axes that cross at the same time.
+/// A piece below this fraction of its segment is rounding: two axes that cross at the same time.
 const SHORTEST: f64 = 1e-13;
 
 /// The lattice cells of one axis.

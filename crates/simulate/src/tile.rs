@@ -26,7 +26,7 @@ const COLUMNS: usize = 8;
 /// one more where the upper edge is between two nodes.
 const MAX_BORDER: usize = 8;
 
-/// What removes the leak of (2).
+/// What removes the spill of (2).
 pub struct Border {
     rows: Edge,
     columns: Edge,
@@ -264,7 +264,7 @@ impl<'a> Tile<'a> {
     }
 
     /// Subtracts `E ly`: for each sample row j next to the border, the seconds w_{k-j}(f_y) go to
-    /// the pixel row C + k that leaks; the row is then convolved with g[j, :].
+    /// the pixel row C + k that spills; the row is then convolved with g[j, :].
     fn subtract_rows(
         &self,
         edge: &Edge,
@@ -323,37 +323,37 @@ impl<'a> Tile<'a> {
             .with_min_len(if alone { 1 } else { usize::MAX })
             .for_each_init(
                 || (edge.convolution.workspace(), vec![Complex64::default(); COLUMNS * rows]),
-                |(work, leak), (group, (mut left, right))| {
+                |(work, spill), (group, (mut left, right))| {
                     for i in 0..left.ncols() {
-                        self.column_leak(
+                        self.column_spill(
                             edge,
                             &cells,
                             pieces,
                             group * COLUMNS + i,
                             work,
-                            &mut leak[i * rows..],
+                            &mut spill[i * rows..],
                         );
                     }
                     for (r, mut row) in left.outer_iter_mut().enumerate() {
-                        row.iter_mut().enumerate().for_each(|(i, o)| *o -= leak[i * rows + r].re);
+                        row.iter_mut().enumerate().for_each(|(i, o)| *o -= spill[i * rows + r].re);
                     }
                     let Some(mut right) = right else { return };
                     for (r, mut row) in right.outer_iter_mut().enumerate() {
-                        row.iter_mut().enumerate().for_each(|(i, o)| *o -= leak[i * rows + r].im);
+                        row.iter_mut().enumerate().for_each(|(i, o)| *o -= spill[i * rows + r].im);
                     }
                 },
             );
     }
 
     /// `E lx` of column `c` of both strips.
-    fn column_leak(
+    fn column_spill(
         &self,
         edge: &Edge,
         cells: &ByCell,
         pieces: &[Piece],
         c: usize,
         work: &mut LineWorkspace,
-        leak: &mut [Complex64],
+        spill: &mut [Complex64],
     ) {
         let (x, y) = (&self.plan.x, &self.plan.y);
         for (part, strip) in self.strips.iter().enumerate().filter(|(_, s)| c < s.len()) {
@@ -370,13 +370,13 @@ impl<'a> Tile<'a> {
                 }
             }
         }
-        let leak = &mut leak[..self.rows.len()];
+        let spill = &mut spill[..self.rows.len()];
         match edge.convolution.sum(work) {
             Some(line) => {
                 let valid = line[y.samples() - 1..].iter().step_by(y.subdivision);
-                leak.iter_mut().zip(valid).for_each(|(l, v)| *l = *v);
+                spill.iter_mut().zip(valid).for_each(|(l, v)| *l = *v);
             }
-            None => leak.fill(Complex64::default()),
+            None => spill.fill(Complex64::default()),
         }
     }
 

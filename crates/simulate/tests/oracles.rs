@@ -128,7 +128,7 @@ fn a_tif_on_other_pixels_is_accurate_to_what_is_reported_and_ends_where_it_ends(
         let bound = 2.0 * numerics.tif_interpolation_error * PEAK * seconds;
         let error = largest(&removal, &expected);
         assert!(error <= bound, "{tif_step} on {map_step}: {error} nm above {bound} nm");
-        // A leak of the border would be 1 nm/s.
+        // A spill of the border would be 1 nm/s.
         assert!(numerics.tif_interpolation_error <= gridded::TIF_TOLERANCE, "{numerics:?}");
     }
 }

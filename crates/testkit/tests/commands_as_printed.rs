@@ -3,7 +3,7 @@
 //! the release build, and `target/python` with NumPy.
 //!
 //! What counts as a command: each line of a code block marked `sh`; the blocks marked `python` make the
-//! arrays that the next commands read. Files that a user would have are made by `stand_ins.py`.
+//! arrays that the next commands read. Files that a user would have are made by `user_files.py`.
 #![cfg(unix)]
 
 use std::{
@@ -177,9 +177,9 @@ impl Clone {
 #[test]
 fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
     let clone = Clone::new();
-    clone.succeed("stand-ins", &["bash", "-c"], "planish-fixture fixtures/coupon.json --out made");
-    let stand_ins = workspace().join("crates/testkit/tests/stand_ins.py");
-    clone.succeed("stand-ins", &["python3", stand_ins.to_str().unwrap()], "made");
+    clone.succeed("user files", &["bash", "-c"], "planish-fixture fixtures/coupon.json --out made");
+    let user_files = workspace().join("crates/testkit/tests/user_files.py");
+    clone.succeed("user files", &["python3", user_files.to_str().unwrap()], "made");
     fs::copy(clone.dir.join("fixtures/machines/ion-beam.json"), clone.dir.join("machine.json"))
         .unwrap();
 

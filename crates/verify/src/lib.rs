@@ -44,7 +44,7 @@ pub const LIMIT_ALLOWANCE: f64 = 1e-9;
 /// allowance that the limit itself has.
 const VELOCITY_STEP_ALLOWANCE: f64 = 1e-9;
 
-/// A step in acceleration up to this part of the largest acceleration is the rounding of a
+/// A step in acceleration up to this fraction of the largest acceleration is the rounding of a
 /// continuous acceleration: `6 dp / h^2` of a position of 100 mm is known to 1e-8 mm/s^2 at
 /// h = 3 ms, and the acceleration jumps by 1e-6 of its limit without a drive noticing.
 const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;

@@ -24,7 +24,7 @@ const BINS: usize = 24;
 /// Largest number of points of a line in a picture.
 const MAX_POINTS: usize = 20_000;
 
-/// Differences below this part of the values are their rounding.
+/// Differences below this fraction of the values are their rounding.
 const FLAT: f64 = 1e-12;
 
 /// Columns of a picture of ranges.

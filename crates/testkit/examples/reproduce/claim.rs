@@ -23,7 +23,7 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// A number that ours agrees with `within` a part of it.
+    /// A number that ours agrees with to `within`, a fraction of it.
     pub fn number(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
         let ratio = ours / paper;
         let digits = if within < 0.01 { 4 } else { 3 };

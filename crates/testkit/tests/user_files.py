@@ -1,6 +1,6 @@
 """What a user would have who follows README.md and docs/: files of instruments, a map and a TIF as arrays.
 
-    python3 stand_ins.py FIXTURE_DIR
+    python3 user_files.py FIXTURE_DIR
 
 makes them in the current directory out of a fixture's surface and tif: `mirror.datx`, `spot.mat`,
 `rates.mat`, `depth.datx`, `before.datx`, `after.datx`. A reader goes by the content and not by the name:

@@ -1,4 +1,4 @@
-//! Cheap stand-ins for the normal matrix of [`crate::bounded_least_squares`], by which its steps
+//! Cheap surrogates of the normal matrix of [`crate::bounded_least_squares`], by which its steps
 //! are made. What they cost in accuracy is corrected by the exact gradient.
 //!
 //! The pixels of every cell of s x s are taken together,
@@ -44,7 +44,7 @@ const MOST_ELEMENTS: f64 = 1.5e7;
 const MOST_PATCHED: f64 = 2.5e7;
 
 /// A step takes 2 to 12 sets of free dwell times on measured problems, and conjugate gradients end
-/// when they would gain this part of what they gained, in the norm of H~.
+/// when they would gain this fraction of what they gained, in the norm of H~.
 const SETS: usize = 30;
 const INEXACT: f64 = 0.03;
 
@@ -96,43 +96,44 @@ fn length(places: &[Place]) -> f64 {
 }
 
 /// Live columns that a spline of this pitch can be made of.
-fn are_short(places: &[Vec<Place>], live: &[bool], pitch_mm: f64) -> Vec<bool> {
+fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
     places
         .iter()
-        .zip(live)
-        .map(|(places, live)| *live && length(places) <= 2.0 * pitch_mm)
+        .zip(reached)
+        .map(|(places, reached)| *reached && length(places) <= 2.0 * pitch_mm)
         .collect()
 }
 
 /// Pitch of splines that can say what the TIF resolves, mm; none where most columns are longer, or
-/// where their matrix would be too large, which depends on the area under the live columns, not on
+/// where their matrix would be too large, which depends on the area under the reached columns, not on
 /// their number.
 pub fn spline_pitch(
     places: &[Vec<Place>],
-    live: &[bool],
+    reached: &[bool],
     tif: &Tif,
     map: &Grid,
     cell: usize,
 ) -> Option<f64> {
     let [along_x, along_y] = slopes(tif);
-    let of_live = places.iter().zip(live).filter(|(_, live)| **live).flat_map(|(p, _)| p);
-    let (low, high) = two_level::extent(of_live.map(|p| &p.position_mm));
+    let of_reached =
+        places.iter().zip(reached).filter(|(_, reached)| **reached).flat_map(|(p, _)| p);
+    let (low, high) = two_level::extent(of_reached.map(|p| &p.position_mm));
     let size_mm = [high[0] - low[0], high[1] - low[1]];
     let count = |of: &[bool]| of.iter().filter(|of| **of).count();
-    let spacing = (size_mm[0] * size_mm[1] / count(live) as f64).sqrt();
+    let spacing = (size_mm[0] * size_mm[1] / count(reached) as f64).sqrt();
     let pitch = (SPLINE_PITCH / (along_x + along_y).sqrt()).max(SPACINGS * spacing);
     let wide = |axis: &Axis| axis.end_mm() - axis.start_mm();
     let reach = [&tif.grid().x, &tif.grid().y].map(|axis| wide(axis) + 4.0 * pitch);
     let (nodes, row) = Nodes::size(size_mm, reach, pitch);
     let cells = |k: usize, step: f64| reach[k] / (cell as f64 * step) + 4.0;
     let patched = nodes * cells(0, map.x.step_mm()) * cells(1, map.y.step_mm());
-    let dense = count(&are_short(places, live, pitch)) * 2 > count(live);
+    let dense = count(&are_short(places, reached, pitch)) * 2 > count(reached);
     (dense && nodes * row <= MOST_ELEMENTS && patched <= MOST_PATCHED).then_some(pitch)
 }
 
 /// The columns in an order in which H~ has a small skyline.
 pub struct Ordered {
-    /// Column of every row of H~; dead ones are not among them.
+    /// Column of every row of H~; unreached ones are not among them.
     order: Vec<usize>,
     /// (1) with room for the couplings of the penalty.
     data: Quadratic,
@@ -145,7 +146,7 @@ impl Ordered {
     pub fn new(
         cells: &[Patch],
         u: &[Vec<f64>],
-        live: &[bool],
+        reached: &[bool],
         penalty: &Penalty,
         exact: bool,
     ) -> Self {
@@ -154,7 +155,7 @@ impl Ordered {
                 let ((r, c), (ny, nx)) = (cells[*j].origin, cells[*j].rate_nm_per_s.dim());
                 [2 * c + nx, 2 * r + ny][axis]
             };
-            let mut order: Vec<usize> = (0..live.len()).filter(|j| live[*j]).collect();
+            let mut order: Vec<usize> = (0..reached.len()).filter(|j| reached[*j]).collect();
             order.sort_by_key(centre);
             let first = first_columns(cells, &order, penalty);
             let elements: usize = first.iter().enumerate().map(|(i, f)| i + 1 - f).sum();
@@ -278,7 +279,7 @@ impl Convolved {
     /// is found by them and an active set, without by gradient steps.
     pub fn new(
         places: &[Vec<Place>],
-        live: &[bool],
+        reached: &[bool],
         tif: &Tif,
         map: &Grid,
         weight: &Array2<f64>,
@@ -304,7 +305,7 @@ impl Convolved {
             diagonal.iter_mut().zip(u).for_each(|(d, u)| *d -= u * u);
         }
         let splines = spline_pitch_mm.map(|pitch| {
-            let short = are_short(places, live, pitch);
+            let short = are_short(places, reached, pitch);
             let lengths = places.iter().zip(&short).filter(|(_, short)| **short);
             let longest = lengths.map(|(places, _)| length(places)).fold(0.0, f64::max);
             // What is under a spline has its centre there.
@@ -317,13 +318,13 @@ impl Convolved {
     }
 
     /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the products or
-    /// gradient steps. Components that are not live stay.
+    /// gradient steps. Components that are not reached stay.
     pub fn minimum(
         &mut self,
         penalty: &Penalty,
         t: &[f64],
         q: &[f64],
-        live: &[bool],
+        reached: &[bool],
         bounds: (&[f64], &[f64]),
         settings: &GradientSettings,
     ) -> (Vec<f64>, usize) {
@@ -339,8 +340,9 @@ impl Convolved {
             h_t
         };
         let own = penalty.diagonal();
-        let diagonal: Vec<f64> =
-            (0..t.len()).map(|j| if live[j] { data[j].max(0.0) + own[j] } else { 0.0 }).collect();
+        let diagonal: Vec<f64> = (0..t.len())
+            .map(|j| if reached[j] { data[j].max(0.0) + own[j] } else { 0.0 })
+            .collect();
         // A component that does not move keeps its lower bound: that of t.
         let lo: Vec<f64> =
             (0..t.len()).map(|j| if diagonal[j] > 0.0 { bounds.0[j] } else { t[j] }).collect();
