@@ -59,6 +59,24 @@ pub struct Invalid {
     pub remedy: String,
 }
 
+/// A method that ended before it reached its tolerance.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{method} has not converged: after {iterations} iterations {residual_of} is {residual:.3e}; {remedy}"
+)]
+pub struct NotConverged {
+    /// The method.
+    pub method: &'static str,
+    /// Iterations that were done.
+    pub iterations: usize,
+    /// What is left, in the unit that `residual_of` says.
+    pub residual: f64,
+    /// What the residual is of, and what would be enough.
+    pub residual_of: &'static str,
+    /// What to do about it.
+    pub remedy: &'static str,
+}
+
 impl Invalid {
     /// An error about the whole array.
     pub fn whole(
