@@ -9,16 +9,16 @@
 //! | [`Tif`] | removal rate in nm/s at the offset (pixel - tool) | (my, mx) |
 //! | [`ToolPath`] | velocity control points, dwell points in mm | (n+1, 2), (n, 2) |
 //! | [`DwellTime`] | seconds per dwell point | (n) |
-//! | [`Feed`] | dwell-time density in s/mm at nodes along the path | (m) |
+//! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | what the machine's axes can do | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
 pub mod budget;
+mod dwell_density;
 mod dwell_time;
 mod end;
-mod feed;
 mod grid;
 mod limits;
 pub mod plausible;
@@ -29,9 +29,9 @@ mod tool_path;
 mod trajectory;
 
 pub use aperture::ClearAperture;
+pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
-pub use feed::Feed;
 pub use grid::{Axis, Grid};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, Surface};
