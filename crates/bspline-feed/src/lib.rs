@@ -27,7 +27,7 @@ pub mod passes;
 pub mod plan;
 pub mod vrr;
 
-pub use plan::{Feed, Plan, Report, Settings, plan};
+pub use plan::{Plan, Report, Settings, plan};
 
 use planish_types::Invalid;
 

@@ -3,18 +3,15 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, ValueEnum};
-use ndarray::{Array1, Array2};
 use planish_bspline_feed::{
-    Feed, Settings,
+    Settings,
     deconvolution::Refinement,
     plan,
     plan::{Method, Piston},
 };
-use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
-};
+use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
 use planish_types::{
-    End, Surface, Tif, ToolPath, Trajectory,
+    DwellDensity, End, Surface, Tif, ToolPath, Trajectory,
     plausible::{self, Rms},
 };
 use serde_json::json;
@@ -134,7 +131,7 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
     let tif: Tif = stage.read("tif", &cli.tif)?;
     let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
     let machine = stage.read_machine(&cli.machine)?;
-    let parts = [("feed", &kind::FEED), ("trajectory", Trajectory::KIND)];
+    let parts = [("feed", DwellDensity::KIND), ("trajectory", Trajectory::KIND)];
     if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
         return Ok(status);
     }
@@ -170,7 +167,7 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
         "report": r,
     });
-    stage.write_files("feed", &kind::FEED, &arrays(&plan.feed), &[], outcome.clone(), &status)?;
+    stage.write("feed", &plan.density, outcome.clone(), &status)?;
     stage.write("trajectory", &plan.trajectory, outcome, &status)?;
     let rms =
         r.model_rms_nm.map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
@@ -189,16 +186,4 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         cli.output.out.display()
     ));
     Ok(status)
-}
-
-/// The arrays of the kind `feed`, in its order.
-fn arrays(feed: &Feed) -> Vec<ArrayData> {
-    let floats = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn());
-    vec![
-        floats(&feed.arc_length_mm),
-        floats(&feed.dwell_density_s_per_mm),
-        ArrayData::F64(Array2::from(feed.point_mm.clone()).into_dyn()),
-        ArrayData::I64(Array1::from(feed.pass_idx.clone()).into_dyn()),
-        ArrayData::U8(Array1::from(vec![0; feed.pass_idx.len()]).into_dyn()),
-    ]
 }

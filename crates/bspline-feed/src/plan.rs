@@ -14,7 +14,8 @@
 use ndarray::Array2;
 use planish_numerics::{bspline::Knots, motion::timing_law};
 use planish_types::{
-    End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget, plausible::Rms,
+    DensityNodes, DwellDensity, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget,
+    plausible::Rms,
 };
 use serde::Serialize;
 
@@ -90,19 +91,6 @@ impl Default for Settings {
     }
 }
 
-/// The spline of one pass at Greville's abscissae, which determine it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Feed {
-    /// Arc length along the tool path (m), mm; ascending.
-    pub arc_length_mm: Vec<f64>,
-    /// D there (m), s/mm.
-    pub dwell_density_s_per_mm: Vec<f64>,
-    /// Position there [x, y] (m), mm.
-    pub point_mm: Vec<[f64; 2]>,
-    /// Pass (m), counted from 0 in the order of the path.
-    pub pass_idx: Vec<i64>,
-}
-
 /// What was done.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -144,11 +132,11 @@ pub struct Report {
     pub fit: FitReport,
 }
 
-/// Feed, motion, and what was done.
+/// Dwell-time density, motion, and what was done.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// The splines.
-    pub feed: Feed,
+    /// The splines at Greville's abscissae, which determine them.
+    pub density: DwellDensity,
     /// Motion.
     pub trajectory: Trajectory,
     /// What was done.
@@ -222,8 +210,8 @@ pub fn plan(
         }
     };
     let report = report(&passes, &knots, spacing, &solved, surface);
-    let feed = feed(&passes, &knots, &solved.d);
-    Ok(Plan { feed, trajectory: solved.motion.trajectory, report })
+    let density = density(&passes, &knots, &solved.d)?;
+    Ok(Plan { density, trajectory: solved.motion.trajectory, report })
 }
 
 /// Control values, the motion that they make, and how they were found.
@@ -506,20 +494,16 @@ fn report(
     }
 }
 
-fn feed(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Feed {
-    let mut feed = Feed {
-        arc_length_mm: Vec::new(),
-        dwell_density_s_per_mm: Vec::new(),
-        point_mm: Vec::new(),
-        pass_idx: Vec::new(),
-    };
+fn density(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Result<DwellDensity, Invalid> {
+    let mut nodes = DensityNodes::default();
     for (m, pass) in passes.iter().enumerate() {
         for s in knots[m].greville() {
-            feed.arc_length_mm.push(pass.arc_start_mm + s);
-            feed.dwell_density_s_per_mm.push(knots[m].value(&d[m], s));
-            feed.point_mm.push(pass.at(s));
-            feed.pass_idx.push(m as i64);
+            nodes.arc_length_mm.push(pass.arc_start_mm + s);
+            nodes.dwell_density_s_per_mm.push(knots[m].value(&d[m], s));
+            nodes.point_mm.push(pass.at(s));
+            nodes.pass_idx.push(m as i64);
+            nodes.corner.push(false);
         }
     }
-    feed
+    DwellDensity::new(nodes)
 }

@@ -92,7 +92,7 @@ fn constant_removal_is_a_constant_feed() {
             .unwrap()
     };
     let baseline = run(Settings { method: Method::Vrr, ..exact() });
-    for d in &baseline.feed.dwell_density_s_per_mm {
+    for d in baseline.density.dwell_density_s_per_mm() {
         // The TIF is cut at 5 sigma (4e-6 of its volume), and the interior point method's 1e-8.
         assert!((d / density - 1.0).abs() < 1e-5, "{d} {density}");
     }
@@ -101,7 +101,7 @@ fn constant_removal_is_a_constant_feed() {
     // What 30 sweeps leave near the edge.
     assert!(r.model_rms_nm.unwrap() < 2e-3 * 40.0, "{:?}", r.model_rms_nm);
     let inside = |p: &[f64; 2]| p[0] > 1.0 && p[0] < 7.0 && p[1] > 0.5 && p[1] < 1.5;
-    for (p, d) in solved.feed.point_mm.iter().zip(&solved.feed.dwell_density_s_per_mm) {
+    for (p, d) in solved.density.point_mm().iter().zip(solved.density.dwell_density_s_per_mm()) {
         // Where a residual of 1e-3 leaves the single values free, the lines differ a little.
         assert!(!inside(p) || (d / density - 1.0).abs() < 0.02, "{p:?} {d} {density}");
     }
@@ -125,7 +125,7 @@ fn a_planted_spline_comes_back() {
     assert!(solved.report.acceleration_use < 0.9, "the limits are not in the way");
     // Removal of 25 nm: the tolerance of the interior point method.
     assert!(solved.report.model_rms_nm.unwrap() < 1e-4, "{:?}", solved.report);
-    for (s, d) in knots.greville().iter().zip(&solved.feed.dwell_density_s_per_mm) {
+    for (s, d) in knots.greville().iter().zip(solved.density.dwell_density_s_per_mm()) {
         // The same, times the condition of the basis (1e2).
         assert!((d - knots.value(&planted, *s)).abs() < 1e-4, "{s}: {d}");
     }
@@ -165,7 +165,7 @@ fn the_objective_never_rises_and_its_gradient_vanishes_where_no_limit_is_met() {
         columns.iter().zip(d).for_each(|(c, d)| c.add_to(&mut r, -d));
         0.5 * r.iter().map(|r| r * r).sum::<f64>()
     };
-    let d = control_values(&knots, &solved.feed.dwell_density_s_per_mm);
+    let d = control_values(&knots, solved.density.dwell_density_s_per_mm());
     let best = residual(&d);
     for i in 0..d.len() {
         let step = |h: f64| {
@@ -238,7 +238,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
         pool.install(|| ridges_with(Refinement::ConvexConcave, 2.0))
     };
     let (one, two) = (on(1), on(2));
-    assert_eq!(one.feed, two.feed);
+    assert_eq!(one.density, two.density);
     assert_eq!(one.trajectory, two.trajectory);
 }
 

@@ -209,8 +209,8 @@ pub const DWELL: Kind = Kind {
     files: &[],
 };
 
-/// Feed along a path.
-pub const FEED: Kind = Kind {
+/// Dwell-time density along a path; files call it by its inverse, the feed.
+pub const DWELL_DENSITY: Kind = Kind {
     name: "feed",
     version: 1,
     doc: "Dwell-time density at m nodes along a path; the method in the manifest says what lies between them.",
@@ -488,7 +488,7 @@ pub const ALL: [&Kind; 12] = [
     &TIF,
     &TOOL_PATH,
     &DWELL,
-    &FEED,
+    &DWELL_DENSITY,
     &TRAJECTORY,
     &REMOVAL,
     &FRAMES,

@@ -2,8 +2,8 @@
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
 use planish_types::{
-    Axis, DwellTime, Feed, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory,
-    dwell_index_from_stored, stored_dwell_index,
+    Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath,
+    Trajectory, dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -116,8 +116,8 @@ impl Artifact for DwellTime {
     }
 }
 
-impl Artifact for Feed {
-    const KIND: &'static Kind = &kind::FEED;
+impl Artifact for DwellDensity {
+    const KIND: &'static Kind = &kind::DWELL_DENSITY;
 
     fn to_arrays(&self) -> Vec<ArrayData> {
         vec![
@@ -130,13 +130,13 @@ impl Artifact for Feed {
     }
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
-        Self::new(
-            take_vec(arrays.take_f64("arc_length_mm")),
-            take_vec(arrays.take_f64("dwell_density_s_per_mm")),
-            take_points(&mut arrays, "point_mm"),
-            take_vec(arrays.take_i64("pass_idx")),
-            arrays.take_bool("corner"),
-        )
+        Self::new(DensityNodes {
+            arc_length_mm: take_vec(arrays.take_f64("arc_length_mm")),
+            dwell_density_s_per_mm: take_vec(arrays.take_f64("dwell_density_s_per_mm")),
+            point_mm: take_points(&mut arrays, "point_mm"),
+            pass_idx: take_vec(arrays.take_i64("pass_idx")),
+            corner: arrays.take_bool("corner"),
+        })
     }
 }
 

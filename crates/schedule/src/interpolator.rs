@@ -1,4 +1,5 @@
-//! The real-time interpolator: reference positions, tick by tick, from the nodes of a feed.
+//! The real-time interpolator: reference positions, tick by tick, from the nodes of a dwell-time
+//! density.
 //!
 //! A controller is given one block after the other, as a numerical control (NC) program: where the
 //! block ends, the dwell-time densities `tau1`, `tau2` (s/mm) at its ends, and their arc lengths
@@ -34,7 +35,7 @@
 //! | P2, C | `end_mm`, `corner_mm` | (2) | mm |
 //! | t_tick | `tick_s` | - | s |
 
-use planish_types::Feed;
+use planish_types::DwellDensity;
 
 use crate::trig_spline::Piece;
 
@@ -68,16 +69,16 @@ pub enum Record {
     Block(Block),
 }
 
-/// The records of `feed`, in order.
-pub fn records(feed: &Feed) -> impl Iterator<Item = Record> + '_ {
-    let (s, d, p) = (feed.arc_length_mm(), feed.dwell_density_s_per_mm(), feed.point_mm());
-    let starts = |i: usize| i == 0 || feed.pass_idx()[i] != feed.pass_idx()[i - 1];
+/// The records of `density`, in order.
+pub fn records(density: &DwellDensity) -> impl Iterator<Item = Record> + '_ {
+    let (s, d, p) = (density.arc_length_mm(), density.dwell_density_s_per_mm(), density.point_mm());
+    let starts = |i: usize| i == 0 || density.pass_idx()[i] != density.pass_idx()[i - 1];
     // A corner is part of the block that ends at the node after it.
-    (0..feed.len()).filter(|i| !feed.corner()[*i]).map(move |i| {
+    (0..density.len()).filter(|i| !density.corner()[*i]).map(move |i| {
         if starts(i) {
             return Record::Start { point_mm: p[i], arc_length_mm: s[i] };
         }
-        let corner = feed.corner()[i - 1];
+        let corner = density.corner()[i - 1];
         let from = if corner { i - 2 } else { i - 1 };
         Record::Block(Block {
             end_mm: p[i],
@@ -288,7 +289,7 @@ impl Interpolator {
 mod tests {
     use super::*;
 
-    fn feed() -> Feed {
+    fn density() -> DwellDensity {
         let s = vec![0.0, 1.0, 1.9, 2.0, 2.1, 3.0, 8.0, 9.0];
         let d = vec![0.1, 0.1, 0.3, 0.3, 0.3, 0.2, 0.5, 0.4];
         let p = vec![
@@ -302,12 +303,19 @@ mod tests {
             [5.0, 6.0],
         ];
         let corner = (0..8).map(|i| i == 3).collect();
-        Feed::new(s, d, p, vec![0, 0, 0, 0, 0, 0, 1, 1], corner).unwrap()
+        let nodes = planish_types::DensityNodes {
+            arc_length_mm: s,
+            dwell_density_s_per_mm: d,
+            point_mm: p,
+            pass_idx: vec![0, 0, 0, 0, 0, 0, 1, 1],
+            corner,
+        };
+        DwellDensity::new(nodes).unwrap()
     }
 
     #[test]
     fn a_program_is_read_as_it_was_written() {
-        let records: Vec<Record> = records(&feed()).collect();
+        let records: Vec<Record> = records(&density()).collect();
         assert_eq!(records.len(), 7);
         for (i, record) in records.iter().enumerate() {
             assert_eq!(Record::parse(&record.to_line(i)).unwrap(), Some(*record));
@@ -358,7 +366,7 @@ mod tests {
         let tick_s = 0.01;
         let mut i = Interpolator::new(tick_s).unwrap();
         let mut found = Vec::new();
-        for record in records(&feed()) {
+        for record in records(&density()) {
             i.push(&record, |r| found.push(r)).unwrap();
         }
         found.extend(i.finish());

@@ -27,7 +27,7 @@ pub mod pvt_seed;
 pub mod stop_at_corners;
 pub mod trig_spline;
 
-use planish_types::{DwellTime, Invalid, ToolPath};
+use planish_types::{DwellTime, Invalid, NotConverged, ToolPath};
 
 /// Why a motion could not be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -50,12 +50,15 @@ pub enum ScheduleError {
         /// Which limit stands in the way.
         reason: String,
     },
+    /// A system of equations was not solved to its tolerance.
+    #[error(transparent)]
+    NotConverged(#[from] NotConverged),
     /// Stretching did not end.
     #[error(
         "no motion within the limits after {rounds} rounds of stretching; the worst segment is \
          {segment} at {excess:.6} of its limit; check the machine's limits"
     )]
-    NotConverged {
+    StretchLimit {
         /// Rounds of stretching.
         rounds: usize,
         /// Worst segment.

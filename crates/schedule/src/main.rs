@@ -15,7 +15,7 @@ use planish_schedule::{
     average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed,
     stop_at_corners, trig_spline,
 };
-use planish_types::{DwellTime, Feed, Limits, ToolPath, Trajectory, plausible};
+use planish_types::{DwellDensity, DwellTime, Limits, ToolPath, Trajectory, plausible};
 use serde_json::{Value, json};
 
 const EXAMPLES: &str = "Examples:\n\
@@ -166,7 +166,7 @@ enum Method {
 /// What a scheduler made.
 struct Made {
     trajectory: Trajectory,
-    feed: Option<Feed>,
+    density: Option<DwellDensity>,
     report: Value,
     /// For the line that the user reads.
     remark: String,
@@ -301,7 +301,7 @@ impl Method {
                     s.report.added_tool_on_s,
                     s.report.added_tool_off_s
                 );
-                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+                Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark }
             }
             Self::PvtSeed(eq_16) => {
                 let s = pvt_seed::schedule(path, dwell, machine, *eq_16)?;
@@ -313,7 +313,7 @@ impl Method {
                     x * micron,
                     y * micron
                 );
-                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+                Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark }
             }
             Self::ConstantAcceleration => {
                 let s = constant_acceleration::schedule(path, dwell, machine)?;
@@ -328,7 +328,7 @@ impl Method {
                     r.late_segments,
                     r.added_s
                 );
-                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+                Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark }
             }
             Self::StopAtCorners => {
                 let s = stop_at_corners::schedule(path, dwell, machine)?;
@@ -337,7 +337,7 @@ impl Method {
                     "; at rest in {} corners; {} segments late by {:.4} s, {} lifts by {:.4} s",
                     r.stops, r.late_segments, r.added_s, r.lifts, r.added_lifted_s
                 );
-                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+                Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark }
             }
             Self::TrigSpline(settings) => {
                 let s = trig_spline::schedule(path, dwell, machine, settings)?;
@@ -353,18 +353,23 @@ impl Method {
                     r.links,
                     r.link_s
                 );
-                Made { trajectory: s.trajectory, feed: s.feed, report: json!(s.report), remark }
+                Made {
+                    trajectory: s.trajectory,
+                    density: s.density,
+                    report: json!(s.report),
+                    remark,
+                }
             }
             Self::AverageVelocity => {
                 let s = average_velocity::schedule(path, dwell, machine)?;
                 let [x, y] = s.report.largest_velocity_step_mm_per_s;
                 let remark = format!("; velocity steps of up to {x:.3} and {y:.3} mm/s");
-                Made { trajectory: s.trajectory, feed: None, report: json!(s.report), remark }
+                Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark }
             }
             Self::Position => {
                 let trajectory = position::schedule(path, dwell)?;
                 let remark = "; jumps between the points".into();
-                Made { trajectory, feed: None, report: json!({}), remark }
+                Made { trajectory, density: None, report: json!({}), remark }
             }
         })
     }
@@ -386,7 +391,7 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         _ => None,
     };
     let mut parts: Vec<(&str, &Kind)> = vec![("", Trajectory::KIND)];
-    parts.extend(feed_part.as_deref().map(|dir| (dir, Feed::KIND)));
+    parts.extend(feed_part.as_deref().map(|dir| (dir, DwellDensity::KIND)));
     if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
         return Ok(status);
     }
@@ -401,10 +406,10 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         "report": made.report,
     });
     if let Some(part) = &feed_part {
-        let feed = made.feed.as_ref().ok_or_else(|| {
+        let density = made.density.as_ref().ok_or_else(|| {
             Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
         })?;
-        stage.write(part, feed, json!({ "report": made.report }), &status)?;
+        stage.write(part, density, json!({ "report": made.report }), &status)?;
     }
     stage.write("", &made.trajectory, outcome, &status)?;
     say(format!(

@@ -10,7 +10,7 @@ use std::{
 use clap::Args;
 use planish_handoff::{Failure, OutputArgs, Stage, Status, stage::say};
 use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
-use planish_types::{Feed, budget};
+use planish_types::{DwellDensity, budget};
 
 #[derive(Args)]
 pub struct Program {
@@ -52,13 +52,13 @@ const PROGRAM_HEAD: &str = "\
 
 pub fn write(arguments: &Program) -> Result<Status, Failure> {
     let mut stage = reader("program", &arguments.out, arguments.force);
-    let feed: Feed = stage.read("feed", &arguments.feed)?;
+    let density: DwellDensity = stage.read("feed", &arguments.feed)?;
     stage.begin_file("--out", &arguments.out, arguments.force)?;
     let mut count = 0;
     stage.write_single_file(&arguments.out, arguments.force, |file| {
         let mut to = BufWriter::new(file);
         to.write_all(PROGRAM_HEAD.as_bytes())?;
-        for (number, record) in records(&feed).enumerate() {
+        for (number, record) in records(&density).enumerate() {
             writeln!(to, "{}", record.to_line(number))?;
             count += 1;
         }
@@ -78,7 +78,7 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
             stage.note_file("program", program)?;
             Source::Program(program)
         }
-        (None, Some(dir)) => Source::Feed(stage.read("feed", dir)?, dir),
+        (None, Some(dir)) => Source::Density(stage.read("feed", dir)?, dir),
         (None, None) => unreachable!("clap asks for one of them"),
     };
     stage.begin_file("--out", &arguments.out, arguments.force)?;
@@ -115,7 +115,7 @@ fn reader(method: &str, out: &Path, force: bool) -> Stage {
 
 /// Where the records come from.
 enum Source<'a> {
-    Feed(Feed, &'a Path),
+    Density(DwellDensity, &'a Path),
     Program(&'a Path),
 }
 
@@ -127,8 +127,8 @@ impl Source<'_> {
     ) -> Result<(), Failure> {
         match self {
             Self::Program(path) => for_each_line(path, push),
-            Self::Feed(feed, dir) => {
-                for record in records(feed) {
+            Self::Density(density, dir) => {
+                for record in records(density) {
                     push(&record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
                 }
                 Ok(())

@@ -233,7 +233,7 @@ fn schedule_stretched(
             return Err(too_short(path, dwell, segment, worst));
         }
         if rounds == MAX_ROUNDS {
-            return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
+            return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
         }
         if rounds >= TOGETHER {
             let of_parts = || parts.iter().flatten();
@@ -342,7 +342,7 @@ fn jerk_limited(
             return Err(too_short(path, dwell, segment, worst));
         }
         if rounds > MAX_LOCAL_ROUNDS + MAX_ROUNDS {
-            return Err(ScheduleError::NotConverged { rounds, segment, excess: worst });
+            return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
         }
         if rounds >= MAX_LOCAL_ROUNDS {
             excess.fill(worst);

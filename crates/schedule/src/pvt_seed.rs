@@ -56,7 +56,7 @@ use clarabel::{
         SupportedConeT::{NonnegativeConeT, ZeroConeT},
     },
 };
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
+use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory, break_times};
 use serde::Serialize;
 
 use crate::{ScheduleError, check_lengths, pvt::accelerations, pvt::hermite};
@@ -148,7 +148,7 @@ pub fn schedule(
         eq_16,
     });
     let (x, y) = rayon::join(|| axes[0].solve(), || axes[1].solve());
-    let nodes = [x.ok_or_else(failed)?, y.ok_or_else(failed)?];
+    let nodes = [x?, y?];
     for axis in 0..2 {
         report.measure(axis, &axes[axis], &nodes[axis]);
     }
@@ -167,15 +167,6 @@ pub fn schedule(
         kept.iter().copied().map(Some).collect(),
     )?;
     Ok(Schedule { trajectory, report })
-}
-
-fn failed() -> ScheduleError {
-    Invalid::whole(
-        "dwell_s",
-        "gives a least squares of the seed formulation that is not solved to 1e-9",
-        "its times differ by too many orders of magnitude; use the hermite formulation",
-    )
-    .into()
 }
 
 impl Report {
@@ -327,15 +318,25 @@ impl Axis {
 
     /// Active sets from the free solution; where they repeat, one bound at a time from the solution
     /// of the interior point method.
-    fn solve(&self) -> Option<Nodes> {
+    fn solve(&self) -> Result<Nodes, NotConverged> {
         let problem = self.least_squares();
         let (low, high) = self.bounds();
         let free = vec![Side::Free; low.len()];
+        let not_converged = |iterations: usize, residual: f64| NotConverged {
+            method: "the least squares of the seed formulation",
+            iterations,
+            residual,
+            residual_of: "its distance from the minimum, of which 1e-9 is allowed,",
+            remedy: "the times in dwell_s differ by too many orders of magnitude, use the hermite \
+                     formulation",
+        };
         let (value, factorisations) = match problem.active_set(&low, &high, free) {
             Some(found) => found,
             None => {
                 let near = problem.interior_point(&low, &high);
-                let (value, changes) = problem.descend(&low, &high, near)?;
+                let residual = problem.optimality(&low, &high, &near);
+                let found = problem.descend(&low, &high, near);
+                let (value, changes) = found.ok_or_else(|| not_converged(MAX_ROUNDS, residual))?;
                 (value, MAX_ROUNDS + changes)
             }
         };
@@ -346,8 +347,11 @@ impl Axis {
         };
         let velocities_at_a_bound = inner.filter(at_a_bound).count();
         let optimality = problem.optimality(&low, &high, &value);
-        let nodes = Nodes { value, velocities_at_a_bound, factorisations, optimality };
-        (optimality <= LARGEST_OPTIMALITY).then_some(nodes)
+        if optimality <= LARGEST_OPTIMALITY {
+            Ok(Nodes { value, velocities_at_a_bound, factorisations, optimality })
+        } else {
+            Err(not_converged(factorisations, optimality))
+        }
     }
 }
 

@@ -55,7 +55,9 @@
 use std::f64::consts::PI;
 
 use planish_numerics::motion::timing_law;
-use planish_types::{DwellTime, Feed, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{
+    DensityNodes, DwellDensity, DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder,
+};
 use serde::Serialize;
 
 use crate::{
@@ -139,13 +141,13 @@ pub struct Report {
     pub fit_error_mm: f64,
 }
 
-/// The motion, its feed, and what was done to get them.
+/// The motion, its dwell-time density, and what was done to get them.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Native parameters: the nodes of the spline. `None` when no pass has a length.
-    pub feed: Option<Feed>,
+    pub density: Option<DwellDensity>,
     /// What was done.
     pub report: Report,
 }
@@ -233,7 +235,7 @@ pub fn schedule(
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
     let trajectory = motion.made.build()?;
-    Ok(Schedule { trajectory, feed: feed_of(path, &passes)?, report: motion.report })
+    Ok(Schedule { trajectory, density: density_of(path, &passes)?, report: motion.report })
 }
 
 // ---------------------------------------------------------------------------------------------
@@ -1074,16 +1076,16 @@ impl Fit {
 }
 
 /// Nodes of all passes that have a length: start, dwell points, three for every corner, end.
-fn feed_of(path: &ToolPath, passes: &[Pass]) -> Result<Option<Feed>, Invalid> {
-    let (mut s, mut d, mut p) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut pass_idx, mut corner) = (Vec::new(), Vec::new());
+fn density_of(path: &ToolPath, passes: &[Pass]) -> Result<Option<DwellDensity>, Invalid> {
+    let mut nodes = DensityNodes::default();
     for (number, pass) in passes.iter().filter(|p| !p.straights.is_empty()).enumerate() {
         let mut push = |straight: &Straight, along: f64, density: f64, is_corner: bool| {
-            s.push(straight.arc_length + along);
-            d.push(density);
-            p.push([0, 1].map(|a| straight.start[a] + straight.direction[a] * along));
-            pass_idx.push(number as i64);
-            corner.push(is_corner);
+            let at = [0, 1].map(|a| straight.start[a] + straight.direction[a] * along);
+            nodes.arc_length_mm.push(straight.arc_length + along);
+            nodes.dwell_density_s_per_mm.push(density);
+            nodes.point_mm.push(at);
+            nodes.pass_idx.push(number as i64);
+            nodes.corner.push(is_corner);
         };
         let (first, last) = (&pass.straights[0], &pass.straights[pass.straights.len() - 1]);
         push(first, 0.0, pass.nodes[0].density, false);
@@ -1099,8 +1101,8 @@ fn feed_of(path: &ToolPath, passes: &[Pass]) -> Result<Option<Feed>, Invalid> {
         }
         push(last, last.length, pass.nodes[pass.nodes.len() - 1].density, false);
     }
-    debug_assert!(s.len() <= 6 * path.len());
-    if s.is_empty() { Ok(None) } else { Feed::new(s, d, p, pass_idx, corner).map(Some) }
+    debug_assert!(nodes.arc_length_mm.len() <= 6 * path.len());
+    if nodes.arc_length_mm.is_empty() { Ok(None) } else { DwellDensity::new(nodes).map(Some) }
 }
 
 #[cfg(test)]

@@ -606,7 +606,7 @@ fn a_feed_becomes_a_program_and_positions() {
     prepare(tmp.path(), &points, &[0.5, 0.3, 0.4, 0.5]);
     let (t, outcome) = scheduled(tmp.path(), "trig-spline", &["--feed", "feed"]);
     assert!(number(&outcome["report"]["fit_error_mm"]) <= 1e-6);
-    let feed = artifact::read::<planish_types::Feed>(&tmp.path().join("feed")).unwrap();
+    let feed = artifact::read::<planish_types::DwellDensity>(&tmp.path().join("feed")).unwrap();
     assert_eq!(feed.manifest.unwrap().method, "trig-spline");
     assert_eq!(feed.value.corner().iter().filter(|c| **c).count(), 1);
     // Again, nothing to do; a lost feed comes back.

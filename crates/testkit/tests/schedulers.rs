@@ -564,14 +564,14 @@ fn distance_to_chord(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
 fn the_interpolator_is_where_the_trajectory_is() {
     on_every_case(|case| {
         let s = trig(&case.path(), &case.dwell(), &case.limits, Repair::Offset)?;
-        let Some(feed) = &s.feed else { return Ok(()) };
+        let Some(density) = &s.density else { return Ok(()) };
         let t = &s.trajectory;
         let start = (0..t.len()).find(|k| t.tool_on()[*k]).unwrap_or(0);
         let start_s = t.break_time_s()[start];
         let tick_s = t.total_time_s() / 300.0;
         let mut interpolator = Interpolator::new(tick_s)?;
         let mut references = Vec::new();
-        for record in interpolator::records(feed) {
+        for record in interpolator::records(density) {
             interpolator.push(&record, |r| references.push(r))?;
         }
         references.extend(interpolator.finish());
@@ -582,7 +582,7 @@ fn the_interpolator_is_where_the_trajectory_is() {
             ensure(off <= 2e-6, || format!("{off} mm apart at {} s", r.time_s))?;
         }
         let last = references.last().map(|r| r.position_mm);
-        ensure(last == feed.point_mm().last().copied(), || format!("ends at {last:?}"))
+        ensure(last == density.point_mm().last().copied(), || format!("ends at {last:?}"))
     });
 }
 

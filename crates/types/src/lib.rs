@@ -9,16 +9,16 @@
 //! | [`Tif`] | removal rate in nm/s at the offset (pixel - tool) | (my, mx) |
 //! | [`ToolPath`] | velocity control points, dwell points in mm | (n+1, 2), (n, 2) |
 //! | [`DwellTime`] | seconds per dwell point | (n) |
-//! | [`Feed`] | dwell-time density in s/mm at nodes along the path | (m) |
+//! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | what the machine's axes can do | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
 pub mod budget;
+mod dwell_density;
 mod dwell_time;
 mod end;
-mod feed;
 mod grid;
 mod limits;
 pub mod plausible;
@@ -29,9 +29,9 @@ mod tool_path;
 mod trajectory;
 
 pub use aperture::ClearAperture;
+pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
-pub use feed::Feed;
 pub use grid::{Axis, Grid};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, Surface};
@@ -57,6 +57,24 @@ pub struct Invalid {
     pub problem: String,
     /// What to do about it.
     pub remedy: String,
+}
+
+/// A method that ended before it reached its tolerance.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{method} has not converged: after {iterations} iterations {residual_of} is {residual:.3e}; {remedy}"
+)]
+pub struct NotConverged {
+    /// The method.
+    pub method: &'static str,
+    /// Iterations that were done.
+    pub iterations: usize,
+    /// What is left, in the unit that `residual_of` says.
+    pub residual: f64,
+    /// What the residual is of, and what would be enough.
+    pub residual_of: &'static str,
+    /// What to do about it.
+    pub remedy: &'static str,
 }
 
 impl Invalid {

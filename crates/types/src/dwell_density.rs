@@ -1,4 +1,4 @@
-//! How slowly the tool moves along its path.
+//! How slowly the tool moves along its path: what the artifact of the kind `feed` holds.
 
 use crate::{Invalid, grid::is_plausible_mm};
 
@@ -12,33 +12,40 @@ const SAME_DENSITY: f64 = 1e-9;
 ///
 /// Nodes of one pass are joined by straight lines; a node marked as a corner is the control point
 /// of a blend between its two neighbours, a parabola run through with constant acceleration at the
-/// density of the three. From one pass to the next leads a link that is not part of the feed.
+/// density of the three. From one pass to the next leads a link that is not part of it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Feed {
-    arc_length_mm: Vec<f64>,
-    dwell_density_s_per_mm: Vec<f64>,
-    point_mm: Vec<[f64; 2]>,
-    pass_idx: Vec<i64>,
-    corner: Vec<bool>,
+pub struct DwellDensity {
+    nodes: DensityNodes,
 }
 
-impl Feed {
+/// The m nodes of a [`DwellDensity`], not checked yet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DensityNodes {
+    /// Length along the path (m), mm; ascending within a pass.
+    pub arc_length_mm: Vec<f64>,
+    /// Dwell-time density (m), s/mm; > 0, the inverse of the feedrate.
+    pub dwell_density_s_per_mm: Vec<f64>,
+    /// Position [x, y] (m), mm.
+    pub point_mm: Vec<[f64; 2]>,
+    /// Pass (m), counted from 0.
+    pub pass_idx: Vec<i64>,
+    /// Whether the node is the control point of a blend (m).
+    pub corner: Vec<bool>,
+}
+
+impl DwellDensity {
     /// Checks lengths, order, positive densities, and that points and arc lengths agree.
-    ///
-    /// All of length m, per node: `arc_length_mm` along the path, ascending within a pass;
-    /// `dwell_density_s_per_mm` the inverse of the feedrate; `point_mm` [x, y]; `pass_idx` the
-    /// pass; `corner` whether the point is the control point of a blend.
-    pub fn new(
-        arc_length_mm: Vec<f64>,
-        dwell_density_s_per_mm: Vec<f64>,
-        point_mm: Vec<[f64; 2]>,
-        pass_idx: Vec<i64>,
-        corner: Vec<bool>,
-    ) -> Result<Self, Invalid> {
+    pub fn new(nodes: DensityNodes) -> Result<Self, Invalid> {
+        let DensityNodes { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner } =
+            &nodes;
         let m = arc_length_mm.len();
         if m < 2 {
             let problem = format!("has {m} nodes");
-            return Err(Invalid::whole("arc_length_mm", problem, "a feed has at least two nodes"));
+            return Err(Invalid::whole(
+                "arc_length_mm",
+                problem,
+                "a dwell-time density has at least two nodes",
+            ));
         }
         for (name, len) in [
             ("dwell_density_s_per_mm", dwell_density_s_per_mm.len()),
@@ -65,16 +72,48 @@ impl Feed {
             let remedy = "a density is positive: the inverse of the feedrate";
             return Err(Invalid::at("dwell_density_s_per_mm", i, problem, remedy));
         }
-        let feed = Self { arc_length_mm, dwell_density_s_per_mm, point_mm, pass_idx, corner };
         for i in 1..m {
-            feed.check_step(i)?;
+            nodes.check_step(i)?;
         }
         for i in 0..m {
-            feed.check_corner(i)?;
+            nodes.check_corner(i)?;
         }
-        Ok(feed)
+        Ok(Self { nodes })
     }
 
+    /// Number of nodes m.
+    #[allow(clippy::len_without_is_empty)] // never empty
+    pub fn len(&self) -> usize {
+        self.nodes.arc_length_mm.len()
+    }
+
+    /// Lengths along the path (m), mm.
+    pub fn arc_length_mm(&self) -> &[f64] {
+        &self.nodes.arc_length_mm
+    }
+
+    /// Dwell-time densities (m), s/mm.
+    pub fn dwell_density_s_per_mm(&self) -> &[f64] {
+        &self.nodes.dwell_density_s_per_mm
+    }
+
+    /// Points [x, y] (m), mm.
+    pub fn point_mm(&self) -> &[[f64; 2]] {
+        &self.nodes.point_mm
+    }
+
+    /// Pass of each node (m).
+    pub fn pass_idx(&self) -> &[i64] {
+        &self.nodes.pass_idx
+    }
+
+    /// Whether the node is the control point of a blend (m).
+    pub fn corner(&self) -> &[bool] {
+        &self.nodes.corner
+    }
+}
+
+impl DensityNodes {
     fn check_step(&self, i: usize) -> Result<(), Invalid> {
         if self.pass_idx[i] != self.pass_idx[i - 1] {
             return Ok(());
@@ -118,53 +157,28 @@ impl Feed {
         let remedy = "a corner stands midway between two nodes of its pass and density";
         fault.map_or(Ok(()), |problem| Err(Invalid::at("corner", i, problem, remedy)))
     }
-
-    /// Number of nodes m.
-    #[allow(clippy::len_without_is_empty)] // never empty
-    pub fn len(&self) -> usize {
-        self.arc_length_mm.len()
-    }
-
-    /// Lengths along the path (m), mm.
-    pub fn arc_length_mm(&self) -> &[f64] {
-        &self.arc_length_mm
-    }
-
-    /// Dwell-time densities (m), s/mm.
-    pub fn dwell_density_s_per_mm(&self) -> &[f64] {
-        &self.dwell_density_s_per_mm
-    }
-
-    /// Points [x, y] (m), mm.
-    pub fn point_mm(&self) -> &[[f64; 2]] {
-        &self.point_mm
-    }
-
-    /// Pass of each node (m).
-    pub fn pass_idx(&self) -> &[i64] {
-        &self.pass_idx
-    }
-
-    /// Whether the node is the control point of a blend (m).
-    pub fn corner(&self) -> &[bool] {
-        &self.corner
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn feed(s: &[f64], t: &[f64], corner: &[bool]) -> Result<Feed, Invalid> {
+    fn density(s: &[f64], t: &[f64], corner: &[bool]) -> Result<DwellDensity, Invalid> {
         let points = s.iter().map(|s| [*s, 1.0]).collect();
-        Feed::new(s.to_vec(), t.to_vec(), points, vec![0; s.len()], corner.to_vec())
+        DwellDensity::new(DensityNodes {
+            arc_length_mm: s.to_vec(),
+            dwell_density_s_per_mm: t.to_vec(),
+            point_mm: points,
+            pass_idx: vec![0; s.len()],
+            corner: corner.to_vec(),
+        })
     }
 
     #[test]
-    fn bad_feeds_are_refused() {
+    fn bad_densities_are_refused() {
         let no = [false; 3];
-        assert_eq!(feed(&[0.0, 1.0, 2.0], &[0.1, 0.2, 0.1], &no).unwrap().len(), 3);
-        let message = |s: &[f64], t: &[f64], c: &[bool]| feed(s, t, c).unwrap_err().to_string();
+        assert_eq!(density(&[0.0, 1.0, 2.0], &[0.1, 0.2, 0.1], &no).unwrap().len(), 3);
+        let message = |s: &[f64], t: &[f64], c: &[bool]| density(s, t, c).unwrap_err().to_string();
         assert!(message(&[0.0], &[0.1], &[false]).contains("has 1 nodes"));
         let m = message(&[0.0, 1.0, 1.0], &[0.1; 3], &no);
         assert!(m.contains("arc_length_mm[2]: is 1 after 1"), "{m}");
@@ -178,13 +192,13 @@ mod tests {
         assert!(m.contains("midway"), "{m}");
         let m = message(&[0.0, 1.0, 2.0], &[0.1, 0.1, 0.2], &[false, true, false]);
         assert!(m.contains("another density"), "{m}");
-        let apart = Feed::new(
-            vec![0.0, 1.0],
-            vec![0.1; 2],
-            vec![[0.0, 0.0], [0.0, 1.1]],
-            vec![0; 2],
-            vec![false; 2],
-        );
+        let apart = DwellDensity::new(DensityNodes {
+            arc_length_mm: vec![0.0, 1.0],
+            dwell_density_s_per_mm: vec![0.1; 2],
+            point_mm: vec![[0.0, 0.0], [0.0, 1.1]],
+            pass_idx: vec![0; 2],
+            corner: vec![false; 2],
+        });
         assert!(apart.unwrap_err().to_string().contains("1.1 mm apart"));
     }
 }
