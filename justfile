@@ -96,8 +96,29 @@ reference-mirror out:
 reproduce paper="all":
     @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ quote(paper) }}
 
+# Between two edits: format, lint and test the crates that changed since the last commit
+check:
+    #!/bin/sh
+    set -eu
+    cargo fmt --all --check
+    changed=$( (git diff --name-only HEAD; git ls-files --others --exclude-standard) \
+        | sed -n 's,^crates/\([^/]*\)/.*,-p planish-\1,p' | sort -u)
+    if [ -z "$changed" ]; then
+        echo "no crate has changed since the last commit"
+        exit
+    fi
+    cargo clippy --locked $changed --all-targets -- -D warnings
+    cargo test --locked $changed
+
 # Everything that must pass before a change lands
 ci: test checks
+
+# Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
+ci-long:
+    just test-faults 1000 200
+    just test-schedulers-long
+    just fuzz 10000000
+    just fuzz-binaries 100000
 
 # What is checked beside the tests
 checks:

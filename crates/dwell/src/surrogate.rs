@@ -95,7 +95,7 @@ fn length(places: &[Place]) -> f64 {
     (high[0] - low[0]).max(high[1] - low[1]).max(0.0)
 }
 
-/// Live columns that a spline of this pitch can be made of.
+/// Reached columns that a spline of this pitch can be made of.
 fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
     places
         .iter()

@@ -26,7 +26,7 @@ use planish_types::Invalid;
 use crate::table::Table;
 
 /// Beyond this a float has no whole numbers between its neighbours.
-const MOST: f64 = 9_007_199_254_740_992.0;
+const LARGEST_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
 /// Positions are written with nine decimals.
 const SMALLEST_COUNT_MM: f64 = 1e-9;
@@ -99,7 +99,7 @@ pub fn quantise(table: &Table, quanta: &Quanta, ticks: [i64; 2]) -> Result<Quant
         }
     }
     let whole = |name: &'static str, k: usize, v: f64| match v.round() {
-        r if r.abs() < MOST => Ok(r as i64),
+        r if r.abs() < LARGEST_EXACT_INTEGER => Ok(r as i64),
         r => {
             let remedy = "give a larger count or tick";
             Err(Invalid::at(name, k, format!("is {r:e} counts or ticks"), remedy))

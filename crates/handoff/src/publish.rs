@@ -11,8 +11,8 @@
 //!    synchronised; the journal goes, then what was replaced.
 //!
 //! During steps 3 and 4 the process holds advisory locks on all directories in which something appears,
-//! so that what two runs write together does not mix. A process that ends there leaves its journal
-//! behind. Whoever reads or writes there next finishes the renames under the same locks, so that a
+//! so that what two runs write together does not mix. A process that ends there leaves its
+//! journal. Whoever reads or writes there next finishes the renames under the same locks, so that a
 //! reader sees all of a run or nothing of it. A process that ends earlier leaves siblings without a
 //! journal; their lock is free, so the next run removes them. On SIGINT and SIGTERM a process removes its
 //! own. A file system without advisory locks (some network file systems) keeps all of this but for the

@@ -166,7 +166,7 @@ pub struct Refined {
 
 /// By what the smoothness falls from one correction to the next: half a decade.
 const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
-/// Share of the step below which a correction is given up.
+/// Fraction of the step below which a correction is given up.
 const LEAST_STEP_FRACTION: f64 = 0.1;
 /// Part steps in a row without progress after which the loop ends; of full steps, one is enough.
 const PATIENCE: usize = 2;

@@ -155,7 +155,7 @@ const MAX_ROUNDS: usize = 100;
 
 /// Rounds after which everything is slowed together: what a stretched segment asks of its
 /// neighbours can go round, a slower motion as a whole cannot.
-const TOGETHER: usize = 60;
+const ROUNDS_BEFORE_UNIFORM_SLOWDOWN: usize = 60;
 
 /// Schedules `path` with the times `dwell` within `limits`.
 pub fn schedule(
@@ -235,7 +235,7 @@ fn schedule_stretched(
         if rounds == MAX_ROUNDS {
             return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
         }
-        if rounds >= TOGETHER {
+        if rounds >= ROUNDS_BEFORE_UNIFORM_SLOWDOWN {
             let of_parts = || parts.iter().flatten();
             if !of_parts().any(|part| part.rounds.may_rest) {
                 excess.fill(worst);
@@ -478,7 +478,7 @@ struct AxisProblem<'a> {
 
 /// Excess above which the next round, whose times are longer by little, begins with the elastic
 /// program. Nearer to the limits the elastic one may exceed by its tolerance what the hard one keeps.
-const CLEARLY: f64 = 1.01;
+const EXCESS_FOR_ELASTIC_START: f64 = 1.01;
 
 /// What a round of stretching knows of the rounds before it.
 #[derive(Debug, Default)]
@@ -632,7 +632,7 @@ impl AxisProblem<'_> {
                 self.excess(&self.clamped_spline(h), h)
             }
         };
-        before.infeasible = excess.iter().any(|e| *e > CLEARLY);
+        before.infeasible = excess.iter().any(|e| *e > EXCESS_FOR_ELASTIC_START);
         if excess.iter().all(|e| *e <= within) {
             // Only the solver's tolerance stands in the way.
             excess.fill(1.0 + MARGIN);

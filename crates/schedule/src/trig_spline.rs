@@ -626,7 +626,7 @@ impl Pass {
         let (from, to) = (self.arc_length(k), self.arc_length(k + 1));
         let length_mm = to - b.half_length_mm - (from + a.half_length_mm);
         let straight = &self.straights[self.straight_of[k]];
-        // Behind a corner the direction is that of the next straight.
+        // After a corner the direction is that of the next straight.
         let straight = if a.half_length_mm > 0.0 {
             &self.straights[self.straight_of[k] + 1]
         } else {

@@ -1,6 +1,10 @@
 //! Every statement of `docs/conventions.md` is a test of the same name here.
 
-use std::{collections::BTreeSet, fs};
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self, Bound};
@@ -25,6 +29,15 @@ fn statements() -> Vec<String> {
     page.lines().filter_map(name).collect()
 }
 
+/// Tests that are about the text, not about statements of the page.
+const ABOUT_TEXT: [&str; 5] = [
+    "the_page_and_the_tests_say_the_same",
+    "retired_words_stay_out",
+    "constants_say_what_they_decide",
+    "lines_of_pages_can_be_read",
+    "pages_that_are_named_exist",
+];
+
 #[test]
 fn the_page_and_the_tests_say_the_same() {
     let this = workspace().join("crates/testkit/tests/conventions.rs");
@@ -33,7 +46,7 @@ fn the_page_and_the_tests_say_the_same() {
     let tests: BTreeSet<String> = source
         .split("#[test]")
         .filter_map(name)
-        .filter(|name| name != "the_page_and_the_tests_say_the_same")
+        .filter(|name| !ABOUT_TEXT.contains(&name.as_str()))
         .collect();
     let listed = statements();
     let statements: BTreeSet<String> = listed.iter().cloned().collect();
@@ -43,6 +56,153 @@ fn the_page_and_the_tests_say_the_same() {
     let unstated: Vec<_> = tests.difference(&statements).collect();
     assert!(unstated.is_empty(), "tests without a statement: {unstated:?}");
     assert!(statements.len() > 20);
+}
+
+// ---------------------------------------------------------------------------------------------
+// Words and lines
+
+/// Words that the field does not use for what they were used for, where they are kept out (the
+/// beginning of a path), and what says it.
+const RETIRED: [(&str, &str, &str); 12] = [
+    ("stand-in", "", "surrogate"),
+    ("stand_in", "", "surrogate"),
+    ("envelope", "crates/numerics/", "skyline"),
+    ("envelope matrix", "", "skyline matrix"),
+    ("behind", "", "after or beyond"),
+    ("dead", "", "unreached"),
+    ("live", "crates/dwell/", "reached"),
+    ("leak", "crates/simulate/", "kernel spill"),
+    ("leaks", "crates/simulate/", "spills over"),
+    ("leak", "crates/dwell/", "kernel spill"),
+    ("leaks", "crates/dwell/", "spills over"),
+    ("share of the", "crates/", "fraction of the"),
+];
+
+/// A constant with one of these names says nothing about what it decides.
+const EMPTY_NAMES: [&str; 14] = [
+    "SETS", "SOME", "MOST", "ENOUGH", "CLEARLY", "TOGETHER", "LARGE", "LARGEST", "SMALL", "FEW",
+    "MANY", "NEAR", "WEAK", "TINY",
+];
+
+/// Longest line of a page, but for tables, fenced blocks and headings.
+const LINE: usize = 120;
+
+/// The texts of the project with their paths from its folder: sources, scripts and pages.
+fn texts() -> Vec<(String, String)> {
+    fn walk(dir: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(dir).unwrap().map(Result::unwrap) {
+            let path = entry.path();
+            let name = entry.file_name().into_string().unwrap();
+            if path.is_dir() {
+                let made = ["target", "out", "corpus", "data"].contains(&name.as_str());
+                if !made && !name.starts_with('.') {
+                    walk(&path, found);
+                }
+            } else if ["rs", "md", "py", "js", "sh", "just"]
+                .iter()
+                .any(|e| name.ends_with(&format!(".{e}")))
+                || name == "justfile"
+            {
+                found.push(path);
+            }
+        }
+    }
+    let mut paths = Vec::new();
+    walk(&workspace(), &mut paths);
+    let name = |path: &PathBuf| {
+        let inside = path.strip_prefix(workspace()).unwrap();
+        inside.to_str().unwrap().replace('\\', "/")
+    };
+    let mut texts: Vec<_> =
+        paths.iter().map(|path| (name(path), fs::read_to_string(path).unwrap())).collect();
+    texts.retain(|(name, _)| name != "crates/testkit/tests/conventions.rs");
+    texts.sort();
+    assert!(texts.len() > 200, "{} texts", texts.len());
+    texts
+}
+
+/// Whether `line` holds `word`, and no letter or digit next to it.
+fn holds(line: &str, word: &str) -> bool {
+    let line = line.to_lowercase();
+    let touches = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
+    line.match_indices(word).any(|(i, _)| {
+        !touches(line[..i].chars().next_back()) && !touches(line[i + word.len()..].chars().next())
+    })
+}
+
+#[test]
+fn retired_words_stay_out() {
+    assert!(holds("A stand-in for it.", "stand-in") && !holds("deadline", "dead"));
+    let mut found = Vec::new();
+    for (name, text) in texts() {
+        for (number, line) in text.lines().enumerate() {
+            for (word, place, instead) in RETIRED {
+                if name.starts_with(place) && holds(line, word) {
+                    found.push(format!("{name}:{}: {word}; write {instead}", number + 1));
+                }
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn constants_say_what_they_decide() {
+    let mut found = Vec::new();
+    for (name, text) in texts().into_iter().filter(|(name, _)| name.ends_with(".rs")) {
+        for (number, line) in text.lines().enumerate() {
+            let declared = line.split_once("const ").and_then(|(_, rest)| rest.split_once(':'));
+            if declared.is_some_and(|(constant, _)| EMPTY_NAMES.contains(&constant)) {
+                found.push(format!("{name}:{}: {}", number + 1, line.trim()));
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn lines_of_pages_can_be_read() {
+    let mut found = Vec::new();
+    for (name, text) in texts().into_iter().filter(|(name, _)| name.ends_with(".md")) {
+        let mut fenced = false;
+        for (number, line) in text.lines().enumerate() {
+            fenced ^= line.starts_with("```");
+            let free = fenced || line.starts_with(['|', '#']) || !line.contains(' ');
+            if !free && line.chars().count() > LINE {
+                found.push(format!("{name}:{}: {} characters", number + 1, line.chars().count()));
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn pages_that_are_named_exist() {
+    let mut found = Vec::new();
+    for (name, text) in texts() {
+        let here = workspace().join(&name);
+        for (number, line) in text.lines().enumerate() {
+            let mut named = Vec::new();
+            // [words](target)
+            if name.ends_with(".md") {
+                let targets = line.split("](").skip(1).filter_map(|rest| rest.split_once(')'));
+                let local = targets.map(|(target, _)| target).filter(|t| !t.contains("://"));
+                named.extend(local.map(|t| here.with_file_name(t.split('#').next().unwrap_or(t))));
+            }
+            // docs/page.md
+            for (i, _) in line.match_indices("docs/") {
+                let inside = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+                let path: String = line[i..].chars().take_while(|c| inside(*c)).collect();
+                let within = line[..i].ends_with(['/', '}', '_']);
+                if path.ends_with(".md") && !within {
+                    named.push(workspace().join(path));
+                }
+            }
+            let missing = named.iter().filter(|path| !path.exists());
+            found.extend(missing.map(|p| format!("{name}:{}: {}", number + 1, p.display())));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
 // ---------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ use tempfile::TempDir;
 const RACES: usize = 3;
 
 /// The smallest run: no closed loop, no pictures in time.
-const SMALL: [&str; 3] = ["fixture=coupon", "refine=no", "frames=0"];
+const QUICK_RUN: [&str; 3] = ["fixture=coupon", "refine=no", "frames=0"];
 
 /// Whether `just` is there; says so when it is not.
 fn just_is_installed() -> bool {
@@ -192,7 +192,7 @@ fn flags_in_a_setting_are_taken_apart_as_by_a_shell() {
         "prepare=--mask-outliers --feature-mm '4'",
         "variant=--line-order  bi-step\n",
     ];
-    ended_with(&run(dir.path(), &[&settings[..], &SMALL].concat()), 0);
+    ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), 0);
     let surface = manifest(&dir.path().join("o/surface"));
     assert!(
         surface["command"].as_str().unwrap().contains("--mask-outliers --feature-mm 4 "),
@@ -203,11 +203,11 @@ fn flags_in_a_setting_are_taken_apart_as_by_a_shell() {
     // What a shell would evaluate is a word like any other.
     fs::write(dir.path().join("4"), "").unwrap();
     let settings = ["run", "raster", "out=o", "prepare=--feature-mm $(touch${IFS}PWNED) *"];
-    let text = ended_with(&run(dir.path(), &[&settings[..], &SMALL].concat()), 2);
+    let text = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), 2);
     assert!(text.contains("$(touch${IFS}PWNED)"), "{text}");
     assert_eq!(entries(dir.path()), ["4", "o"].map(String::from).into());
     let settings = ["run", "raster", "out=p", "prepare=--feature-mm '4"];
-    let text = ended_with(&run(dir.path(), &[&settings[..], &SMALL].concat()), 2);
+    let text = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), 2);
     assert!(text.contains("prepare=--feature-mm '4: the quotation mark"), "{text}");
     assert!(!dir.path().join("p").exists());
 }
@@ -349,7 +349,7 @@ fn of_whole_runs_at_once_one_wins() {
     for race in 0..RACES {
         let dir = tempfile::tempdir().unwrap();
         let begin = |pitch: &str| -> Child {
-            let settings = [&["run", "raster", "out=o", pitch], &SMALL[..]].concat();
+            let settings = [&["run", "raster", "out=o", pitch], &QUICK_RUN[..]].concat();
             just(dir.path(), &settings).spawn().unwrap()
         };
         let both =
@@ -379,7 +379,7 @@ fn a_negative_verdict_on_the_plan_ends_the_run_with_1_after_the_report() {
     }
     // The ideals keep no limits, and do not count.
     let dir = tempfile::tempdir().unwrap();
-    let settings = [&["run", "raster", "out=o"], &SMALL[..]].concat();
+    let settings = [&["run", "raster", "out=o"], &QUICK_RUN[..]].concat();
     let text = ended_with(&run(dir.path(), &settings), 0);
     assert!(text.contains("verdict: x position steps by"), "the ideal keeps no limits: {text}");
 

@@ -79,9 +79,9 @@ pub struct Histogram {
     pub low_nm: f64,
     /// Width of the bins, nm.
     pub width_nm: f64,
-    /// Share of the valid pixels per nm in each bin, 1/nm.
+    /// Fraction of the valid pixels per nm in each bin, 1/nm.
     pub density_per_nm: Vec<f64>,
-    /// Share of the valid pixels beyond the bins.
+    /// Fraction of the valid pixels beyond the bins.
     pub outside: f64,
 }
 

@@ -20,7 +20,8 @@ pub struct Packed {
     pub i16: String,
 }
 
-const LARGEST: f64 = 32767.0;
+/// Quantised values are within plus and minus this.
+const LARGEST_STORED_INTEGER: f64 = 32767.0;
 
 /// How a value between two steps is rounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,15 +52,21 @@ pub fn pack_between(
 ) -> Packed {
     let offset = 0.5 * (low + high);
     let half = 0.5 * (high - low);
-    let scale = if half > 0.0 { half / LARGEST } else { 1.0 };
+    let scale = if half > 0.0 { half / LARGEST_STORED_INTEGER } else { 1.0 };
     let mut bytes = Vec::new();
     for v in values {
         let steps = (v - offset) / scale;
         let q = match rounding {
             _ if v.is_nan() => i16::MIN,
-            Rounding::Nearest => steps.round().clamp(-LARGEST, LARGEST) as i16,
-            Rounding::Down => steps.floor().clamp(-LARGEST, LARGEST) as i16,
-            Rounding::Up => steps.ceil().clamp(-LARGEST, LARGEST) as i16,
+            Rounding::Nearest => {
+                steps.round().clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16
+            }
+            Rounding::Down => {
+                steps.floor().clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16
+            }
+            Rounding::Up => {
+                steps.ceil().clamp(-LARGEST_STORED_INTEGER, LARGEST_STORED_INTEGER) as i16
+            }
         };
         bytes.extend(q.to_le_bytes());
     }

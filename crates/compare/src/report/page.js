@@ -607,8 +607,8 @@ function toolAt(entry, time) {
   return { x: l.x[i] + u * (l.x[i + 1] - l.x[i]), y: l.y[i] + u * (l.y[i + 1] - l.y[i]), speed: l.value[i + 1] };
 }
 
-/** The value below which this share of the values is. */
-function quantile(values, share) {
+/** The value below which this fraction of the values is. */
+function quantile(values, fraction) {
   const sorted = Float64Array.from(values).filter((v) => !Number.isNaN(v)).sort();
   return sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 1;
 }
@@ -697,9 +697,9 @@ function dwellContent(entry, kind) {
     paint(ctx, box) {
       const every = state.moving ? Math.ceil(values.length / MOVING_POINTS) : 1;
       const area = (WHOLE[1] - WHOLE[0]) * (WHOLE[3] - WHOLE[2]);
-      // As large as its share of the picture, and no gap to the next one on the path.
-      const share = Math.max(Math.sqrt((0.7 * area) / values.length), 1.1 * d.gap);
-      const side = Math.max(1.5, Math.min(24, box.k * share));
+      // As large as its fraction of the picture, and no gap to the next one on the path.
+      const side_mm = Math.max(Math.sqrt((0.7 * area) / values.length), 1.1 * d.gap);
+      const side = Math.max(1.5, Math.min(24, box.k * side_mm));
       const bins = Array.from({ length: n }, () => []);
       for (let i = 0; i < values.length; i += every) {
         const px = box.x.at(d.x[i]), py = box.y.at(d.y[i]);

@@ -1,4 +1,4 @@
-//! A symmetric matrix in skyline storage (also called envelope or profile), and its Cholesky factor.
+//! A symmetric matrix in skyline (also called profile) storage, and its Cholesky factor.
 //!
 //! Row i stores the columns from its first nonzero one up to the diagonal. `A = L L'` fills
 //! nothing outside of that, so where every row reaches back by at most b, the factor has n b

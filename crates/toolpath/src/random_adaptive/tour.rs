@@ -231,7 +231,7 @@ impl<'a> Tour<'a> {
                     continue;
                 }
                 let change = new + self.cost(a_next, b_next) - old - self.cost(b, b_next);
-                if change < -TINY * old {
+                if change < -LEAST_GAIN * old {
                     if ahead {
                         self.exchange(a, b)
                     } else {
@@ -272,7 +272,7 @@ impl<'a> Tour<'a> {
                     for c in [self.next(b), self.previous(b)] {
                         let within = c == first || c == last;
                         let change = joined + self.cost(z, c) - self.cost(b, c) - gain;
-                        if !within && change < -TINY * gain {
+                        if !within && change < -LEAST_GAIN * gain {
                             self.relocate([before, first, last, after], [b, c], a);
                             return Some([before, after, b, c, a, z]);
                         }
@@ -380,4 +380,4 @@ impl<'a> Tour<'a> {
 }
 
 /// A move counts when it gains this fraction: more than rounding.
-const TINY: f64 = 1e-9;
+const LEAST_GAIN: f64 = 1e-9;
