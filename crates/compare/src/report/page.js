@@ -610,7 +610,7 @@ function toolAt(entry, time) {
 /** The value below which this fraction of the values is. */
 function quantile(values, fraction) {
   const sorted = Float64Array.from(values).filter((v) => !Number.isNaN(v)).sort();
-  return sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 1;
+  return sorted.length ? sorted[Math.round(fraction * (sorted.length - 1))] : 1;
 }
 function nearest(points, [x, y]) {
   let best = -1, least = Infinity;
