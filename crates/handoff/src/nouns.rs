@@ -2,8 +2,8 @@
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
 use planish_types::{
-    Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath,
-    Trajectory, dwell_index_from_stored, stored_dwell_index,
+    Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, Removal, RemovalMaps, Surface, Tif,
+    ToolPath, Trajectory, dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -183,7 +183,8 @@ impl Artifact for Removal {
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
         let grid = take_grid(&mut arrays)?;
-        let removal = take_map(&mut arrays, "removal_nm");
-        Removal::from_maps(grid, removal, take_map(&mut arrays, "residual_nm"))
+        let removal_nm = take_map(&mut arrays, "removal_nm");
+        let residual_nm = take_map(&mut arrays, "residual_nm");
+        Removal::from_maps(grid, RemovalMaps { removal_nm, residual_nm })
     }
 }

@@ -34,7 +34,7 @@ pub use dwell_time::DwellTime;
 pub use end::End;
 pub use grid::{Axis, Grid};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
-pub use surface::{Removal, Surface};
+pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::Tif;
 pub use tool_path::ToolPath;
 pub use trajectory::{

@@ -51,6 +51,15 @@ pub struct Removal {
     residual: Surface,
 }
 
+/// The maps of a [`Removal`] as stored, not checked yet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RemovalMaps {
+    /// Predicted removal (ny, nx), nm.
+    pub removal_nm: Array2<f64>,
+    /// Desired removal minus predicted removal (ny, nx), nm; NaN where the desired map is invalid.
+    pub residual_nm: Array2<f64>,
+}
+
 impl Removal {
     /// `removal_nm` (ny, nx) >= 0 on every pixel of the desired map, also on its invalid ones.
     pub fn new(desired: &Surface, removal_nm: Array2<f64>) -> Result<Self, Invalid> {
@@ -58,15 +67,12 @@ impl Removal {
         if removal_nm.dim() == residual_nm.dim() {
             Zip::from(&mut residual_nm).and(&removal_nm).for_each(|z, r| *z -= r);
         }
-        Self::from_maps(*desired.grid(), removal_nm, residual_nm)
+        Self::from_maps(*desired.grid(), RemovalMaps { removal_nm, residual_nm })
     }
 
     /// From both maps, as stored.
-    pub fn from_maps(
-        grid: Grid,
-        removal_nm: Array2<f64>,
-        residual_nm: Array2<f64>,
-    ) -> Result<Self, Invalid> {
+    pub fn from_maps(grid: Grid, maps: RemovalMaps) -> Result<Self, Invalid> {
+        let RemovalMaps { removal_nm, residual_nm } = maps;
         check_map("removal_nm", &grid, &removal_nm)?;
         if let Some((index, _)) = removal_nm.indexed_iter().find(|(_, v)| v.is_nan()) {
             return Err(Invalid::at(
