@@ -159,6 +159,11 @@ const MARGIN: f64 = 1e-4;
 /// Directions closer than this are the same: it makes a velocity step of 1e-7 mm/s at 100 mm/s.
 const SAME_DIRECTION: f64 = 1e-9;
 
+/// Directions are the same only where the tool, keeping to the first to the middle of the second
+/// segment, is not farther from that than this, mm: a tenth of what is taken for rounding when a
+/// motion is judged.
+const SAME_LINE_MM: f64 = 1e-7;
+
 /// A blend takes at most this fraction of the shorter of its two segments.
 const LARGEST_BLEND: f64 = 0.25;
 
@@ -233,6 +238,14 @@ pub fn schedule(
     }
     if motion.made.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
+    }
+    if let Some((short_s, time_s)) = motion.made.vanishing_duration_s() {
+        let problem = format!(
+            "gives a motion with a piece of {short_s:.6e} s, which vanishes in the rounding of its time \
+             of {time_s:.6e} s"
+        );
+        let remedy = "raise the dwell times that are orders of magnitude below the others";
+        return Err(Invalid::whole("dwell_s", problem, remedy).into());
     }
     let trajectory = motion.made.build()?;
     Ok(Schedule { trajectory, density: density_of(path, &passes)?, report: motion.report })
@@ -502,7 +515,8 @@ impl Pass {
             let (before, after) = (straights[k - 1], straights[k]);
             let turn = [0, 1].map(|a| after.direction[a] - before.direction[a]);
             let size = turn[0].hypot(turn[1]);
-            if size > SAME_DIRECTION {
+            let aside_mm = 0.5 * size * before.length.max(after.length);
+            if size > SAME_DIRECTION || aside_mm > SAME_LINE_MM {
                 // deviation = b |u2 - u1| / 4
                 let half_length_mm = (4.0 * settings.corner_deviation_mm / size)
                     .min(LARGEST_BLEND * before.length.min(after.length));

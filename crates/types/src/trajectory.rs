@@ -229,6 +229,14 @@ impl TrajectoryBuilder {
         &self.coefficient_mm
     }
 
+    /// The first segment that is too short to be seen in the time of the motion, if there is one: its
+    /// duration and the time at which it begins, s. [`Self::build`] would refuse it.
+    pub fn vanishing_duration_s(&self) -> Option<(f64, f64)> {
+        let time_s = break_times(&self.duration_s);
+        let vanishes = |k: &usize| time_s[k + 1] <= time_s[*k];
+        (0..self.len()).find(vanishes).map(|k| (self.duration_s[k], time_s[k]))
+    }
+
     /// The trajectory; refuses one without segments, and durations that are not positive.
     pub fn build(self) -> Result<Trajectory, Invalid> {
         let break_time_s = break_times(&self.duration_s);
@@ -313,8 +321,15 @@ mod tests {
         assert!(message.contains("at least one segment"), "{message}");
         let mut still = TrajectoryBuilder::default();
         still.push(0.0, [[0.0; 4]; 2], true, None);
+        assert_eq!(still.vanishing_duration_s(), Some((0.0, 0.0)));
         let message = still.build().unwrap_err().to_string();
         assert!(message.contains("break_time_s[1]: is 0 after 0"), "{message}");
+        let mut long = TrajectoryBuilder::default();
+        long.push(1e12, [[0.0; 4]; 2], true, None);
+        assert_eq!(long.vanishing_duration_s(), None);
+        // A unit in the last place of 1e12 s is 1.2e-4 s.
+        long.push(1e-6, [[0.0; 4]; 2], true, None);
+        assert_eq!(long.vanishing_duration_s(), Some((1e-6, 1e12)));
     }
 
     #[test]
