@@ -11,13 +11,17 @@ use planish_bspline_feed::{
     plan::{Method, Piston},
 };
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, run,
+    say, task,
 };
 use planish_types::{
     Surface, Tif, ToolPath, Trajectory,
     plausible::{self, Rms},
 };
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-bspline-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/bspline";
@@ -127,17 +131,17 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         MethodArg::Deconvolution => "bspline",
         MethodArg::Vrr => "vrr",
     };
-    let mut stage =
-        Stage::new("planish-bspline-feed", env!("CARGO_PKG_VERSION"), method, &cli.output);
-    stage.settings(settings);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let machine = stage.read_machine(&cli.machine)?;
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &cli.surface)?;
+    let tif: Tif = inputs.read("tif", &cli.tif)?;
+    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
+    let machine = inputs.read_machine(&cli.machine)?;
+    let task = task!(method, settings);
     let parts = [("feed", &kind::FEED), ("trajectory", Trajectory::KIND)];
-    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
-        return Ok(status);
-    }
+    let mut output = match Output::directories(&cli.output, parts).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     plausible::check_path(&surface, &tif, &path)?;
     let plan = plan(&surface, &tif, &path, &machine, &settings)?;
@@ -170,8 +174,8 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
         "report": r,
     });
-    stage.write_files("feed", &kind::FEED, &arrays(&plan.feed), &[], outcome.clone(), &status)?;
-    stage.write("trajectory", &plan.trajectory, outcome, &status)?;
+    output.write_arrays(&kind::FEED, &arrays(&plan.feed), &[], outcome.clone(), &status)?;
+    output.write(&plan.trajectory, outcome, &status)?;
     let rms =
         r.model_rms_nm.map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
     say(format!(

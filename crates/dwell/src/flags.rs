@@ -12,7 +12,9 @@ use planish_dwell::{
     problem::{Outcome, Problem, Solution},
     rifta, tikhonov_lsqr, truncated_svd, udo,
 };
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+};
 use planish_types::{
     DwellTime, Limits, Surface, Tif, ToolPath,
     plausible::{self, Rms},
@@ -248,19 +250,15 @@ struct Nouns {
 }
 
 impl Given {
-    fn stage(&self, method: &'static str) -> Stage {
-        Stage::new("planish-dwell", env!("CARGO_PKG_VERSION"), method, &self.output)
-    }
-
-    fn read(&self, stage: &mut Stage) -> Result<Nouns, Failure> {
-        let weight = |stage: &mut Stage| {
-            self.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()
+    fn read(&self, inputs: &mut Inputs) -> Result<Nouns, Failure> {
+        let weight = |inputs: &mut Inputs| {
+            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()
         };
         Ok(Nouns {
-            desired: stage.read("surface", &self.surface)?,
-            tif: stage.read("tif", &self.tif)?,
-            path: stage.read("tool-path", &self.tool_path)?,
-            weight: weight(stage)?,
+            desired: inputs.read("surface", &self.surface)?,
+            tif: inputs.read("tif", &self.tif)?,
+            path: inputs.read("tool-path", &self.tool_path)?,
+            weight: weight(inputs)?,
         })
     }
 }
@@ -284,14 +282,16 @@ fn solve<S: Serialize, R: Serialize>(
     solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
     ended: impl FnOnce(&R) -> Ended,
 ) -> Result<Status, Failure> {
-    let mut stage = given.stage(method);
+    let mut inputs = Inputs::new();
     let resolved =
         Resolved { columns: given.columns.into(), min_dwell: least.bound(), solver: settings };
-    stage.settings(&resolved);
-    let nouns = given.read(&mut stage)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-        return Ok(status);
-    }
+    let task = task!(method, &resolved);
+    let nouns = given.read(&mut inputs)?;
+    let mut output =
+        match Output::directory(&given.output, DwellTime::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
     let problem = Problem {
         desired: &nouns.desired,
         tif: &nouns.tif,
@@ -309,7 +309,7 @@ fn solve<S: Serialize, R: Serialize>(
     let negative = negative.or_else(|| plausible::drawback(before, after, outcome.total_time_s));
     let status = negative.map_or(Status::Done, Status::Negative);
     let written = json!({ "end": end, "report": Reported { outcome, report } });
-    stage.write("", dwell, written, &status)?;
+    output.write(dwell, written, &status)?;
     let unreached = match outcome.unreached_pixels {
         0 => String::new(),
         n => format!("; {n} valid pixels out of reach"),
@@ -505,19 +505,21 @@ pub fn bcls(cli: &Bcls) -> Result<Status, Failure> {
         least_feed: cli.least_feed,
         tikhonov: cli.tikhonov,
     };
-    let mut stage = cli.given.stage("bcls");
-    stage.settings(settings);
-    let Nouns { desired, tif, path, weight } = cli.given.read(&mut stage)?;
-    let machine: Limits = stage.read_machine(&cli.machine)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-        return Ok(status);
-    }
+    let task = task!("bcls", settings);
+    let mut inputs = Inputs::new();
+    let Nouns { desired, tif, path, weight } = cli.given.read(&mut inputs)?;
+    let machine: Limits = inputs.read_machine(&cli.machine)?;
+    let mut output =
+        match Output::directory(&cli.given.output, DwellTime::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
     plausible::check_path(&desired, &tif, &path)?;
     let found = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)?;
     let (r, bounds) = (&found.solution.report, &found.report);
     let status = bounded_status(r, before(&desired, weight.as_ref()));
     let dwell = &found.solution.dwell;
-    stage.write("", dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
+    output.write(dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
     say(format!(
         "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \
          limit {:.4} mm, {} of the segments are shorter, feeds up to {:.2} mm/s; {} at the least dwell \

@@ -9,9 +9,14 @@ use planish_dwell::{
     bounded_least_squares::{self, Bound, Free, Program, Settings},
     columns::Columns,
 };
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, run, say, task,
+};
 use planish_types::{DwellTime, Surface, Tif, ToolPath, plausible};
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-dwell bounded-least-squares --surface out/surface --tif tool --tool-path out/tool_path --min-dwell-s 0.1 --out out/dwell\n\
@@ -155,24 +160,20 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         noise_rms_nm: cli.noise_rms_nm,
         ..defaults
     };
-    let mut stage = Stage::new(
-        "planish-dwell",
-        env!("CARGO_PKG_VERSION"),
-        "bounded-least-squares",
-        &cli.output,
-    );
-    stage.settings(settings);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let weight = cli.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()?;
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &cli.surface)?;
+    let tif: Tif = inputs.read("tif", &cli.tif)?;
+    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
+    let weight = cli.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
     let least: Option<DwellTime> =
-        cli.min_dwell.as_ref().map(|dir| stage.read("min-dwell", dir)).transpose()?;
+        cli.min_dwell.as_ref().map(|dir| inputs.read("min-dwell", dir)).transpose()?;
     let most: Option<DwellTime> =
-        cli.max_dwell.as_ref().map(|dir| stage.read("max-dwell", dir)).transpose()?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-        return Ok(status);
-    }
+        cli.max_dwell.as_ref().map(|dir| inputs.read("max-dwell", dir)).transpose()?;
+    let task = task!("bounded-least-squares", settings);
+    let mut output = match Output::directory(&cli.output, DwellTime::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     plausible::check_path(&surface, &tif, &path)?;
     let (lo, hi) = bounded_least_squares::bounds(&path, &settings)?;
@@ -193,7 +194,7 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
 
     let r = &solution.report;
     let status = flags::bounded_status(r, flags::before(&surface, weight.as_ref()));
-    stage.write("", &solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
+    output.write(&solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
     say(format!(
         "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \
          iterations, KKT residual {:.1e} s; {} at the lower bound, {} out of reach -> {}",

@@ -1,14 +1,16 @@
 //! `planish-import`: files of instruments and other programs in.
 
 use std::{
-    io::Write,
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::Array2;
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, pair, run, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind::Kind, pair,
+    run, say, task, warn,
+};
 use planish_import::{
     Alignment, Baseline, FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale,
     Settings, SpotSettings, Statement, Unit,
@@ -18,6 +20,9 @@ use planish_import::{
 use planish_types::{Grid, Surface, Tif, Trajectory, text::significant};
 use serde::Serialize;
 use serde_json::{Value, json};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
@@ -259,28 +264,26 @@ fn main() -> ExitCode {
 
 fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     let file = &args.file;
-    let mut stage = stage("surface", &file.output);
+    let mut inputs = Inputs::new();
     let (pick, settings) = (pick(file, false), settings(file, args.origin));
-    let bytes = map_bytes(&mut stage, "file", &file.file)?;
+    let bytes = map_bytes(&mut inputs, "file", &file.file)?;
     let format = format_of(file, bytes.as_deref())?;
-    stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
-    let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
-        && file.picture.as_ref().is_none_or(|p| p.exists())
-    {
-        return Ok(status);
-    }
-    begin_picture(&stage, file)?;
+    let task = task!("surface", json!({ "format": format, "pick": pick, "reading": settings }));
+    let reading = open(&mut inputs, "file", &file.file, format, bytes, &pick)?;
+    let mut output = match file.output(Surface::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let (map, statement) = surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
     let picture = || draw(map.grid(), map.height_nm(), Scale::HeightNm, &file.file, &statement);
-    put_picture(&stage, file, picture)?;
+    put_picture(&mut output, file, picture)?;
     let statistics = map.statistics();
     let outcome = json!({
         "reading": statement,
         "pv_nm": statistics.pv,
         "rms_nm": statistics.rms,
     });
-    stage.write("", &map, outcome, &Status::Done)?;
+    output.write(&map, outcome, &Status::Done)?;
     report(&statement, map.grid());
     say(format!(
         "planish-import: {:.4} nm RMS, {:.4} nm PV, height {:.4} .. {:.4} nm -> {}",
@@ -295,10 +298,10 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
 
 fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     let file = &args.file;
-    let mut stage = stage("tif", &file.output);
+    let mut inputs = Inputs::new();
     // Maps of a spot are surfaces.
     let pick = pick(file, args.rate);
-    let bytes = map_bytes(&mut stage, "file", &file.file)?;
+    let bytes = map_bytes(&mut inputs, "file", &file.file)?;
     let format = format_of(file, bytes.as_deref())?;
     let origin = args.origin.unwrap_or(OriginArg::File);
     let mut settings = settings(file, origin);
@@ -320,27 +323,26 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         }),
         _ => None,
     };
-    stage.settings(json!({
+    let resolved = json!({
         "format": format,
         "pick": pick,
         "reading": settings,
         "origin_given": args.origin.is_some(),
         "spot": spot_settings,
-    }));
-    let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
+    });
+    let task = task!("tif", resolved);
+    let reading = open(&mut inputs, "file", &file.file, format, bytes, &pick)?;
     let before = match &args.before {
         Some(path) => {
-            let bytes = map_bytes(&mut stage, "before", path)?;
-            Some(open(&mut stage, "before", path, format, bytes, &pick)?)
+            let bytes = map_bytes(&mut inputs, "before", path)?;
+            Some(open(&mut inputs, "before", path, format, bytes, &pick)?)
         }
         None => None,
     };
-    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)?
-        && file.picture.as_ref().is_none_or(|p| p.exists())
-    {
-        return Ok(status);
-    }
-    begin_picture(&stage, file)?;
+    let mut output = match file.output(Tif::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let (made, statement, own) = match &spot_settings {
         Some(spot_settings) => {
             let (after, statement) =
@@ -365,14 +367,14 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     };
     let picture =
         || draw(made.grid(), made.rate_nm_per_s(), Scale::RateNmPerS, &file.file, &statement);
-    put_picture(&stage, file, picture)?;
+    put_picture(&mut output, file, picture)?;
     let outcome = json!({
         "reading": statement,
         "spot": own,
         "peak_nm_per_s": made.peak_nm_per_s(),
         "vrr_nm_mm2_per_s": made.vrr_nm_mm2_per_s(),
     });
-    stage.write("", &made, outcome, &Status::Done)?;
+    output.write(&made, outcome, &Status::Done)?;
     report(&statement, made.grid());
     if let Some(noise) = own["outside_rms_nm"].as_f64() {
         say(format!(
@@ -390,10 +392,10 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
 }
 
 fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
-    let mut stage = stage("program", &args.output);
+    let mut inputs = Inputs::new();
     let mut configuration = match &args.about {
         Some(path) => {
-            let bytes = foreign(&mut stage, "about", path)?;
+            let bytes = foreign(&mut inputs, "about", path)?;
             serde_json::from_slice::<Configuration>(&bytes).map_err(|e| about(path, &e))?
         }
         None => Configuration::default(),
@@ -410,11 +412,14 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
         ControllerArg::Gcode => Controller::Gcode,
         ControllerArg::Csv => Controller::Csv,
     };
-    stage.settings(json!({ "controller": controller, "configuration": configuration }));
-    let bytes = foreign(&mut stage, "file", &args.file)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], Trajectory::KIND)? {
-        return Ok(status);
-    }
+    let resolved = json!({ "controller": controller, "configuration": configuration });
+    let task = task!("program", resolved);
+    let bytes = foreign(&mut inputs, "file", &args.file)?;
+    let mut output =
+        match Output::directory(&args.output, Trajectory::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
     let motion =
         program::read(controller, &bytes, &configuration).map_err(|e| about(&args.file, &e))?;
     let outcome = json!({
@@ -422,7 +427,7 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
         "total_time_s": motion.total_time_s(),
         "always_on": motion.tool_on().iter().all(|on| *on),
     });
-    stage.write("", &motion, outcome, &Status::Done)?;
+    output.write(&motion, outcome, &Status::Done)?;
     say(format!(
         "planish-import: {} segments, {:.4} s -> {}",
         motion.len(),
@@ -432,8 +437,15 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
     Ok(Status::Done)
 }
 
-fn stage(method: &str, output: &OutputArgs) -> Stage {
-    Stage::new("planish-import", env!("CARGO_PKG_VERSION"), method, output)
+impl FileArgs {
+    /// The artifact, and the picture where one is asked for.
+    fn output(&self, kind: &'static Kind) -> Output {
+        let output = Output::directory(&self.output, kind);
+        match &self.picture {
+            Some(path) => output.and_file("--picture", path),
+            None => output,
+        }
+    }
 }
 
 /// A message of the library, with the file that it is about.
@@ -442,8 +454,8 @@ fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
 }
 
 /// The bytes of a file of another program.
-fn foreign(stage: &mut Stage, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
-    let bytes = stage.read_bytes(role, path, MOST_FILE_BYTES)?;
+fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
+    let bytes = inputs.read_bytes(role, path, MOST_FILE_BYTES)?;
     match bytes.is_empty() {
         true => Err(Failure::new(format!("{}: is empty; export it again", path.display()))),
         false => Ok(bytes),
@@ -451,8 +463,8 @@ fn foreign(stage: &mut Stage, role: &str, path: &Path) -> Result<Vec<u8>, Failur
 }
 
 /// The bytes of a map; `None` for a directory.
-fn map_bytes(stage: &mut Stage, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
-    if path.is_dir() { Ok(None) } else { foreign(stage, role, path).map(Some) }
+fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
+    if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
 }
 
 fn pick(args: &FileArgs, is_tif: bool) -> Pick {
@@ -526,7 +538,7 @@ fn format_of(args: &FileArgs, bytes: Option<&[u8]>) -> Result<Format, Failure> {
 }
 
 fn open(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     role: &str,
     path: &Path,
     format: Format,
@@ -540,11 +552,11 @@ fn open(
         }
         return Ok(match pick.is_tif {
             false => {
-                let map: Surface = stage.read(role, path)?;
+                let map: Surface = inputs.read(role, path)?;
                 Reading::of_map(map.grid(), map.height_nm())
             }
             true => {
-                let map: Tif = stage.read(role, path)?;
+                let map: Tif = inputs.read(role, path)?;
                 Reading::of_map(map.grid(), map.rate_nm_per_s())
             }
         });
@@ -555,7 +567,7 @@ fn open(
 /// What was done, for the user to check, and the warnings.
 fn report(statement: &Statement, grid: &Grid) {
     for warning in &statement.warnings {
-        let _ = writeln!(std::io::stderr(), "warning: {warning}");
+        warn(warning);
     }
     #[derive(Serialize)]
     struct Names(Format, FirstRow);
@@ -599,20 +611,10 @@ fn draw(
 
 /// The picture that was asked for appears with the map; an older one is replaced with --force.
 fn put_picture(
-    stage: &Stage,
+    output: &mut Writer,
     args: &FileArgs,
     picture: impl Fn() -> String,
 ) -> Result<(), Failure> {
     let Some(path) = &args.picture else { return Ok(()) };
-    Ok(stage.stage_file(path, picture().as_bytes(), args.output.force)?)
-}
-
-/// Refuses a picture that may not be written, before the work.
-fn begin_picture(stage: &Stage, args: &FileArgs) -> Result<(), Failure> {
-    let Some(path) = &args.picture else { return Ok(()) };
-    if path.starts_with(&args.output.out) {
-        let problem = "is in the output; give another --picture";
-        return Err(Failure::new(format!("{}: {problem}", path.display())));
-    }
-    Ok(stage.begin_file("--picture", path, args.output.force)?)
+    Ok(output.write_file(path, picture().as_bytes())?)
 }

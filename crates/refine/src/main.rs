@@ -8,7 +8,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags, flags::OutputArgs, kind,
+    npy::ArrayData, run, say, task,
 };
 use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
@@ -18,6 +19,9 @@ use planish_types::{
 };
 use serde::Serialize;
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined\n\
@@ -146,27 +150,27 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         SchedulerKind::Pvt => "pvt",
         SchedulerKind::ConstantAcceleration => "constant-acceleration",
     };
-    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), method, &cli.output);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let machine = stage.read_machine(&cli.machine)?;
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &cli.surface)?;
+    let tif: Tif = inputs.read("tif", &cli.tif)?;
+    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
+    let machine = inputs.read_machine(&cli.machine)?;
     settings.scheduler = match cli.scheduler {
         SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
         SchedulerKind::Pvt => Scheduler::Pvt(cli.mode.on(&machine)),
     };
-    stage.settings(Resolved { settings, stop_at_max_rounds: cli.max_rounds.is_some() });
-    let first = cli.dwell.as_ref().map(|dir| stage.read_with_manifest("dwell", dir)).transpose()?;
-    let (first, manifest): (Option<DwellTime>, _) = first.unzip();
-    stage.refuse_unrelated("dwell", manifest.flatten().as_ref(), "tool-path")?;
+    let resolved = Resolved { settings, stop_at_max_rounds: cli.max_rounds.is_some() };
+    let task = task!(method, resolved);
+    let first = cli.dwell.as_ref().map(|dir| flags::read_dwell(dir, &mut inputs)).transpose()?;
     let parts = [
         ("dwell", DwellTime::KIND),
         ("trajectory", Trajectory::KIND),
         ("iterations", &kind::ITERATIONS),
     ];
-    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
-        return Ok(status);
-    }
+    let mut output = match Output::directories(&cli.output, parts).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     plausible::check_path(&surface, &tif, &path)?;
     let refined = refine(&surface, &tif, &path, &machine, first, &settings)?;
@@ -193,10 +197,10 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         plausible::drawback(before, after, best.total_time_s)
     };
     let status = negative.map_or(Status::Done, Status::Negative);
-    stage.write("dwell", &refined.dwell, outcome.clone(), &status)?;
-    stage.write("trajectory", &refined.trajectory, outcome.clone(), &status)?;
+    output.write(&refined.dwell, outcome.clone(), &status)?;
+    output.write(&refined.trajectory, outcome.clone(), &status)?;
     let arrays = iterations(&refined.iterates);
-    stage.write_files("iterations", &kind::ITERATIONS, &arrays, &[], outcome, &status)?;
+    output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
     for (round, i) in refined.iterates.iter().enumerate() {
         say(format!(
             "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",

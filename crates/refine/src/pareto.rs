@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, stage::say,
+    Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, say, task,
 };
 use planish_refine::{Scheduler, Settings, trade_off};
 use planish_types::{Invalid, Surface, Tif, ToolPath, plausible};
@@ -53,16 +53,18 @@ const MOST_PRICES: usize = 1000;
 pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
     settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
-    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pareto", &cli.output);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let machine = stage.read_machine(&cli.machine)?;
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &cli.surface)?;
+    let tif: Tif = inputs.read("tif", &cli.tif)?;
+    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
+    let machine = inputs.read_machine(&cli.machine)?;
     settings.scheduler = Scheduler::Pvt(cli.mode.on(&machine));
-    stage.settings(json!({ "prices": cli.prices, "refine": settings }));
-    if let Begin::Unchanged(status) = stage.begin(&[""], &kind::ITERATIONS)? {
-        return Ok(status);
-    }
+    let task = task!("pareto", json!({ "prices": cli.prices, "refine": settings }));
+    let mut output =
+        match Output::directory(&cli.output, &kind::ITERATIONS).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
 
     plausible::check_path(&surface, &tif, &path)?;
     if cli.prices > MOST_PRICES {
@@ -113,7 +115,7 @@ pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
         Status::Negative("some plan exceeds the limits of the machine".into())
     };
     let beside = [("pareto.svg", picture)];
-    stage.write_files("", &kind::ITERATIONS, &arrays, &beside, outcome, &status)?;
+    output.write_arrays(&kind::ITERATIONS, &arrays, &beside, outcome, &status)?;
     say(format!("-> {}", cli.output.out.display()));
     Ok(status)
 }

@@ -6,8 +6,10 @@ mod verdict;
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
-use planish_handoff::{Failure, Status, run, stage::say};
-use planish_run::words;
+use planish_handoff::{Failure, Status, run, say, words};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-run start --out out/mine --pipeline mine --surface mirror --tif tool --machine machine.json -- sh my-stages.sh\n\

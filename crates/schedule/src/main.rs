@@ -2,14 +2,11 @@
 
 mod program;
 
-use std::{
-    path::{Path, PathBuf},
-    process::ExitCode,
-};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind::Kind, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags, flags::OutputArgs, run, say, task,
 };
 use planish_schedule::{
     average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed,
@@ -17,6 +14,9 @@ use planish_schedule::{
 };
 use planish_types::{DwellTime, Feed, Limits, ToolPath, Trajectory, plausible};
 use serde_json::{Value, json};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-schedule pvt --tool-path out/tool_path --dwell out/dwell --machine machine.json --mode monotone --out out/trajectory";
@@ -34,6 +34,8 @@ enum Command {
     #[command(flatten)]
     Schedule(Scheduler),
     /// Reference positions at every tick of a controller, from a feed or its NC program
+    ///
+    /// The file, .csv or .npy, has a row per tick: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx.
     Interpolate(program::Interpolate),
     /// Write a feed as an NC program: blocks of end point, densities and arc lengths
     Program(program::Program),
@@ -373,23 +375,24 @@ impl Method {
 fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
     let common = scheduler.common();
     let name = scheduler.name();
-    let mut stage = Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), name, &common.output);
-    let path: ToolPath = stage.read("tool-path", &common.tool_path)?;
-    let (dwell, manifest): (DwellTime, _) = stage.read_with_manifest("dwell", &common.dwell)?;
-    stage.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
-    let machine = stage.read_machine(&common.machine)?;
+    let mut inputs = Inputs::new();
+    let path: ToolPath = inputs.read("tool-path", &common.tool_path)?;
+    let dwell = flags::read_dwell(&common.dwell, &mut inputs)?;
+    let machine = inputs.read_machine(&common.machine)?;
     let method = scheduler.method(&machine)?;
-    stage.settings(method.settings());
-    // A part of the output by its absolute path stands there, not under --out.
-    let feed_part = match scheduler {
-        Scheduler::TrigSpline { feed: Some(dir), .. } => Some(absolute(dir)?),
+    let task = task!(name, method.settings());
+    let feed_dir = match scheduler {
+        Scheduler::TrigSpline { feed, .. } => feed.as_ref(),
         _ => None,
     };
-    let mut parts: Vec<(&str, &Kind)> = vec![("", Trajectory::KIND)];
-    parts.extend(feed_part.as_deref().map(|dir| (dir, Feed::KIND)));
-    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
-        return Ok(status);
+    let mut output = Output::directory(&common.output, Trajectory::KIND);
+    if let Some(dir) = feed_dir {
+        output = output.and_directory("--feed", dir, Feed::KIND);
     }
+    let mut output = match output.begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     let made = method.run(&path, &dwell, &machine)?;
     let claim = Claim::of(&made.trajectory, &machine);
@@ -400,13 +403,13 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         "claim": claim,
         "report": made.report,
     });
-    if let Some(part) = &feed_part {
+    if feed_dir.is_some() {
         let feed = made.feed.as_ref().ok_or_else(|| {
             Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
         })?;
-        stage.write(part, feed, json!({ "report": made.report }), &status)?;
+        output.write(feed, json!({ "report": made.report }), &status)?;
     }
-    stage.write("", &made.trajectory, outcome, &status)?;
+    output.write(&made.trajectory, outcome, &status)?;
     say(format!(
         "{}{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
         name,
@@ -419,11 +422,4 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         common.output.out.display()
     ));
     Ok(status)
-}
-
-fn absolute(dir: &Path) -> Result<String, Failure> {
-    let path = std::path::absolute(dir)?;
-    path.into_os_string().into_string().map_err(|_| {
-        Failure::new(format!("--feed: {} is not readable text; give another name", dir.display()))
-    })
 }

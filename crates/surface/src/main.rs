@@ -8,7 +8,11 @@ use std::{
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::Array1;
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{OutputArgs, OutputFileArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_surface::{
     Level, OutlierSettings, PrepareSettings,
@@ -27,7 +31,9 @@ use serde_json::json;
 
 const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
 const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface prepare --surface mirror --level plane --out out/surface\n\
@@ -300,12 +306,8 @@ struct DrawArgs {
     /// Draw all maps in one colour scale
     #[arg(long)]
     common_scale: bool,
-    /// SVG file to write
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Replace the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
 }
 
 fn main() -> ExitCode {
@@ -320,22 +322,23 @@ fn main() -> ExitCode {
 }
 
 fn prepare_stage(args: &PrepareArgs) -> Result<Status, Failure> {
-    let mut stage = Stage::new("planish-surface", VERSION, "prepare", &args.output);
-    let surface: Surface = stage.read("surface", &args.surface)?;
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &args.surface)?;
     let settings = PrepareSettings {
-        aperture: aperture(&mut stage, &args.aperture)?,
-        outliers: outlier_settings(&mut stage, &args.outliers)?,
+        aperture: aperture(&mut inputs, &args.aperture)?,
+        outliers: outlier_settings(&mut inputs, &args.outliers)?,
         level: level(args)?,
         fill: args.fill,
         extension: extension_settings(&args.extension)?,
     };
-    stage.settings(&settings);
-    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)? {
-        return Ok(status);
-    }
+    let task = task!("prepare", &settings);
+    let mut output = match Output::directory(&args.output, Surface::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let prepared = prepare(&surface, &settings)?;
     let report = &prepared.report;
-    stage.write("", &prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
+    output.write(&prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
     let (rows, columns) = report.after.shape;
     let masked = report.outliers.as_ref().map_or(String::new(), |o| {
         format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
@@ -397,9 +400,9 @@ fn circle(given: &Option<Vec<f64>>) -> Option<Circle> {
     given.as_ref().map(|v| Circle { centre_mm: [v[0], v[1]], radius_mm: v[2] })
 }
 
-fn aperture(stage: &mut Stage, args: &ApertureArgs) -> Result<Option<ClearAperture>, Failure> {
+fn aperture(inputs: &mut Inputs, args: &ApertureArgs) -> Result<Option<ClearAperture>, Failure> {
     if let Some(path) = &args.aperture_mask {
-        return Ok(Some(ClearAperture::Mask(stage.read_mask("aperture-mask", path)?)));
+        return Ok(Some(ClearAperture::Mask(inputs.read_mask("aperture-mask", path)?)));
     }
     let rectangle = args
         .aperture_rectangle_mm
@@ -413,11 +416,11 @@ fn aperture(stage: &mut Stage, args: &ApertureArgs) -> Result<Option<ClearApertu
 }
 
 fn outlier_settings(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     args: &OutlierArgs,
 ) -> Result<Option<OutlierSettings>, Failure> {
     let feature_mm = match (&args.tif, args.feature_mm) {
-        (Some(dir), _) => half_maximum_width_mm(&stage.read::<Tif>("tif", dir)?),
+        (Some(dir), _) => half_maximum_width_mm(&inputs.read::<Tif>("tif", dir)?),
         (None, Some(width)) => width,
         (None, None) => return Ok(None),
     };
@@ -475,17 +478,17 @@ fn extension_settings(args: &ExtensionArgs) -> Result<Option<ExtensionSettings>,
 }
 
 /// The map, or the residual.
-fn read_map(stage: &mut Stage, args: &MapArgs) -> Result<Surface, Failure> {
+fn read_map(inputs: &mut Inputs, args: &MapArgs) -> Result<Surface, Failure> {
     match (&args.surface, &args.removal) {
-        (Some(dir), _) => Ok(stage.read("surface", dir)?),
-        (None, Some(dir)) => Ok(stage.read::<Removal>("removal", dir)?.residual().clone()),
+        (Some(dir), _) => Ok(inputs.read("surface", dir)?),
+        (None, Some(dir)) => Ok(inputs.read::<Removal>("removal", dir)?.residual().clone()),
         (None, None) => Err(Failure::new("--surface: is missing; give it or --removal")),
     }
 }
 
 fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
-    let mut stage = reader("statistics");
-    let surface = read_map(&mut stage, &args.map)?;
+    let mut inputs = Inputs::new();
+    let surface = read_map(&mut inputs, &args.map)?;
     let family = args.pvr_terms.map(|f| match f {
         FamilyArg::Zernike => Family::Zernike,
         FamilyArg::Legendre => Family::Legendre,
@@ -499,8 +502,8 @@ fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
 }
 
 fn psd_stage(args: &PsdArgs) -> Result<Status, Failure> {
-    let mut stage = Stage::new("planish-surface", VERSION, "psd", &args.output);
-    let surface = read_map(&mut stage, &args.map)?;
+    let mut inputs = Inputs::new();
+    let surface = read_map(&mut inputs, &args.map)?;
     let settings = PsdSettings {
         window: match args.window {
             WindowArg::Hann => Window::Hann,
@@ -512,14 +515,15 @@ fn psd_stage(args: &PsdArgs) -> Result<Status, Failure> {
         },
         band_per_mm: args.band_per_mm.chunks_exact(2).map(|b| [b[0], b[1]]).collect(),
     };
-    stage.settings(&settings);
-    if let Begin::Unchanged(status) = stage.begin(&[""], &kind::PSD)? {
-        return Ok(status);
-    }
+    let task = task!("psd", &settings);
+    let mut output = match Output::directory(&args.output, &kind::PSD).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let found = psd(&surface, &settings)?;
     let picture = [("psd.svg", psd_svg(&found).into_bytes())];
     let outcome = serde_json::to_value(&found.report)?;
-    stage.write_files("", &kind::PSD, &psd_arrays(&found), &picture, outcome, &Status::Done)?;
+    output.write_arrays(&kind::PSD, &psd_arrays(&found), &picture, outcome, &Status::Done)?;
     let r = &found.report;
     say(format!(
         "planish-surface: spectrum of {} x {} px ({:.1} % of the valid ones), RMS {:.4} nm, in the \
@@ -557,8 +561,8 @@ fn psd_arrays(psd: &Psd) -> Vec<ArrayData> {
 }
 
 fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
-    let mut stage = Stage::new("planish-surface", VERSION, "tif", &args.output);
-    let tif: Tif = stage.read("tif", &args.tif)?;
+    let mut inputs = Inputs::new();
+    let tif: Tif = inputs.read("tif", &args.tif)?;
     let settings = TifSettings {
         subtract_border: args.subtract_border,
         centre: match args.centre {
@@ -575,10 +579,11 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
         FitArg::SuperGaussian => tif_fit::Model::SuperGaussian,
         FitArg::Mixture => tif_fit::Model::Mixture,
     });
-    stage.settings(json!({ "tif": settings, "fit": model, "use_fit": args.use_fit }));
-    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)? {
-        return Ok(status);
-    }
+    let task = task!("tif", json!({ "tif": settings, "fit": model, "use_fit": args.use_fit }));
+    let mut output = match Output::directory(&args.output, Tif::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let (mut made, report) = prepare_tif(&tif, &settings)?;
     let mut outcome = serde_json::to_value(&report)?;
     let mut status = Status::Done;
@@ -598,7 +603,7 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
             made = formula;
         }
     }
-    stage.write("", &made, outcome, &status)?;
+    output.write(&made, outcome, &status)?;
     let s = planish_surface::tif::tif_statistics(&made);
     say(format!(
         "planish-surface: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} \
@@ -618,13 +623,13 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
 }
 
 fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
-    let mut stage = reader("draw");
+    let mut inputs = Inputs::new();
     let mut panels = Vec::new();
     for dir in &args.surface {
-        panels.push(panel(dir, &stage.read("surface", dir)?));
+        panels.push(panel(dir, &inputs.read("surface", dir)?));
     }
     for dir in &args.tif {
-        let tif: Tif = stage.read("tif", dir)?;
+        let tif: Tif = inputs.read("tif", dir)?;
         panels.push(Panel {
             title: title(dir),
             grid: *tif.grid(),
@@ -632,7 +637,7 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
         });
     }
     let outline =
-        args.outline.as_ref().map(|dir| stage.read("outline", dir).map(|s| panel(dir, &s)));
+        args.outline.as_ref().map(|dir| inputs.read("outline", dir).map(|s| panel(dir, &s)));
     if let Some(y) = args.section_y_mm {
         let inside = |p: &Panel| (p.grid.y.start_mm()..=p.grid.y.end_mm()).contains(&y);
         if !panels.iter().any(inside) {
@@ -650,11 +655,10 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
         common_scale: args.common_scale,
         outline: outline.transpose()?,
     };
-    let out = &args.out;
-    stage.begin_file("--out", out, args.force)?;
-    let picture = maps_svg(&panels, &settings);
-    stage.write_single_files(&[(out.as_path(), picture.as_bytes())], args.force)?;
-    say(format!("planish-surface: {} map(s) drawn to {}", panels.len(), out.display()));
+    let output = args.output.begin(&inputs)?;
+    output.write(maps_svg(&panels, &settings).as_bytes())?;
+    let out = args.output.out.display();
+    say(format!("planish-surface: {} map(s) drawn to {out}", panels.len()));
     Ok(Status::Done)
 }
 
@@ -665,10 +669,4 @@ fn panel(dir: &Path, surface: &Surface) -> Panel {
 /// The name of the directory.
 fn title(dir: &Path) -> String {
     dir.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned())
-}
-
-/// A stage that writes no artifact.
-fn reader(method: &str) -> Stage {
-    let output = OutputArgs { out: PathBuf::new(), force: false, wall_time: None };
-    Stage::new("planish-surface", VERSION, method, &output)
 }

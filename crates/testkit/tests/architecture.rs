@@ -314,13 +314,14 @@ fn every_source_file_belongs_to_the_library_or_the_binary() {
 }
 
 #[test]
-fn every_binary_has_completions_a_manual_page_and_examples() {
+fn every_binary_has_completions_a_manual_page_examples_and_a_memory_budget() {
     for folder in packages().keys() {
         let main = directory_of(folder).join("src/main.rs");
         if main.exists() {
             let text = fs::read_to_string(&main).unwrap();
             assert!(text.contains("planish_handoff::parse"), "{folder}: parse through handoff");
             assert!(text.contains("after_help = EXAMPLES"), "{folder}: no examples in --help");
+            assert!(text.contains("Allocator = planish_handoff"), "{folder}: no memory budget");
         }
     }
 }
