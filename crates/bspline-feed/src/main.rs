@@ -1,6 +1,6 @@
 //! `planish-bspline-feed`: desired removal, TIF and tool path become a feed profile and its motion.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
 use ndarray::{Array1, Array2};
@@ -11,11 +11,14 @@ use planish_bspline_feed::{
     plan::{Method, Piston},
 };
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, run,
-    say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_types::{
-    Surface, Tif, ToolPath, Trajectory,
+    Trajectory,
     plausible::{self, Rms},
 };
 use serde_json::json;
@@ -27,21 +30,17 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-bspline-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/bspline";
 
 /// Find the feed along every pass of a path, as a B-spline, and the motion that runs it
+///
+/// The path is of straight passes that turn outside the clear aperture.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path: straight passes that turn outside the clear aperture [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Where the feed comes from
     #[arg(long, value_enum, default_value = "deconvolution")]
     method: MethodArg,
@@ -132,10 +131,9 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         MethodArg::Vrr => "vrr",
     };
     let mut inputs = Inputs::new();
-    let surface: Surface = inputs.read("surface", &cli.surface)?;
-    let tif: Tif = inputs.read("tif", &cli.tif)?;
-    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
-    let machine = inputs.read_machine(&cli.machine)?;
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
     let task = task!(method, settings);
     let parts = [("feed", &kind::FEED), ("trajectory", Trajectory::KIND)];
     let mut output = match Output::directories(&cli.output, parts).begin(&task, &inputs)? {

@@ -101,7 +101,7 @@ struct Diff {
     /// Second artifact, or directory of .npy files
     #[arg(value_name = "B")]
     b: PathBuf,
-    /// Largest absolute difference that is accepted [in the unit of each array]
+    /// Largest absolute difference that is accepted, in the unit of each array
     #[arg(long, value_name = "T")]
     tolerance: f64,
 }

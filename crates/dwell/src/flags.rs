@@ -13,10 +13,12 @@ use planish_dwell::{
     rifta, tikhonov_lsqr, truncated_svd, udo,
 };
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    say, task,
 };
 use planish_types::{
-    DwellTime, Limits, Surface, Tif, ToolPath,
+    DwellTime, Surface, Tif, ToolPath,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -25,15 +27,10 @@ use serde_json::json;
 /// What every solver is given.
 #[derive(Args)]
 pub struct Given {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
     /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
@@ -42,17 +39,6 @@ pub struct Given {
     columns: ColumnKind,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-/// The floor.
-#[derive(Args)]
-pub struct LeastDwell {
-    /// Least dwell time of every dwell point, s [default: 0]
-    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
-    min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T")]
-    min_dwell_s_per_mm: Option<f64>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -72,19 +58,12 @@ impl From<ColumnKind> for Columns {
     }
 }
 
-impl LeastDwell {
-    fn bound(&self) -> Bound {
-        let per_mm = self.min_dwell_s_per_mm.map(Bound::SecondsPerMm);
-        self.min_dwell_s.map(Bound::Seconds).or(per_mm).unwrap_or(Bound::Seconds(0.0))
-    }
-}
-
 #[derive(Args)]
 pub struct LucyRichardson {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// What is solved for
     #[arg(long, value_enum, default_value = "path")]
     unknowns: UnknownKind,
@@ -126,7 +105,7 @@ pub struct Rifta {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// RMS that a smaller margin around the aperture may cost, nm
     #[arg(long, value_name = "NM", default_value_t = rifta::Settings::default().margin_tolerance_nm)]
     margin_tolerance_nm: f64,
@@ -140,7 +119,7 @@ pub struct Udo {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// How the floor is kept
     #[arg(long, value_enum, default_value = "model")]
     floor: FloorKind,
@@ -168,13 +147,13 @@ pub struct TikhonovLsqr {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// Damping as a part of the largest singular value [default: 0.01]
     #[arg(long, value_name = "PART", group = "choice")]
     damping: Option<f64>,
-    /// Choose the largest damping whose residual is at most this noise, nm
-    #[arg(long, value_name = "NM", group = "choice")]
-    noise_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: the largest damping whose residual is at most that
+    #[arg(long, value_name = "S", group = "choice")]
+    noise_rms_nm: Option<f64>,
     /// Choose the damping at the corner of the L-curve
     #[arg(long, group = "choice")]
     l_curve: bool,
@@ -188,13 +167,13 @@ pub struct TruncatedSvd {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// Leave out singular values up to this part of the largest
     #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
     cut: f64,
     /// Most steps; each keeps a vector of the number of dwell points
-    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_steps)]
-    max_steps: usize,
+    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_iterations)]
+    max_iterations: usize,
 }
 
 #[derive(Args)]
@@ -202,7 +181,7 @@ pub struct NonNegativeLeastSquares {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = non_negative_least_squares::Settings::default().tikhonov)]
     tikhonov: f64,
@@ -212,9 +191,8 @@ pub struct NonNegativeLeastSquares {
 pub struct Bcls {
     #[command(flatten)]
     given: Given,
-    /// Limits of the machine [.json file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Least feed as a part of the largest that is reachable on a segment; 0 for none
     #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
     least_feed: f64,
@@ -254,12 +232,8 @@ impl Given {
         let weight = |inputs: &mut Inputs| {
             self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()
         };
-        Ok(Nouns {
-            desired: inputs.read("surface", &self.surface)?,
-            tif: inputs.read("tif", &self.tif)?,
-            path: inputs.read("tool-path", &self.tool_path)?,
-            weight: weight(inputs)?,
-        })
+        let (desired, tif) = self.mirror.read(inputs)?;
+        Ok(Nouns { desired, tif, path: self.path.read(inputs)?, weight: weight(inputs)? })
     }
 }
 
@@ -277,14 +251,17 @@ struct Ended {
 fn solve<S: Serialize, R: Serialize>(
     method: &'static str,
     given: &Given,
-    least: &LeastDwell,
+    floor: &FloorArgs,
     settings: S,
     solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
     ended: impl FnOnce(&R) -> Ended,
 ) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
-    let resolved =
-        Resolved { columns: given.columns.into(), min_dwell: least.bound(), solver: settings };
+    let resolved = Resolved {
+        columns: given.columns.into(),
+        min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+        solver: settings,
+    };
     let task = task!(method, &resolved);
     let nouns = given.read(&mut inputs)?;
     let mut output =
@@ -440,7 +417,7 @@ pub fn udo(cli: &Udo) -> Result<Status, Failure> {
 
 pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
     let defaults = tikhonov_lsqr::Settings::default();
-    let damping = match (cli.damping, cli.noise_nm, cli.l_curve) {
+    let damping = match (cli.damping, cli.noise_rms_nm, cli.l_curve) {
         (Some(part), ..) => tikhonov_lsqr::Damping::Relative(part),
         (_, Some(noise), _) => tikhonov_lsqr::Damping::Discrepancy(noise),
         (.., true) => tikhonov_lsqr::Damping::LCurve,
@@ -469,13 +446,13 @@ pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
 pub fn truncated_svd(cli: &TruncatedSvd) -> Result<Status, Failure> {
     let settings = truncated_svd::Settings {
         cut: cli.cut,
-        max_steps: cli.max_steps,
+        max_iterations: cli.max_iterations,
         ..truncated_svd::Settings::default()
     };
     let solver = truncated_svd::solve;
     solve("truncated-svd", &cli.given, &cli.least, settings, solver, |r| {
         let negative = (r.end != "converged")
-            .then(|| format!("not converged after {} steps; raise --max-steps", r.steps));
+            .then(|| format!("not converged after {} steps; raise --max-iterations", r.steps));
         let words = format!(
             "rank {}, {} after {} steps, level {:.4} s, {} clipped",
             r.rank, r.end, r.steps, r.level_s, r.clipped
@@ -508,7 +485,7 @@ pub fn bcls(cli: &Bcls) -> Result<Status, Failure> {
     let task = task!("bcls", settings);
     let mut inputs = Inputs::new();
     let Nouns { desired, tif, path, weight } = cli.given.read(&mut inputs)?;
-    let machine: Limits = inputs.read_machine(&cli.machine)?;
+    let machine = cli.machine.read(&mut inputs)?;
     let mut output =
         match Output::directory(&cli.given.output, DwellTime::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),

@@ -10,9 +10,11 @@ use planish_dwell::{
     columns::Columns,
 };
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, run, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
+    run, say, task,
 };
-use planish_types::{DwellTime, Surface, Tif, ToolPath, plausible};
+use planish_types::{DwellTime, plausible};
 use serde_json::json;
 
 #[global_allocator]
@@ -52,24 +54,15 @@ enum Solver {
 
 #[derive(Args)]
 struct BoundedLeastSquares {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
     /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
-    /// Least dwell time of every dwell point, s [default: 0]
-    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
-    min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T")]
-    min_dwell_s_per_mm: Option<f64>,
+    #[command(flatten)]
+    floor: FloorArgs,
     /// Largest dwell time of every dwell point, s
     #[arg(long, value_name = "T", conflicts_with = "max_dwell_s_per_mm")]
     max_dwell_s: Option<f64>,
@@ -138,17 +131,17 @@ fn main() -> ExitCode {
 }
 
 fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
-    let bound = |seconds: Option<f64>, per_mm: Option<f64>| {
-        seconds.map(Bound::Seconds).or(per_mm.map(Bound::SecondsPerMm))
-    };
     let defaults = Settings::default();
     let settings = Settings {
         columns: match cli.columns {
             ColumnKind::Segment => Columns::Segment,
             ColumnKind::Point => Columns::Point,
         },
-        min_dwell: bound(cli.min_dwell_s, cli.min_dwell_s_per_mm).unwrap_or(defaults.min_dwell),
-        max_dwell: bound(cli.max_dwell_s, cli.max_dwell_s_per_mm),
+        min_dwell: cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+        max_dwell: cli
+            .max_dwell_s
+            .map(Bound::Seconds)
+            .or(cli.max_dwell_s_per_mm.map(Bound::SecondsPerMm)),
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
         time_weight_nm2_per_s: cli.time_weight_nm2_per_s,
@@ -161,9 +154,8 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         ..defaults
     };
     let mut inputs = Inputs::new();
-    let surface: Surface = inputs.read("surface", &cli.surface)?;
-    let tif: Tif = inputs.read("tif", &cli.tif)?;
-    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
     let weight = cli.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
     let least: Option<DwellTime> =
         cli.min_dwell.as_ref().map(|dir| inputs.read("min-dwell", dir)).transpose()?;

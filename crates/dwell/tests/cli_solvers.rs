@@ -159,8 +159,8 @@ fn bad_flags_and_verdicts() {
         (&["bcls", "--machine=nowhere.json"], 2, "nowhere.json: cannot read"),
         (&["bcls", "--machine=machine.json", "--least-feed=1"], 2, "least_feed: is 1; give a part"),
         // Done, but not what was asked for.
-        (&["tikhonov-lsqr", "--noise-nm=1e-9"], 1, "above the noise"),
-        (&["truncated-svd", "--cut=0.001", "--max-steps=3"], 1, "not converged after 3 steps"),
+        (&["tikhonov-lsqr", "--noise-rms-nm=1e-9"], 1, "above the noise"),
+        (&["truncated-svd", "--cut=0.001", "--max-iterations=3"], 1, "not converged after 3 steps"),
     ] {
         let output = run(tmp.path(), "2", solver, "surface", "tif");
         let message = text(&output.stderr);

@@ -9,9 +9,10 @@ use std::{
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
 use planish_handoff::{
-    Failure, Inputs, OutputFile, Status, flags::OutputFileArgs, pair, run, say, warn,
+    Failure, Inputs, OutputFile, Status,
+    flags::{MachineArgs, OutputFileArgs, TrajectoryArgs},
+    pair, run, say, warn,
 };
-use planish_types::{Limits, Trajectory};
 
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
@@ -21,7 +22,8 @@ const EXAMPLES: &str = "Examples:\n\
 
 /// A trajectory as the program of a motion controller
 ///
-/// FILE.json beside the program says what it is.
+/// The limits of the machine hold on the whole motion, or nothing is written. FILE.json beside the
+/// program says what it is.
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -95,13 +97,10 @@ enum FeedArg {
 
 #[derive(Debug, Args)]
 struct CommonArgs {
-    /// Motion
-    #[arg(long, value_name = "DIR")]
-    trajectory: PathBuf,
-    /// Machine: its name goes into the header, and its limits hold on the whole motion or nothing is
-    /// written
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Size of a count, mm: one number, or two for X,Y
     #[arg(long, value_name = "C", value_parser = pair, default_value = "0.0001", allow_hyphen_values = true)]
     count_mm: [f64; 2],
@@ -147,15 +146,15 @@ fn export(controller: &Controller, args: &CommonArgs) -> Result<Status, Failure>
     let about = PathBuf::from(format!("{}.json", out.display()));
     let version = env!("CARGO_PKG_VERSION");
     let mut inputs = Inputs::new();
-    let machine: Limits = inputs.read_machine(&args.machine)?;
-    let trajectory: Trajectory = inputs.read("trajectory", &args.trajectory)?;
+    let machine = args.machine.read(&mut inputs)?;
+    let trajectory = args.trajectory.read(&mut inputs)?;
     let program_file = args.output.begin(&inputs)?;
     let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
     refuse_foreign_about(&about)?;
 
     let digest = inputs.digest("trajectory").unwrap_or_default();
     let origin = Origin {
-        made_from: format!("trajectory {}, BLAKE3 {digest}", args.trajectory.display()),
+        made_from: format!("trajectory {}, BLAKE3 {digest}", args.trajectory.trajectory.display()),
         made_by: format!("planish-export {version}"),
     };
     let common =

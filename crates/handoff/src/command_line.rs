@@ -54,7 +54,7 @@ fn command<C: CommandFactory>() -> clap::Command {
         .allow_negative_numbers(true)
         .global(true)
         .help(format!(
-            "Memory that the program may take, it refuses what needs more [GiB] [default: {}]",
+            "Memory that the program may take, GiB: it refuses what needs more [default: {}]",
             budget::DEFAULT_MEMORY_GIB
         ));
     C::command().arg(memory).after_help(after_help::<C>())

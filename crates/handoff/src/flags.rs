@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath};
+use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath, Trajectory};
 
 use crate::{HandoffError, Inputs, OutputFile};
 
@@ -74,6 +74,13 @@ pub struct TrajectoryArgs {
     /// Motion [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     pub trajectory: PathBuf,
+}
+
+impl TrajectoryArgs {
+    /// Reads it.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<Trajectory, HandoffError> {
+        inputs.read("trajectory", &self.trajectory)
+    }
 }
 
 /// The machine.

@@ -8,13 +8,16 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags, flags::OutputArgs, kind,
-    npy::ArrayData, run, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
 use planish_types::{
-    DwellTime, Limits, Surface, Tif, ToolPath, Trajectory,
+    DwellTime, Limits, Trajectory,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -50,27 +53,17 @@ enum Command {
 #[derive(Args)]
 #[group(args = ["surface"])]
 struct Refine {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// First dwell times [dwell artifact]; without it, bounded least squares
     #[arg(long, value_name = "DIR")]
     dwell: Option<PathBuf>,
-    /// Least dwell time of every dwell point, s [default: 0]
-    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
-    min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T")]
-    min_dwell_s_per_mm: Option<f64>,
+    #[command(flatten)]
+    floor: FloorArgs,
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
     tikhonov: f64,
@@ -139,11 +132,7 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
     settings.max_rounds = cli.max_rounds.unwrap_or(settings.max_rounds);
     settings.dwell.time_weight_nm2_per_s = cli.time_weight_nm2_per_s;
     settings.dwell.noise_rms_nm = cli.noise_rms_nm;
-    if let Some(tau) = cli.min_dwell_s_per_mm {
-        settings.dwell.min_dwell = Bound::SecondsPerMm(tau);
-    } else if let Some(t) = cli.min_dwell_s {
-        settings.dwell.min_dwell = Bound::Seconds(t);
-    }
+    settings.dwell.min_dwell = cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
     settings.dwell.tikhonov = cli.tikhonov;
     settings.dwell.smoothness = cli.smoothness;
     let method = match cli.scheduler {
@@ -151,10 +140,9 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         SchedulerKind::ConstantAcceleration => "constant-acceleration",
     };
     let mut inputs = Inputs::new();
-    let surface: Surface = inputs.read("surface", &cli.surface)?;
-    let tif: Tif = inputs.read("tif", &cli.tif)?;
-    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
-    let machine = inputs.read_machine(&cli.machine)?;
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
     settings.scheduler = match cli.scheduler {
         SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
         SchedulerKind::Pvt => Scheduler::Pvt(cli.mode.on(&machine)),

@@ -1,14 +1,16 @@
 //! `planish-refine pareto`: residual against total time.
 
-use std::path::PathBuf;
-
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, say, task,
+    Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind,
+    npy::ArrayData,
+    say, task,
 };
 use planish_refine::{Scheduler, Settings, trade_off};
-use planish_types::{Invalid, Surface, Tif, ToolPath, plausible};
+use planish_types::{Invalid, plausible};
 use serde_json::json;
 
 use crate::Mode;
@@ -18,21 +20,14 @@ use crate::Mode;
 /// Writes the plans as iterations and DIR/pareto.svg, and prints the table.
 #[derive(clap::Args)]
 pub struct Pareto {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T", default_value_t = 0.02)]
-    min_dwell_s_per_mm: f64,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    #[command(flatten)]
+    floor: FloorArgs,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: Mode,
@@ -52,12 +47,11 @@ const MOST_PRICES: usize = 1000;
 /// The plans, their table and their picture.
 pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
-    settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
+    settings.dwell.min_dwell = cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
     let mut inputs = Inputs::new();
-    let surface: Surface = inputs.read("surface", &cli.surface)?;
-    let tif: Tif = inputs.read("tif", &cli.tif)?;
-    let path: ToolPath = inputs.read("tool-path", &cli.tool_path)?;
-    let machine = inputs.read_machine(&cli.machine)?;
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
     settings.scheduler = Scheduler::Pvt(cli.mode.on(&machine));
     let task = task!("pareto", json!({ "prices": cli.prices, "refine": settings }));
     let mut output =

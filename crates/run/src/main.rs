@@ -62,7 +62,7 @@ struct Start {
     /// Its tool [tif artifact, or a file of an instrument]
     #[arg(long, value_name = "PATH")]
     tif: Option<PathBuf>,
-    /// Machine [JSON]
+    /// Machine and its limits [JSON]
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
     /// A setting that holds several flags, as NAME=FLAGS; can be given again. An unclosed quotation

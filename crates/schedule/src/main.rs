@@ -6,7 +6,9 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags, flags::OutputArgs, run, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, OutputArgs, PlanArgs},
+    run, say, task,
 };
 use planish_schedule::{
     average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed,
@@ -75,10 +77,10 @@ enum Scheduler {
         /// How densities that the machine cannot follow are repaired
         #[arg(long, value_enum, default_value = "offset")]
         repair: Repair,
-        /// Largest distance of the motion from a corner [mm]
+        /// Largest distance of the motion from a corner, mm
         #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
         corner_deviation_mm: f64,
-        /// Largest error of the position where the motion is fitted by cubics [mm]
+        /// Largest error of the position where the motion is fitted by cubics, mm
         #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
         fit_tolerance_mm: f64,
         /// Also write the nodes of the spline, for `interpolate` and `program` [feed artifact]
@@ -99,15 +101,10 @@ enum Scheduler {
 
 #[derive(Args)]
 struct Common {
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Dwell times [dwell artifact]
-    #[arg(long, value_name = "DIR")]
-    dwell: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -376,9 +373,8 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
     let common = scheduler.common();
     let name = scheduler.name();
     let mut inputs = Inputs::new();
-    let path: ToolPath = inputs.read("tool-path", &common.tool_path)?;
-    let dwell = flags::read_dwell(&common.dwell, &mut inputs)?;
-    let machine = inputs.read_machine(&common.machine)?;
+    let (path, dwell) = common.plan.read(&mut inputs)?;
+    let machine = common.machine.read(&mut inputs)?;
     let method = scheduler.method(&machine)?;
     let task = task!(name, method.settings());
     let feed_dir = match scheduler {

@@ -29,7 +29,7 @@ pub struct Interpolate {
     /// NC program, read block by block, in place of a feed
     #[arg(long, value_name = "FILE", conflicts_with = "feed")]
     program: Option<PathBuf>,
-    /// Time between two positions [s]
+    /// Time between two positions, s
     #[arg(long, value_name = "S", default_value_t = 0.001)]
     tick_s: f64,
     #[command(flatten)]

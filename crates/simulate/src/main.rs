@@ -1,12 +1,15 @@
 //! `planish-simulate`: removal and residual of a trajectory.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
 use ndarray::Array1;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind,
-    npy::ArrayData, run, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, Writer,
+    flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_simulate::{
     Settings,
@@ -30,15 +33,10 @@ const EXAMPLES: &str = "Examples:\n\
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
-    /// Motion [trajectory artifact]
-    #[arg(long, value_name = "DIR")]
-    trajectory: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    mirror: MirrorArgs,
     /// How the integral along the motion is computed
     #[arg(long, value_enum, default_value = "gridded")]
     method: Method,
@@ -75,9 +73,9 @@ fn main() -> ExitCode {
         };
         let mut inputs = Inputs::new();
         let (trajectory, manifest): (Trajectory, _) =
-            inputs.read_with_manifest("trajectory", &cli.trajectory)?;
-        let tif: Tif = inputs.read("tif", &cli.tif)?;
-        let surface: Surface = inputs.read("surface", &cli.surface)?;
+            inputs.read_with_manifest("trajectory", &cli.trajectory.trajectory)?;
+        let tif: Tif = inputs.read("tif", &cli.mirror.tif)?;
+        let surface: Surface = inputs.read("surface", &cli.mirror.surface)?;
         for other in ["tif", "surface"] {
             inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
         }

@@ -66,7 +66,7 @@ enum Method {
 
 #[derive(Debug, Args)]
 struct PrepareArgs {
-    /// Measured map
+    /// Measured map [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// What to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms
@@ -112,7 +112,7 @@ struct ApertureArgs {
     /// Clear aperture: pixel centres in this circle, mm
     #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
     aperture_circle_mm: Option<Vec<f64>>,
-    /// Clear aperture: pixels that are 1 in this .npy array (ny, nx)
+    /// Clear aperture: pixels that are 1 [.npy file (ny, nx)]
     #[arg(long, value_name = "FILE")]
     aperture_mask: Option<PathBuf>,
 }
@@ -122,7 +122,7 @@ struct OutlierArgs {
     /// Mask pits and dust that are narrower than half the tool; needs --tif or --feature-mm
     #[arg(long, requires = "feature")]
     mask_outliers: bool,
-    /// Tool influence function whose width at half maximum tells what is narrow
+    /// Tool influence function whose width at half maximum tells what is narrow [tif artifact]
     #[arg(long, value_name = "DIR", group = "feature", requires = "mask_outliers")]
     tif: Option<PathBuf>,
     /// Full width at half maximum of the tool, mm
@@ -188,10 +188,10 @@ enum ExtendArg {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 struct MapArgs {
-    /// Map
+    /// Map [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: Option<PathBuf>,
-    /// Predicted removal whose residual is the map
+    /// Predicted removal whose residual is the map [removal artifact]
     #[arg(long, value_name = "DIR")]
     removal: Option<PathBuf>,
 }
@@ -247,7 +247,7 @@ enum DetrendArg {
 
 #[derive(Debug, Args)]
 struct TifArgs {
-    /// Measured tool influence function
+    /// Measured tool influence function [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Subtract the mean of the border samples and clip what is then negative
@@ -291,13 +291,13 @@ enum FitArg {
 
 #[derive(Debug, Args)]
 struct DrawArgs {
-    /// Map; may be repeated
+    /// Map; may be repeated [surface artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "tif")]
     surface: Vec<PathBuf>,
-    /// Tool influence function, instead of maps; may be repeated
+    /// Tool influence function, instead of maps; may be repeated [tif artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "surface")]
     tif: Vec<PathBuf>,
-    /// Map whose valid pixels are outlined
+    /// Map whose valid pixels are outlined [surface artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "tif")]
     outline: Option<PathBuf>,
     /// y of the section, mm [default: the middle of the first map]

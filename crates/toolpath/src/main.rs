@@ -5,7 +5,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer,
-    flags::{OutputArgs, OutputFileArgs},
+    flags::{OutputArgs, OutputFileArgs, PathArgs},
     run, say, task, warn,
 };
 use planish_toolpath::{
@@ -54,10 +54,10 @@ enum Method {
 /// What every path needs.
 #[derive(Debug, Args)]
 struct RegionArgs {
-    /// Map whose valid pixels (their centres) are the clear aperture
+    /// Map whose valid pixels (their centres) are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Tool influence function, for the overscan and the pitch limit
+    /// Tool influence function, for the overscan and the pitch limit [tif artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "overscan_mm")]
     tif: Option<PathBuf>,
     /// Distance between neighbouring lines, mm
@@ -201,10 +201,10 @@ enum ConstructionArg {
 
 #[derive(Debug, Args)]
 struct MultiPitchArgs {
-    /// Desired removal; its valid pixels (their centres) are the clear aperture
+    /// Desired removal; its valid pixels (their centres) are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Tool influence function
+    /// Tool influence function [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Feed that shall not be exceeded, mm/s
@@ -244,23 +244,21 @@ struct SpiralArgs {
 
 #[derive(Debug, Args)]
 struct InspectArgs {
-    /// Path
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Map whose valid pixels are the clear aperture
+    #[command(flatten)]
+    path: PathArgs,
+    /// Map whose valid pixels are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Machine, for the least time
+    /// Machine and its limits, for the least time [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 struct DrawArgs {
-    /// Path
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Map whose valid pixels, the clear aperture, are drawn in grey
+    #[command(flatten)]
+    path: PathArgs,
+    /// Map whose valid pixels, the clear aperture, are drawn in grey [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: Option<PathBuf>,
     #[command(flatten)]
@@ -526,7 +524,7 @@ impl Region {
 
 fn inspect(args: &InspectArgs) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
-    let path: ToolPath = inputs.read("tool-path", &args.tool_path)?;
+    let path = args.path.read(&mut inputs)?;
     let surface: Surface = inputs.read("surface", &args.surface)?;
     let mut found = serde_json::to_value(statistics(&path, &surface))?;
     if let Some(file) = &args.machine {
@@ -538,7 +536,7 @@ fn inspect(args: &InspectArgs) -> Result<Status, Failure> {
 
 fn draw(args: &DrawArgs) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
-    let path: ToolPath = inputs.read("tool-path", &args.tool_path)?;
+    let path = args.path.read(&mut inputs)?;
     let surface: Option<Surface> =
         args.surface.as_ref().map(|dir| inputs.read("surface", dir)).transpose()?;
     let output = args.output.begin(&inputs)?;

@@ -1,10 +1,13 @@
 //! `planish-verify`: whether a trajectory keeps the limits of a machine.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::Parser;
-use planish_handoff::{Begin, Inputs, Output, Status, flags::OutputArgs, kind, run, say, task};
-use planish_types::Trajectory;
+use planish_handoff::{
+    Begin, Inputs, Output, Status,
+    flags::{MachineArgs, OutputArgs, TrajectoryArgs},
+    kind, run, say, task,
+};
 use planish_verify::{VerifySettings, verify};
 
 #[global_allocator]
@@ -17,16 +20,14 @@ const EXAMPLES: &str = "Examples:\n\
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
-    /// Motion [trajectory artifact]
-    #[arg(long, value_name = "DIR")]
-    trajectory: PathBuf,
-    /// Machine [JSON]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
-    /// Largest jump in position that is taken for rounding [mm]
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// Largest jump in position that is taken for rounding, mm
     #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
     position_step_mm: f64,
-    /// Largest step in velocity that is taken for rounding [mm/s]; 1e-9 of the largest velocity
+    /// Largest step in velocity that is taken for rounding, mm/s; 1e-9 of the largest velocity
     /// is added
     #[arg(
         long,
@@ -46,8 +47,8 @@ fn main() -> ExitCode {
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
         };
         let mut inputs = Inputs::new();
-        let trajectory: Trajectory = inputs.read("trajectory", &cli.trajectory)?;
-        let limits = inputs.read_machine(&cli.machine)?;
+        let trajectory = cli.trajectory.read(&mut inputs)?;
+        let limits = cli.machine.read(&mut inputs)?;
         let task = task!("verify", settings);
         let mut output =
             match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
