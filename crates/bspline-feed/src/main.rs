@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
 use ndarray::{Array1, Array2};
 use planish_bspline_feed::{
     Feed, Settings,
@@ -43,10 +43,10 @@ struct Cli {
     machine: MachineArgs,
     /// Where the feed comes from
     #[arg(long, value_enum, default_value = "deconvolution")]
-    method: MethodArg,
+    method: Method,
     /// How the acceleration limit is kept
     #[arg(long, value_enum, default_value = "convex-concave")]
-    refinement: RefinementArg,
+    refinement: Refinement,
     /// Distance of the knots, mm [default: a quarter of the TIF's width]
     #[arg(long, value_name = "L")]
     knot_spacing_mm: Option<f64>,
@@ -55,7 +55,7 @@ struct Cli {
     pitch_mm: Option<f64>,
     /// What the uniform part of the desired removal means
     #[arg(long, value_enum, default_value = "keep")]
-    piston: PistonArg,
+    piston: Piston,
     /// Weight of the distance to the least dwell density, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
@@ -75,30 +75,6 @@ struct Cli {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum MethodArg {
-    /// The feed that leaves the smallest residual
-    Deconvolution,
-    /// The baseline: volumetric removal rate / (desired removal x pitch)
-    Vrr,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum RefinementArg {
-    /// By the convex-concave procedure
-    ConvexConcave,
-    /// By removing knots next to the highest acceleration
-    KnotRemoval,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum PistonArg {
-    /// It does not count; found along with the feed, slowly
-    Free,
-    /// It is to be removed as given
-    Keep,
-}
-
 fn main() -> ExitCode {
     let cli: Cli = planish_handoff::parse();
     run(|| feed(&cli))
@@ -106,20 +82,11 @@ fn main() -> ExitCode {
 
 fn feed(cli: &Cli) -> Result<Status, Failure> {
     let settings = Settings {
-        method: match cli.method {
-            MethodArg::Deconvolution => Method::Deconvolution,
-            MethodArg::Vrr => Method::Vrr,
-        },
-        refinement: match cli.refinement {
-            RefinementArg::ConvexConcave => Refinement::ConvexConcave,
-            RefinementArg::KnotRemoval => Refinement::KnotRemoval,
-        },
+        method: cli.method,
+        refinement: cli.refinement,
         knot_spacing_mm: cli.knot_spacing_mm,
         pitch_mm: cli.pitch_mm,
-        piston: match cli.piston {
-            PistonArg::Free => Piston::Free,
-            PistonArg::Keep => Piston::Keep,
-        },
+        piston: cli.piston,
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
         tolerance: cli.tolerance,
@@ -127,8 +94,8 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         fit_tolerance_mm: cli.fit_tolerance_mm,
     };
     let method = match cli.method {
-        MethodArg::Deconvolution => "bspline",
-        MethodArg::Vrr => "vrr",
+        Method::Deconvolution => "bspline",
+        Method::Vrr => "vrr",
     };
     let mut inputs = Inputs::new();
     let (surface, tif) = cli.mirror.read(&mut inputs)?;

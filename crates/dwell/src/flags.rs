@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ndarray::Array2;
 use planish_dwell::{
     DwellError, bcls,
@@ -36,26 +36,9 @@ pub struct Given {
     weight: Option<PathBuf>,
     /// What a dwell time is spent on
     #[arg(long, value_enum, default_value = "segment")]
-    columns: ColumnKind,
+    columns: Columns,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ColumnKind {
-    /// Uniform motion along the segment
-    Segment,
-    /// Standing at the dwell point
-    Point,
-}
-
-impl From<ColumnKind> for Columns {
-    fn from(kind: ColumnKind) -> Self {
-        match kind {
-            ColumnKind::Segment => Self::Segment,
-            ColumnKind::Point => Self::Point,
-        }
-    }
 }
 
 #[derive(Args)]
@@ -66,7 +49,7 @@ pub struct LucyRichardson {
     least: FloorArgs,
     /// What is solved for
     #[arg(long, value_enum, default_value = "path")]
-    unknowns: UnknownKind,
+    unknowns: lucy_richardson::Unknowns,
     /// Weight of the total variation, useful from 0 to 0.02
     #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
     total_variation: f64,
@@ -92,14 +75,6 @@ pub struct LucyRichardson {
     pixels_per_cell: Option<usize>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum UnknownKind {
-    /// Dwell times of the path
-    Path,
-    /// A map of dwell times, which then goes to the path
-    Map,
-}
-
 #[derive(Args)]
 pub struct Rifta {
     #[command(flatten)]
@@ -122,7 +97,7 @@ pub struct Udo {
     least: FloorArgs,
     /// How the floor is kept
     #[arg(long, value_enum, default_value = "model")]
-    floor: FloorKind,
+    floor: udo::Floor,
     /// Part of the best step that is taken from the second round on
     #[arg(long, value_name = "BETA", default_value_t = udo::Settings::default().step)]
     step: f64,
@@ -132,14 +107,6 @@ pub struct Udo {
     /// Most rounds
     #[arg(long, value_name = "N", default_value_t = udo::Settings::default().max_iterations)]
     max_iterations: usize,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum FloorKind {
-    /// The removal by the floor is part of the model
-    Model,
-    /// All dwell times are lifted alike at the end, as published
-    Shift,
 }
 
 #[derive(Args)]
@@ -258,7 +225,7 @@ fn solve<S: Serialize, R: Serialize>(
 ) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let resolved = Resolved {
-        columns: given.columns.into(),
+        columns: given.columns,
         min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm),
         solver: settings,
     };
@@ -336,10 +303,7 @@ pub fn bounded_status(r: &bounded_least_squares::Report, before: Rms) -> Status 
 
 pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
     let settings = lucy_richardson::Settings {
-        unknowns: match cli.unknowns {
-            UnknownKind::Path => lucy_richardson::Unknowns::Path,
-            UnknownKind::Map => lucy_richardson::Unknowns::Map,
-        },
+        unknowns: cli.unknowns,
         total_variation: cli.total_variation,
         margin: cli.margin,
         pits: cli.pits,
@@ -397,10 +361,7 @@ pub fn rifta(cli: &Rifta) -> Result<Status, Failure> {
 
 pub fn udo(cli: &Udo) -> Result<Status, Failure> {
     let settings = udo::Settings {
-        floor: match cli.floor {
-            FloorKind::Model => udo::Floor::Model,
-            FloorKind::Shift => udo::Floor::Shift,
-        },
+        floor: cli.floor,
         step: cli.step,
         threshold_nm: cli.threshold_nm,
         max_iterations: cli.max_iterations,
@@ -478,7 +439,7 @@ pub fn non_negative_least_squares(cli: &NonNegativeLeastSquares) -> Result<Statu
 
 pub fn bcls(cli: &Bcls) -> Result<Status, Failure> {
     let settings = bcls::Settings {
-        columns: cli.given.columns.into(),
+        columns: cli.given.columns,
         least_feed: cli.least_feed,
         tikhonov: cli.tikhonov,
     };

@@ -4,7 +4,7 @@ mod flags;
 
 use std::{path::PathBuf, process::ExitCode};
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use planish_dwell::{
     bounded_least_squares::{self, Bound, Free, Program, Settings},
     columns::Columns,
@@ -80,7 +80,7 @@ struct BoundedLeastSquares {
     time_weight_nm2_per_s: f64,
     /// What need not be removed
     #[arg(long, value_enum, default_value = "piston")]
-    free: FreeKind,
+    free: Free,
     /// Residual above which a pixel counts linearly instead of squared, nm: robust to pits
     #[arg(long, value_name = "K")]
     huber_nm: Option<f64>,
@@ -89,7 +89,7 @@ struct BoundedLeastSquares {
     noise_rms_nm: Option<f64>,
     /// What a dwell time is spent on
     #[arg(long, value_enum, default_value = "segment")]
-    columns: ColumnKind,
+    columns: Columns,
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
@@ -98,22 +98,6 @@ struct BoundedLeastSquares {
     smoothness: f64,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum ColumnKind {
-    /// Uniform motion along the segment
-    Segment,
-    /// Standing at the dwell point
-    Point,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum FreeKind {
-    /// A constant
-    Piston,
-    /// A plane: the part keeps the tilt that this leaves
-    Plane,
 }
 
 fn main() -> ExitCode {
@@ -133,10 +117,7 @@ fn main() -> ExitCode {
 fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
     let defaults = Settings::default();
     let settings = Settings {
-        columns: match cli.columns {
-            ColumnKind::Segment => Columns::Segment,
-            ColumnKind::Point => Columns::Point,
-        },
+        columns: cli.columns,
         min_dwell: cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm),
         max_dwell: cli
             .max_dwell_s
@@ -145,10 +126,7 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
         time_weight_nm2_per_s: cli.time_weight_nm2_per_s,
-        free: match cli.free {
-            FreeKind::Piston => Free::Piston,
-            FreeKind::Plane => Free::Plane,
-        },
+        free: cli.free,
         huber_nm: cli.huber_nm,
         noise_rms_nm: cli.noise_rms_nm,
         ..defaults

@@ -6,7 +6,7 @@ use std::{
     process::ExitCode,
 };
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
 use planish_handoff::{
     Failure, Inputs, OutputFile, Status,
@@ -67,7 +67,7 @@ enum Method {
     Gcode {
         /// What F is
         #[arg(long, value_enum, default_value = "inverse-time")]
-        feed: FeedArg,
+        feed: gcode::Feed,
         /// What a time is rounded to, s
         #[arg(long, value_name = "T", default_value_t = 1e-6, allow_negative_numbers = true)]
         tick_s: f64,
@@ -85,14 +85,6 @@ enum Method {
         #[command(flatten)]
         common: CommonArgs,
     },
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FeedArg {
-    /// G93: 60 / F seconds per line
-    InverseTime,
-    /// G94: mm per minute
-    PerMinute,
 }
 
 #[derive(Debug, Args)]
@@ -128,10 +120,6 @@ fn main() -> ExitCode {
                 (Controller::Pmac(settings), common)
             }
             Method::Gcode { feed, tick_s, path_tolerance_mm, common } => {
-                let feed = match feed {
-                    FeedArg::InverseTime => gcode::Feed::InverseTime,
-                    FeedArg::PerMinute => gcode::Feed::PerMinute,
-                };
                 let settings = gcode::Settings { feed, tick_s, path_tolerance_mm };
                 (Controller::Gcode(settings), common)
             }

@@ -5,7 +5,7 @@ use std::{
     process::ExitCode,
 };
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use ndarray::Array2;
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind::Kind, pair,
@@ -54,7 +54,7 @@ struct FileArgs {
     file: PathBuf,
     /// Format [default: by the content; for text of numbers by the ending .csv or .xyz]
     #[arg(long, value_enum)]
-    format: Option<FormatArg>,
+    format: Option<Format>,
     /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
     /// [default: Z (Ztif for rates), or the only one]
     #[arg(long, value_name = "NAME")]
@@ -67,7 +67,7 @@ struct FileArgs {
     y: Option<String>,
     /// Unit of the heights, where the file does not state it
     #[arg(long, value_enum)]
-    unit: Option<UnitArg>,
+    unit: Option<Unit>,
     /// Wavelength of heights in waves, nm
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     wavelength_nm: Option<f64>,
@@ -76,7 +76,7 @@ struct FileArgs {
     pitch_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file, where it does not state it
     #[arg(long, value_enum)]
-    coordinate_unit: Option<UnitArg>,
+    coordinate_unit: Option<Unit>,
     /// Surface height per height in the file: 0.5 for the wavefront of one reflection
     #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true)]
     surface_per_value: f64,
@@ -88,7 +88,7 @@ struct FileArgs {
     no_data: Option<f64>,
     /// Where the first row of the file is [default: as the format has it]
     #[arg(long, value_enum)]
-    first_row: Option<FirstRowArg>,
+    first_row: Option<FirstRow>,
     /// Mirror x
     #[arg(long)]
     flip_x: bool,
@@ -97,7 +97,7 @@ struct FileArgs {
     flip_y: bool,
     /// Turn counter-clockwise with y upwards, after mirroring
     #[arg(long, value_enum, default_value = "0")]
-    rotate_deg: RotationArg,
+    rotate_deg: Rotation,
     /// Draw what was read, as SVG, to compare with the picture on the instrument
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -111,7 +111,7 @@ struct SurfaceArgs {
     file: FileArgs,
     /// Where the coordinate 0 is
     #[arg(long, value_enum, default_value = "file")]
-    origin: OriginArg,
+    origin: Origin,
 }
 
 #[derive(Debug, Args)]
@@ -123,7 +123,7 @@ struct TifArgs {
     rate: bool,
     /// Where the offset 0 of a map of rates is [default: the file's coordinates, else the middle]
     #[arg(long, value_enum, requires = "rate")]
-    origin: Option<OriginArg>,
+    origin: Option<Origin>,
     /// Time that the tool rested, s; FILE is the depth of the removal, or the map after it
     #[arg(long, value_name = "T", requires = "half_size_mm", allow_negative_numbers = true)]
     dwell_s: Option<f64>,
@@ -138,10 +138,10 @@ struct TifArgs {
     spot_mm: Option<[f64; 2]>,
     /// Whether the part moved between the maps
     #[arg(long, value_enum, default_value = "none")]
-    align: AlignArg,
+    align: Alignment,
     /// What is subtracted from the removal, fitted outside the square
     #[arg(long, value_enum, default_value = "plane")]
-    baseline: BaselineArg,
+    baseline: Baseline,
     /// Set negative rates (noise) to zero
     #[arg(long, requires = "dwell_s")]
     clip_negative: bool,
@@ -153,7 +153,7 @@ struct ProgramArgs {
     file: PathBuf,
     /// Whose program it is
     #[arg(long, value_enum)]
-    controller: ControllerArg,
+    controller: Controller,
     /// File that planish-export wrote beside the program; the flags below go before it
     #[arg(long, value_name = "FILE")]
     about: Option<PathBuf>,
@@ -171,86 +171,6 @@ struct ProgramArgs {
     feedrate_time_unit_s: Option<f64>,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FormatArg {
-    Metropro,
-    Datx,
-    /// Zygo .xyz, or lines x y z
-    Xyz,
-    /// MATLAB up to version 7; 7.3 is hdf5
-    Mat5,
-    Hdf5,
-    Fits,
-    /// A matrix of numbers as text
-    Csv,
-    Npy,
-    Sdf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum UnitArg {
-    M,
-    Mm,
-    Um,
-    Nm,
-    Angstrom,
-    Waves,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FirstRowArg {
-    /// Largest y
-    Top,
-    /// Smallest y
-    Bottom,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum RotationArg {
-    #[value(name = "0")]
-    None,
-    #[value(name = "90")]
-    Quarter,
-    #[value(name = "180")]
-    Half,
-    #[value(name = "270")]
-    ThreeQuarters,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum OriginArg {
-    /// Where the file has it; without coordinates at the first pixel
-    File,
-    /// At the smallest x and y
-    Corner,
-    /// In the middle
-    Centre,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum AlignArg {
-    /// It did not
-    None,
-    /// By a shift, which is found outside the square
-    Shift,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum BaselineArg {
-    None,
-    Piston,
-    Plane,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ControllerArg {
-    Galil,
-    Xps,
-    Pmac,
-    Gcode,
-    Csv,
 }
 
 fn main() -> ExitCode {
@@ -303,22 +223,15 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     let pick = pick(file, args.rate);
     let bytes = map_bytes(&mut inputs, "file", &file.file)?;
     let format = format_of(file, bytes.as_deref())?;
-    let origin = args.origin.unwrap_or(OriginArg::File);
+    let origin = args.origin.unwrap_or(Origin::File);
     let mut settings = settings(file, origin);
     let spot_settings = match (args.dwell_s, args.half_size_mm) {
         (Some(dwell_s), Some(half_size_mm)) => Some(SpotSettings {
             dwell_s,
             half_size_mm,
             spot_mm: args.spot_mm,
-            alignment: match args.align {
-                AlignArg::None => Alignment::None,
-                AlignArg::Shift => Alignment::Shift,
-            },
-            baseline: match args.baseline {
-                BaselineArg::None => Baseline::None,
-                BaselineArg::Piston => Baseline::Piston,
-                BaselineArg::Plane => Baseline::Plane,
-            },
+            alignment: args.align,
+            baseline: args.baseline,
             clip_negative: args.clip_negative,
         }),
         _ => None,
@@ -405,13 +318,7 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
     configuration.sample_s = args.sample_s.or(configuration.sample_s);
     configuration.feedrate_time_unit_s =
         args.feedrate_time_unit_s.or(configuration.feedrate_time_unit_s);
-    let controller = match args.controller {
-        ControllerArg::Galil => Controller::Galil,
-        ControllerArg::Xps => Controller::Xps,
-        ControllerArg::Pmac => Controller::Pmac,
-        ControllerArg::Gcode => Controller::Gcode,
-        ControllerArg::Csv => Controller::Csv,
-    };
+    let controller = args.controller;
     let resolved = json!({ "controller": controller, "configuration": configuration });
     let task = task!("program", resolved);
     let bytes = foreign(&mut inputs, "file", &args.file)?;
@@ -471,40 +378,20 @@ fn pick(args: &FileArgs, is_tif: bool) -> Pick {
     Pick { data: args.dataset.clone(), x: args.x.clone(), y: args.y.clone(), is_tif }
 }
 
-fn settings(args: &FileArgs, origin: OriginArg) -> Settings {
-    let unit = |unit| match unit {
-        UnitArg::M => Unit::M,
-        UnitArg::Mm => Unit::Mm,
-        UnitArg::Um => Unit::Um,
-        UnitArg::Nm => Unit::Nm,
-        UnitArg::Angstrom => Unit::Angstrom,
-        UnitArg::Waves => Unit::Waves,
-    };
+fn settings(args: &FileArgs, origin: Origin) -> Settings {
     Settings {
-        unit: args.unit.map(unit),
+        unit: args.unit,
         wavelength_nm: args.wavelength_nm,
         pitch_mm: args.pitch_mm,
-        coordinate_unit: args.coordinate_unit.map(unit),
+        coordinate_unit: args.coordinate_unit,
         surface_per_value: args.surface_per_value,
         negate: args.negate,
         no_data: args.no_data,
-        first_row: args.first_row.map(|row| match row {
-            FirstRowArg::Top => FirstRow::Top,
-            FirstRowArg::Bottom => FirstRow::SmallestY,
-        }),
+        first_row: args.first_row,
         flip_x: args.flip_x,
         flip_y: args.flip_y,
-        rotation: match args.rotate_deg {
-            RotationArg::None => Rotation::None,
-            RotationArg::Quarter => Rotation::Quarter,
-            RotationArg::Half => Rotation::Half,
-            RotationArg::ThreeQuarters => Rotation::ThreeQuarters,
-        },
-        origin: match origin {
-            OriginArg::File => Origin::File,
-            OriginArg::Corner => Origin::Corner,
-            OriginArg::Centre => Origin::Centre,
-        },
+        rotation: args.rotate_deg,
+        origin,
     }
 }
 
@@ -514,17 +401,7 @@ fn format_of(args: &FileArgs, bytes: Option<&[u8]>) -> Result<Format, Failure> {
     let path = &args.file;
     let Some(bytes) = bytes else { return Ok(Format::Directory) };
     if let Some(format) = args.format {
-        return Ok(match format {
-            FormatArg::Metropro => Format::Metropro,
-            FormatArg::Datx => Format::Datx,
-            FormatArg::Xyz => Format::Xyz,
-            FormatArg::Mat5 => Format::Mat5,
-            FormatArg::Hdf5 => Format::Hdf5,
-            FormatArg::Fits => Format::Fits,
-            FormatArg::Csv => Format::Csv,
-            FormatArg::Npy => Format::Npy,
-            FormatArg::Sdf => Format::Sdf,
-        });
+        return Ok(format);
     }
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     let by_ending = match ending.as_deref() {

@@ -17,7 +17,7 @@ use planish_handoff::{
 use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
 use planish_types::{
-    DwellTime, Limits, Trajectory,
+    DwellTime, Trajectory,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -81,7 +81,7 @@ struct Refine {
     scheduler: SchedulerKind,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
-    mode: Mode,
+    mode: pvt::ModeChoice,
     /// Most rounds; where a number is given, to stop there is what is wanted [default: 12, and a negative
     /// verdict where they still improve]
     #[arg(long, value_name = "N")]
@@ -96,26 +96,6 @@ enum SchedulerKind {
     Pvt,
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ConstantAcceleration,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Mode {
-    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps
-    Auto,
-    /// Least acceleration energy; may overshoot corners
-    Smooth,
-    /// Least acceleration energy without reversal inside a segment
-    Monotone,
-}
-
-impl Mode {
-    fn on(self, machine: &Limits) -> pvt::Mode {
-        match self {
-            Self::Auto => pvt::Mode::within(machine),
-            Self::Smooth => pvt::Mode::Smooth,
-            Self::Monotone => pvt::Mode::Monotone,
-        }
-    }
 }
 
 fn main() -> ExitCode {

@@ -10,10 +10,9 @@ use planish_handoff::{
     say, task,
 };
 use planish_refine::{Scheduler, Settings, trade_off};
+use planish_schedule::pvt::ModeChoice;
 use planish_types::{Invalid, plausible};
 use serde_json::json;
-
-use crate::Mode;
 
 /// Refine at rising prices of a second: residual against total time
 ///
@@ -30,7 +29,7 @@ pub struct Pareto {
     floor: FloorArgs,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
-    mode: Mode,
+    mode: ModeChoice,
     /// Prices beside that of nothing
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,

@@ -54,10 +54,10 @@ enum Scheduler {
         formulation: Formulation,
         /// Whether Eq. 16 rests at the start only, or as printed after the first segment too (seed)
         #[arg(long, value_enum)]
-        eq_16: Option<Eq16>,
+        eq_16: Option<pvt_seed::Eq16>,
         /// What the motion shall be like (hermite) [default: auto]
         #[arg(long, value_enum)]
-        mode: Option<Mode>,
+        mode: Option<pvt::ModeChoice>,
         /// Refuse dwell times that the machine cannot follow instead of stretching them (hermite)
         #[arg(long)]
         no_stretch: bool,
@@ -76,7 +76,7 @@ enum Scheduler {
         common: Common,
         /// How densities that the machine cannot follow are repaired
         #[arg(long, value_enum, default_value = "offset")]
-        repair: Repair,
+        repair: trig_spline::Repair,
         /// Largest distance of the motion from a corner, mm
         #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
         corner_deviation_mm: f64,
@@ -118,37 +118,11 @@ enum Formulation {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Eq16 {
-    /// At rest at the start
-    Corrected,
-    /// At rest after the first segment too
-    Printed,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
 enum Corners {
     /// Each axis by itself, as in the source: it goes too far and comes back
     Overshoot,
     /// Along the path with look-ahead, at rest in every corner: within all limits, for more time
     Stop,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Mode {
-    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps
-    Auto,
-    /// Least acceleration energy; may overshoot corners; keeps a limit on jerk
-    Smooth,
-    /// Least acceleration energy without reversal inside a segment; its acceleration steps
-    Monotone,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Repair {
-    /// One offset for all densities: a piston where the path overscans far enough
-    Offset,
-    /// Only the densities that need it are raised
-    Local,
 }
 
 /// A scheduler with its resolved settings.
@@ -208,18 +182,11 @@ impl Scheduler {
                 return Err(Failure::new(message));
             }
             Self::Pvt { formulation: Formulation::Hermite, mode, no_stretch, .. } => {
-                let mode = match mode {
-                    None | Some(Mode::Auto) => pvt::Mode::within(machine),
-                    Some(Mode::Smooth) => pvt::Mode::Smooth,
-                    Some(Mode::Monotone) => pvt::Mode::Monotone,
-                };
+                let mode = mode.unwrap_or_default().on(machine);
                 Method::Pvt(pvt::Settings { mode, stretch: !no_stretch })
             }
             Self::Pvt { mode: None, no_stretch: false, eq_16, .. } => {
-                Method::PvtSeed(match eq_16 {
-                    None | Some(Eq16::Corrected) => pvt_seed::Eq16::Corrected,
-                    Some(Eq16::Printed) => pvt_seed::Eq16::Printed,
-                })
+                Method::PvtSeed(eq_16.unwrap_or_default())
             }
             Self::Pvt { .. } => {
                 let message = "--mode and --no-stretch belong to --formulation hermite; the seed \
@@ -231,12 +198,8 @@ impl Scheduler {
             }
             Self::ConstantAcceleration { corners: Corners::Stop, .. } => Method::StopAtCorners,
             Self::TrigSpline { repair, corner_deviation_mm, fit_tolerance_mm, .. } => {
-                let repair = match repair {
-                    Repair::Offset => trig_spline::Repair::Offset,
-                    Repair::Local => trig_spline::Repair::Local,
-                };
                 Method::TrigSpline(trig_spline::Settings {
-                    repair,
+                    repair: *repair,
                     corner_deviation_mm: *corner_deviation_mm,
                     fit_tolerance_mm: *fit_tolerance_mm,
                 })

@@ -203,17 +203,10 @@ struct StatisticsArgs {
     /// Terms of the fit in the robust PV [default: zernike where the valid pixels fill less than 90 %
     /// of their bounding box, else legendre]
     #[arg(long, value_enum)]
-    pvr_terms: Option<FamilyArg>,
+    pvr_terms: Option<Family>,
     /// Unit circle of the zernike terms, mm [default: about the valid pixels]
     #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
     zernike_circle_mm: Option<Vec<f64>>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FamilyArg {
-    Zernike,
-    Legendre,
-    Chebyshev,
 }
 
 #[derive(Debug, Args)]
@@ -221,28 +214,16 @@ struct PsdArgs {
     #[command(flatten)]
     map: MapArgs,
     /// Window along x and y
-    #[arg(long, value_enum, default_value_t = WindowArg::Hann)]
-    window: WindowArg,
+    #[arg(long, value_enum, default_value_t = Window::Hann)]
+    window: Window,
     /// What to take off first
-    #[arg(long, value_enum, default_value_t = DetrendArg::Plane)]
-    detrend: DetrendArg,
+    #[arg(long, value_enum, default_value_t = Detrend::Plane)]
+    detrend: Detrend,
     /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
     #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = clap::ArgAction::Append, allow_negative_numbers = true)]
     band_per_mm: Vec<f64>,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum WindowArg {
-    Hann,
-    Rectangular,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum DetrendArg {
-    Mean,
-    Plane,
 }
 
 #[derive(Debug, Args)]
@@ -254,8 +235,8 @@ struct TifArgs {
     #[arg(long)]
     subtract_border: bool,
     /// What the offsets are counted from; the samples stay as they are
-    #[arg(long, value_enum, default_value_t = CentreArg::Given)]
-    centre: CentreArg,
+    #[arg(long, value_enum, default_value_t = Centre::Given)]
+    centre: Centre,
     /// Turn counterclockwise about the centre, degrees; multiples of 90 are exact
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     rotate_deg: f64,
@@ -267,26 +248,12 @@ struct TifArgs {
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it
     #[arg(long, value_enum)]
-    fit: Option<FitArg>,
+    fit: Option<tif_fit::Model>,
     /// Write the formula's samples instead of the measured ones
     #[arg(long, requires = "fit")]
     use_fit: bool,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum CentreArg {
-    Given,
-    Centroid,
-    Peak,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FitArg {
-    Gaussian,
-    SuperGaussian,
-    Mixture,
 }
 
 #[derive(Debug, Args)]
@@ -489,12 +456,7 @@ fn read_map(inputs: &mut Inputs, args: &MapArgs) -> Result<Surface, Failure> {
 fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let surface = read_map(&mut inputs, &args.map)?;
-    let family = args.pvr_terms.map(|f| match f {
-        FamilyArg::Zernike => Family::Zernike,
-        FamilyArg::Legendre => Family::Legendre,
-        FamilyArg::Chebyshev => Family::Chebyshev,
-    });
-    let found = surface_statistics(&surface, family, circle(&args.zernike_circle_mm))?;
+    let found = surface_statistics(&surface, args.pvr_terms, circle(&args.zernike_circle_mm))?;
     let zernike = found.pvr.as_ref().is_some_and(|p| p.family == Family::Zernike);
     refuse_circle(args.zernike_circle_mm.is_some() && !zernike)?;
     say(serde_json::to_string_pretty(&found)?);
@@ -505,14 +467,8 @@ fn psd_stage(args: &PsdArgs) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let surface = read_map(&mut inputs, &args.map)?;
     let settings = PsdSettings {
-        window: match args.window {
-            WindowArg::Hann => Window::Hann,
-            WindowArg::Rectangular => Window::Rectangular,
-        },
-        detrend: match args.detrend {
-            DetrendArg::Mean => Detrend::Mean,
-            DetrendArg::Plane => Detrend::Plane,
-        },
+        window: args.window,
+        detrend: args.detrend,
         band_per_mm: args.band_per_mm.chunks_exact(2).map(|b| [b[0], b[1]]).collect(),
     };
     let task = task!("psd", &settings);
@@ -565,20 +521,12 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     let tif: Tif = inputs.read("tif", &args.tif)?;
     let settings = TifSettings {
         subtract_border: args.subtract_border,
-        centre: match args.centre {
-            CentreArg::Given => Centre::Given,
-            CentreArg::Centroid => Centre::Centroid,
-            CentreArg::Peak => Centre::Peak,
-        },
+        centre: args.centre,
         rotate_deg: args.rotate_deg,
         pitch_mm: args.pitch_mm,
         taper_fraction: args.taper_fraction,
     };
-    let model = args.fit.map(|f| match f {
-        FitArg::Gaussian => tif_fit::Model::Gaussian,
-        FitArg::SuperGaussian => tif_fit::Model::SuperGaussian,
-        FitArg::Mixture => tif_fit::Model::Mixture,
-    });
+    let model = args.fit;
     let task = task!("tif", json!({ "tif": settings, "fit": model, "use_fit": args.use_fit }));
     let mut output = match Output::directory(&args.output, Tif::KIND).begin(&task, &inputs)? {
         Begin::Unchanged(status) => return Ok(status),

@@ -86,7 +86,7 @@ struct RasterArgs {
     /// How consecutive lines are joined [default: square; lift for lines in one direction or in
     /// random order]
     #[arg(long, value_enum)]
-    turn: Option<TurnArg>,
+    turn: Option<Turn>,
     /// Run all lines in the same direction, and return with the tool off
     #[arg(long)]
     one_directional: bool,
@@ -116,16 +116,6 @@ struct RasterArgs {
 enum ScanArg {
     X,
     Y,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum TurnArg {
-    /// A straight step across: two corners of 90 degrees
-    Square,
-    /// A semicircle beyond the ends of the lines: no corner
-    Semicircle,
-    /// A straight segment with the tool off
-    Lift,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -184,19 +174,11 @@ struct RandomAdaptiveArgs {
     #[arg(long, value_name = "B", default_value_t = 1.0, allow_negative_numbers = true)]
     contrast: f64,
     /// What the path goes around
-    #[arg(long, value_enum, default_value_t = ConstructionArg::MeshTree)]
-    construction: ConstructionArg,
+    #[arg(long, value_enum, default_value_t = Construction::MeshTree)]
+    construction: Construction,
     /// Passes of corner cutting; each halves the turns and doubles the points
     #[arg(long, value_name = "K", default_value_t = 1)]
     rounding_passes: u32,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ConstructionArg {
-    /// A random tree of triangles: gentle turns, steps cannot cross
-    MeshTree,
-    /// A short tour through random points: sharper turns
-    Tour,
 }
 
 #[derive(Debug, Args)]
@@ -310,12 +292,7 @@ fn raster_stage(args: &RasterArgs) -> Result<Status, Failure> {
             (None, ScanArg::X) => Scan::X,
             (None, ScanArg::Y) => Scan::Y,
         },
-        turn: match args.turn {
-            None if lifts => Turn::Lift,
-            None | Some(TurnArg::Square) => Turn::Square,
-            Some(TurnArg::Semicircle) => Turn::Semicircle,
-            Some(TurnArg::Lift) => Turn::Lift,
-        },
+        turn: args.turn.unwrap_or(if lifts { Turn::Lift } else { Turn::Square }),
         line_origin_mm: args.line_origin_mm,
         order,
         one_directional: args.one_directional,
@@ -378,10 +355,7 @@ fn random_adaptive_stage(args: &RandomAdaptiveArgs) -> Result<Status, Failure> {
         overscan_mm: on.overscan_mm,
         step_mm: args.step_mm,
         contrast: args.contrast,
-        construction: match args.construction {
-            ConstructionArg::MeshTree => Construction::MeshTree,
-            ConstructionArg::Tour => Construction::Tour,
-        },
+        construction: args.construction,
         rounding_passes: args.rounding_passes,
         seed: args.seed,
     };
