@@ -49,6 +49,7 @@ const MAX_ELEMENTS: usize = 400_000_000;
 
 /// How the acceleration limit is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Refinement {
     /// By the convex-concave procedure.

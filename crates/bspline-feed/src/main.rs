@@ -1,46 +1,49 @@
 //! `planish-bspline-feed`: desired removal, TIF and tool path become a feed profile and its motion.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
 use planish_bspline_feed::{
     Settings,
     deconvolution::Refinement,
     plan,
     plan::{Method, Piston},
 };
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    run, say, task,
+};
 use planish_types::{
-    DwellDensity, End, Surface, Tif, ToolPath, Trajectory,
+    DwellDensity, End, Trajectory,
     plausible::{self, Rms},
 };
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-bspline-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/bspline";
 
 /// Find the feed along every pass of a path, as a B-spline, and the motion that runs it
+///
+/// The path is of straight passes that turn outside the clear aperture.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path: straight passes that turn outside the clear aperture [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Where the feed comes from
     #[arg(long, value_enum, default_value = "deconvolution")]
-    method: MethodArg,
+    method: Method,
     /// How the acceleration limit is kept
     #[arg(long, value_enum, default_value = "convex-concave")]
-    refinement: RefinementArg,
+    refinement: Refinement,
     /// Distance of the knots, mm [default: a quarter of the TIF's width]
     #[arg(long, value_name = "L")]
     knot_spacing_mm: Option<f64>,
@@ -49,7 +52,7 @@ struct Cli {
     pitch_mm: Option<f64>,
     /// What the uniform part of the desired removal means
     #[arg(long, value_enum, default_value = "keep")]
-    piston: PistonArg,
+    piston: Piston,
     /// Weight of the distance to the least dwell density, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
@@ -69,30 +72,6 @@ struct Cli {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum MethodArg {
-    /// The feed that leaves the smallest residual
-    Deconvolution,
-    /// The baseline: volumetric removal rate / (desired removal x pitch)
-    Vrr,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum RefinementArg {
-    /// By the convex-concave procedure
-    ConvexConcave,
-    /// By removing knots next to the highest acceleration
-    KnotRemoval,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum PistonArg {
-    /// It does not count; found along with the feed, slowly
-    Free,
-    /// It is to be removed as given
-    Keep,
-}
-
 fn main() -> ExitCode {
     let cli: Cli = planish_handoff::parse();
     run(|| feed(&cli))
@@ -100,20 +79,11 @@ fn main() -> ExitCode {
 
 fn feed(cli: &Cli) -> Result<Status, Failure> {
     let settings = Settings {
-        method: match cli.method {
-            MethodArg::Deconvolution => Method::Deconvolution,
-            MethodArg::Vrr => Method::Vrr,
-        },
-        refinement: match cli.refinement {
-            RefinementArg::ConvexConcave => Refinement::ConvexConcave,
-            RefinementArg::KnotRemoval => Refinement::KnotRemoval,
-        },
+        method: cli.method,
+        refinement: cli.refinement,
         knot_spacing_mm: cli.knot_spacing_mm,
         pitch_mm: cli.pitch_mm,
-        piston: match cli.piston {
-            PistonArg::Free => Piston::Free,
-            PistonArg::Keep => Piston::Keep,
-        },
+        piston: cli.piston,
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
         tolerance: cli.tolerance,
@@ -121,20 +91,19 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         fit_tolerance_mm: cli.fit_tolerance_mm,
     };
     let method = match cli.method {
-        MethodArg::Deconvolution => "bspline",
-        MethodArg::Vrr => "vrr",
+        Method::Deconvolution => "bspline",
+        Method::Vrr => "vrr",
     };
-    let mut stage =
-        Stage::new("planish-bspline-feed", env!("CARGO_PKG_VERSION"), method, &cli.output);
-    stage.settings(settings);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let machine = stage.read_machine(&cli.machine)?;
+    let mut inputs = Inputs::new();
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
+    let task = task!(method, settings);
     let parts = [("feed", DwellDensity::KIND), ("trajectory", Trajectory::KIND)];
-    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
-        return Ok(status);
-    }
+    let mut output = match Output::directories(&cli.output, parts).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     plausible::check_path(&surface, &tif, &path)?;
     let plan = plan(&surface, &tif, &path, &machine, &settings)?;
@@ -167,8 +136,8 @@ fn feed(cli: &Cli) -> Result<Status, Failure> {
         "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
         "report": r,
     });
-    stage.write("feed", &plan.density, outcome.clone(), &status)?;
-    stage.write("trajectory", &plan.trajectory, outcome, &status)?;
+    output.write(&plan.density, outcome.clone(), &status)?;
+    output.write(&plan.trajectory, outcome, &status)?;
     let rms =
         r.model_rms_nm.map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
     say(format!(

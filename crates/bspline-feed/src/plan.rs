@@ -30,6 +30,7 @@ use crate::{
 
 /// Where the feed comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// The feed that leaves the smallest residual.
@@ -40,6 +41,7 @@ pub enum Method {
 
 /// What the uniform part of the desired removal means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Piston {
     /// It does not count; found along with the feed, slowly.

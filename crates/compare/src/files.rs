@@ -17,7 +17,7 @@ use planish_compare::{
     summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
 };
 use planish_handoff::{
-    Arrays, Artifact, Failure, Stage,
+    Arrays, Artifact, Failure, Inputs,
     artifact::{MANIFEST, Manifest},
     kind::{self, Dtype, Kind},
     npy::{self, ArrayData},
@@ -36,20 +36,20 @@ pub fn name_of(run: &Path) -> String {
 
 /// Reads the run number `number` (its surface, and what each method made of it), and sums it up.
 pub fn read_run(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     number: usize,
     run: &Path,
     names: &Names,
 ) -> Result<Run, Failure> {
     let mut provenance = Provenance::default();
     let role = number.to_string();
-    let desired: Known<Surface> = read_part(stage, &role, run, "surface", &mut provenance)?;
+    let desired: Known<Surface> = read_part(inputs, &role, run, "surface", &mut provenance)?;
     let path: Option<Known<ToolPath>> =
-        read_optional_part(stage, &role, run, "tool_path", &mut provenance)?;
+        read_optional_part(inputs, &role, run, "tool_path", &mut provenance)?;
     let plan: Option<Known<DwellTime>> =
-        read_optional_part(stage, &role, run, "dwell", &mut provenance)?;
+        read_optional_part(inputs, &role, run, "dwell", &mut provenance)?;
     let measured = match names.measured {
-        Some(dir) => Some(stage.read("measured", dir)?),
+        Some(dir) => Some(inputs.read("measured", dir)?),
         None => None,
     };
     let parts = RunParts {
@@ -66,7 +66,7 @@ pub fn read_run(
     let mut read = Vec::new();
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
-        read.push(read_method(stage, &format!("{number}/{scheduler}"), &scheduler, dir)?);
+        read.push(read_method(inputs, &format!("{number}/{scheduler}"), &scheduler, dir)?);
     }
     if read.is_empty() {
         let message = "holds no method; schedule, simulate and verify at least one";
@@ -129,15 +129,15 @@ struct Known<T> {
 
 /// Reads the artifact `name` in `dir` and keeps its manifest.
 fn read_part<T: Artifact>(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     role: &str,
     dir: &Path,
     name: &str,
     provenance: &mut Provenance,
 ) -> Result<Known<T>, Failure> {
     let (role, path) = (format!("{role}/{name}"), dir.join(name));
-    let (value, manifest) = stage.read_with_manifest(&role, &path)?;
-    let digest = stage.digest(&role).unwrap_or_default().to_string();
+    let (value, manifest) = inputs.read_with_manifest(&role, &path)?;
+    let digest = inputs.digest(&role).unwrap_or_default().to_string();
     let record = manifest.as_ref().map(record_of);
     if let Some(manifest) = manifest {
         provenance.push((name.into(), serde_json::to_value(manifest)?));
@@ -152,14 +152,14 @@ fn record_of(manifest: &Manifest) -> Record {
 
 /// The same, where there is one.
 fn read_optional_part<T: Artifact>(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     role: &str,
     dir: &Path,
     name: &str,
     provenance: &mut Provenance,
 ) -> Result<Option<Known<T>>, Failure> {
     let exists = dir.join(name).exists();
-    exists.then(|| read_part(stage, role, dir, name, provenance)).transpose()
+    exists.then(|| read_part(inputs, role, dir, name, provenance)).transpose()
 }
 
 /// What one method left.
@@ -179,27 +179,32 @@ struct Found {
 }
 
 /// Reads what the method `name` left in `dir`.
-fn read_method(stage: &mut Stage, role: &str, name: &str, dir: PathBuf) -> Result<Found, Failure> {
+fn read_method(
+    inputs: &mut Inputs,
+    role: &str,
+    name: &str,
+    dir: PathBuf,
+) -> Result<Found, Failure> {
     let mut provenance = Provenance::default();
     let trajectory: Known<Trajectory> =
-        read_part(stage, role, &dir, "trajectory", &mut provenance)?;
-    let removal: Known<Removal> = read_part(stage, role, &dir, "removal", &mut provenance)?;
+        read_part(inputs, role, &dir, "trajectory", &mut provenance)?;
+    let removal: Known<Removal> = read_part(inputs, role, &dir, "removal", &mut provenance)?;
     let manifest =
-        stage.read_manifest(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
+        inputs.read_manifest(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
     let (verdict, judged) = (manifest.outcome.clone(), record_of(&manifest));
     provenance.push(("verdict".into(), serde_json::to_value(manifest)?));
     let own_plan: Option<Known<DwellTime>> =
-        read_optional_part(stage, role, &dir, "dwell", &mut provenance)?;
+        read_optional_part(inputs, role, &dir, "dwell", &mut provenance)?;
     let frames: Option<Known<FramesFile>> =
-        read_optional_part(stage, role, &dir, "frames", &mut provenance)?;
+        read_optional_part(inputs, role, &dir, "frames", &mut provenance)?;
     let rounds: Option<Known<RoundsFile>> =
-        read_optional_part(stage, role, &dir, "iterations", &mut provenance)?;
+        read_optional_part(inputs, role, &dir, "iterations", &mut provenance)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
             return Ok(None);
         }
-        let Wall { wall_s, .. } = stage.read_json(&format!("{role}/{name}-wall"), &path)?;
+        let Wall { wall_s, .. } = inputs.read_json(&format!("{role}/{name}-wall"), &path)?;
         Ok(Some(wall_s))
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
@@ -328,15 +333,15 @@ struct Wall {
 
 /// Reads a run of dwell solvers: its surface, and what each solver made of it.
 pub fn read_solvers(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     run: &Path,
 ) -> Result<(Surface, Vec<(String, Row)>), Failure> {
-    let surface: Surface = stage.read("surface", &run.join("surface"))?;
-    let path: ToolPath = stage.read("tool-path", &run.join("tool_path"))?;
+    let surface: Surface = inputs.read("surface", &run.join("surface"))?;
+    let path: ToolPath = inputs.read("tool-path", &run.join("tool_path"))?;
     let dir = run.join("solvers");
     let mut rows = Vec::new();
     for name in entries(&dir)?.into_iter().filter(|n| dir.join(n).is_dir()) {
-        let row = read_solver(stage, &name, &dir.join(&name), &path)?;
+        let row = read_solver(inputs, &name, &dir.join(&name), &path)?;
         rows.push((name, row));
     }
     if rows.is_empty() {
@@ -347,7 +352,12 @@ pub fn read_solvers(
 }
 
 /// A solver without dwell times has left its message.
-fn read_solver(stage: &mut Stage, name: &str, dir: &Path, path: &ToolPath) -> Result<Row, Failure> {
+fn read_solver(
+    inputs: &mut Inputs,
+    name: &str,
+    dir: &Path,
+    path: &ToolPath,
+) -> Result<Row, Failure> {
     if !dir.join("dwell").exists() {
         let file = dir.join("message.txt");
         let text = read_text(&file).map_err(|e| {
@@ -357,22 +367,22 @@ fn read_solver(stage: &mut Stage, name: &str, dir: &Path, path: &ToolPath) -> Re
         return Ok(Row::Refused { refused: last.trim_start_matches("error: ").to_string() });
     }
     let (dwell, manifest): (DwellTime, _) =
-        stage.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;
+        inputs.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;
     let manifest = manifest.map(serde_json::to_value).transpose()?;
     let plan = Plan::of(name, None, manifest.as_ref(), &[]);
     let position: Removal =
-        stage.read(&format!("{name}/position"), &dir.join("position/removal"))?;
+        inputs.read(&format!("{name}/position"), &dir.join("position/removal"))?;
     let executed: Removal =
-        stage.read(&format!("{name}/executed"), &dir.join("executed/removal"))?;
+        inputs.read(&format!("{name}/executed"), &dir.join("executed/removal"))?;
     let motion: Trajectory =
-        stage.read(&format!("{name}/trajectory"), &dir.join("executed/trajectory"))?;
+        inputs.read(&format!("{name}/trajectory"), &dir.join("executed/trajectory"))?;
     let time_s = motion.total_time_s();
     let mut solver = Solver::new(path, &dwell, &position, &executed, time_s, plan)
         .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
     let wall = dir.join("dwell-wall.json");
     if wall.exists() {
         let Wall { wall_s, peak_memory_mb } =
-            stage.read_json(&format!("{name}/dwell-wall"), &wall)?;
+            inputs.read_json(&format!("{name}/dwell-wall"), &wall)?;
         (solver.wall_s, solver.peak_memory_mb) = (Some(wall_s), peak_memory_mb);
     }
     Ok(Row::Solved(solver))

@@ -18,11 +18,14 @@ use planish_compare::{
     summary::{Summary, to_json},
     table::{table, table_of_runs},
 };
-use planish_handoff::{Begin, Failure, OutputArgs, Stage, Status, kind, run, stage::say};
+use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, run, say, task};
 use planish_types::text::visible;
 use serde_json::json;
 
 use crate::files::Names;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-compare report out/raster --out out/raster/report\n\
@@ -98,7 +101,7 @@ struct Diff {
     /// Second artifact, or directory of .npy files
     #[arg(value_name = "B")]
     b: PathBuf,
-    /// Largest absolute difference that is accepted [in the unit of each array]
+    /// Largest absolute difference that is accepted, in the unit of each array
     #[arg(long, value_name = "T")]
     tolerance: f64,
 }
@@ -122,9 +125,9 @@ fn main() -> ExitCode {
 
 fn report(arguments: &Report) -> Result<Status, Failure> {
     let Report { runs, pipeline, fixture, measured, plots, output } = arguments;
-    let mut stage = Stage::new("planish-compare", env!("CARGO_PKG_VERSION"), "report", output);
+    let mut inputs = Inputs::new();
     let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
-    stage.settings(json!({ "pipeline": pipeline, "fixture": fixture, "runs": names }));
+    let task = task!("report", json!({ "pipeline": pipeline, "fixture": fixture, "runs": names }));
     let called = Names {
         pipeline: pipeline.as_deref(),
         fixture,
@@ -135,11 +138,11 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
         return Err(Failure::new(message));
     }
     let read = runs.iter().enumerate();
-    let read = read.map(|(i, dir)| files::read_run(&mut stage, i, dir, &called));
+    let read = read.map(|(i, dir)| files::read_run(&mut inputs, i, dir, &called));
     let read = read.collect::<Result<Vec<_>, _>>()?;
     let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
     let status = status(&names, &summaries);
-    let begin = stage.begin(&[""], &kind::REPORT)?;
+    let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
 
     let plotted = match plots {
         Plots::Always => true,
@@ -147,15 +150,15 @@ fn report(arguments: &Report) -> Result<Status, Failure> {
         Plots::Never => false,
     };
     // The table is wanted every time, also when the files are there already.
-    let views = if begin == Begin::Run || plotted { views(read) } else { vec![] };
-    if begin == Begin::Run {
+    let views = if writer.is_some() || plotted { views(read) } else { vec![] };
+    if let Some(mut writer) = writer {
         let summary = to_json(&summaries);
         let mut bytes = serde_json::to_vec_pretty(&summary)?;
         bytes.push(b'\n');
         let page = page(&views, &summary);
         let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
         beside.extend(figures(&views).into_iter().map(|(name, svg)| (name, svg.into_bytes())));
-        stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &status)?;
+        writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
     }
     let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();
     say(match &summaries[..] {
@@ -198,10 +201,10 @@ fn warn(message: &str) {
 
 fn dwell_solvers(arguments: &Dwell) -> Result<Status, Failure> {
     let Dwell { run, fixture, output } = arguments;
-    let mut stage = Stage::new("planish-compare", env!("CARGO_PKG_VERSION"), "dwell", output);
-    stage.settings(json!({ "fixture": fixture }));
-    let (surface, rows) = files::read_solvers(&mut stage, run)?;
-    let begin = stage.begin(&[""], &kind::REPORT)?;
+    let mut inputs = Inputs::new();
+    let task = task!("dwell", json!({ "fixture": fixture }));
+    let (surface, rows) = files::read_solvers(&mut inputs, run)?;
+    let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
     let solvers: serde_json::Map<String, serde_json::Value> =
         rows.iter().map(|(name, row)| (name.clone(), json!(row))).collect();
     let initial = surface.statistics();
@@ -213,9 +216,9 @@ fn dwell_solvers(arguments: &Dwell) -> Result<Status, Failure> {
     let mut bytes = serde_json::to_vec_pretty(&summary)?;
     bytes.push(b'\n');
     // The table is wanted every time, also when the file is there already.
-    if begin == Begin::Run {
+    if let Some(mut writer) = writer {
         let beside = [("summary.json", bytes)];
-        stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
+        writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
     }
     say(dwell::table(fixture, &surface, &rows));
     say(visible(&output.out.join("summary.json").to_string_lossy()));

@@ -4,15 +4,18 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::{self, Command},
 };
 
 use ndarray::{Array1, Array2, ArrayD};
-use planish_handoff::{OutputArgs, Stage, Status, kind, npy::ArrayData};
+use planish_handoff::{
+    Artifact, Inputs, Output, Status, Task, Writer, flags::OutputArgs, kind, kind::Kind,
+    npy::ArrayData,
+};
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
-fn compare(dir: &Path, arguments: &[&str]) -> Output {
+fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
     Command::new(env!("CARGO_BIN_EXE_planish-compare"))
         .current_dir(dir)
         .args(arguments)
@@ -42,15 +45,41 @@ impl Lab {
         let axis = |n| Axis::new(0.0, 0.5, n).unwrap();
         let grid = Grid { x: axis(3), y: axis(3) };
         let tif = Tif::new(grid, Array2::ones((3, 3))).unwrap();
-        lab.stage("planish-fixture", &lab.tool).write("", &tif, json!({}), &Status::Done).unwrap();
+        planish_handoff::save(&lab.tool, &tif).unwrap();
         lab.surface(height_nm);
         lab.dwell(1.0, json!({ "end": "optimal", "relative_gap": 3e-5 }));
         lab
     }
 
-    fn stage(&self, tool: &'static str, out: &Path) -> Stage {
-        let output = OutputArgs { out: out.to_path_buf(), force: true, wall_time: None };
-        Stage::new(tool, "0", "test", &output)
+    /// What `tool` makes from the inputs of these roles, each in the directory of its name in `out`.
+    fn writer<const N: usize>(
+        &self,
+        tool: &'static str,
+        inputs: &Inputs,
+        out: &Path,
+        parts: [(&str, &'static Kind); N],
+    ) -> Writer {
+        // What stands there may have been made from the same inputs, and differ in its values.
+        for (part, _) in parts {
+            let _ = fs::remove_dir_all(out.join(part));
+        }
+        let args = OutputArgs { out: out.to_path_buf(), force: true, wall_time: None };
+        let task = Task::new(tool, "0", "test", json!({}));
+        let begin = Output::directories(&args, parts).begin(&task, inputs).unwrap();
+        begin.writer().expect("there is work to do")
+    }
+
+    /// Writes one artifact, made from the inputs of these roles.
+    fn write<T: Artifact>(
+        &self,
+        tool: &'static str,
+        roles: &[&str],
+        out: &str,
+        value: &T,
+        outcome: Value,
+    ) {
+        let mut writer = self.writer(tool, &self.read(roles), &self.run, [(out, T::KIND)]);
+        writer.write(value, outcome, &Status::Done).unwrap();
     }
 
     fn surface(&self, height_nm: f64) {
@@ -59,35 +88,34 @@ impl Lab {
         let mut height = Array2::from_elem((2, 3), 5.0);
         height[[0, 0]] += height_nm;
         let surface = Surface::new(grid, height).unwrap();
-        let out = self.run.join("surface");
-        self.stage("planish-surface", &out).write("", &surface, json!({}), &Status::Done).unwrap();
+        planish_handoff::save(&self.run.join("surface"), &surface).unwrap();
         let points = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]];
         let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
-        let mut stage = self.stage("planish-toolpath", &self.run.join("tool_path"));
-        self.read(&mut stage, &["surface", "tif"]);
-        stage.write("", &path, json!({}), &Status::Done).unwrap();
+        self.write("planish-toolpath", &["surface", "tif"], "tool_path", &path, json!({}));
     }
 
     fn dwell(&self, seconds: f64, report: Value) {
-        let mut stage = self.stage("planish-dwell", &self.run.join("dwell"));
-        self.read(&mut stage, &["surface", "tif", "tool-path"]);
         let dwell = DwellTime::new(vec![seconds; 2]).unwrap();
-        stage.write("", &dwell, json!({ "report": report }), &Status::Done).unwrap();
+        let roles = ["surface", "tif", "tool-path"];
+        self.write("planish-dwell", &roles, "dwell", &dwell, json!({ "report": report }));
     }
 
-    fn read(&self, stage: &mut Stage, roles: &[&str]) {
+    fn read(&self, roles: &[&str]) -> Inputs {
+        let mut inputs = Inputs::new();
         for role in roles {
+            let in_run = |name: &str| self.run.join(name);
             match *role {
-                "surface" => drop(stage.read::<Surface>(role, &self.run.join("surface")).unwrap()),
-                "tif" => drop(stage.read::<Tif>(role, &self.tool).unwrap()),
-                "tool-path" => {
-                    drop(stage.read::<ToolPath>(role, &self.run.join("tool_path")).unwrap());
+                "surface" => drop(inputs.read::<Surface>(role, &in_run("surface")).unwrap()),
+                "tif" => drop(inputs.read::<Tif>(role, &self.tool).unwrap()),
+                "tool-path" => drop(inputs.read::<ToolPath>(role, &in_run("tool_path")).unwrap()),
+                "dwell" => drop(inputs.read::<DwellTime>(role, &in_run("dwell")).unwrap()),
+                "machine" => drop(inputs.read_json::<Value>(role, &self.machine).unwrap()),
+                trajectory => {
+                    drop(inputs.read::<Trajectory>("trajectory", &in_run(trajectory)).unwrap())
                 }
-                "dwell" => drop(stage.read::<DwellTime>(role, &self.run.join("dwell")).unwrap()),
-                "machine" => drop(stage.read_json::<Value>(role, &self.machine).unwrap()),
-                other => panic!("{other}"),
             }
         }
+        inputs
     }
 
     fn method(&self, name: &str) -> PathBuf {
@@ -96,53 +124,55 @@ impl Lab {
 
     /// A motion that leaves after `away_mm`, so that every method has its own.
     fn schedule(&self, name: &str, away_mm: f64) {
-        let mut stage = self.stage("planish-schedule", &self.method(name));
-        self.read(&mut stage, &["tool-path", "dwell", "machine"]);
         let claim = json!({ "claim": { "limits_respected": true } });
-        stage.write("trajectory", &motion(away_mm), claim, &Status::Done).unwrap();
+        let out = format!("methods/{name}/trajectory");
+        let roles = ["tool-path", "dwell", "machine"];
+        self.write("planish-schedule", &roles, &out, &motion(away_mm), claim);
     }
 
     /// Dwell times, motion and rounds as planish-refine writes them.
     fn refine(&self, name: &str, end: &str) {
-        let mut stage = self.stage("planish-refine", &self.method(name));
-        self.read(&mut stage, &["surface", "tif", "tool-path", "machine", "dwell"]);
+        let inputs = self.read(&["surface", "tif", "tool-path", "machine", "dwell"]);
+        let parts = [
+            ("dwell", DwellTime::KIND),
+            ("trajectory", Trajectory::KIND),
+            ("iterations", &kind::ITERATIONS),
+        ];
+        let mut writer = self.writer("planish-refine", &inputs, &self.method(name), parts);
         let outcome = json!({ "end": end, "best_round": 1 });
         let dwell = DwellTime::new(vec![0.5; 2]).unwrap();
-        stage.write("dwell", &dwell, outcome.clone(), &Status::Done).unwrap();
-        stage.write("trajectory", &motion(0.75), outcome.clone(), &Status::Done).unwrap();
+        writer.write(&dwell, outcome.clone(), &Status::Done).unwrap();
+        writer.write(&motion(0.75), outcome.clone(), &Status::Done).unwrap();
         let arrays = [
             ArrayData::F64(ArrayD::from_elem(vec![2, 2], 0.5)),
             ArrayData::F64(Array1::from(vec![2.0, 1.0]).into_dyn()),
             ArrayData::F64(Array1::from(vec![END_S; 2]).into_dyn()),
             ArrayData::I64(Array1::from(vec![0, 0]).into_dyn()),
         ];
-        let part = "iterations";
-        stage.write_files(part, &kind::ITERATIONS, &arrays, &[], outcome, &Status::Done).unwrap();
+        writer.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &Status::Done).unwrap();
     }
 
     /// Leaves `left` of the desired removal; the limits are kept or not.
     fn judge(&self, name: &str, left: f64, kept: bool) {
-        let dir = self.method(name);
-        let trajectory = dir.join("trajectory");
-        let mut stage = self.stage("planish-simulate", &dir.join("removal"));
-        stage.read::<Trajectory>("trajectory", &trajectory).unwrap();
-        self.read(&mut stage, &["tif"]);
-        let desired: Surface = stage.read("surface", &self.run.join("surface")).unwrap();
+        let trajectory = format!("methods/{name}/trajectory");
+        let desired: Surface = Inputs::new().read("surface", &self.run.join("surface")).unwrap();
         let removal_nm = desired.height_nm().mapv(|z| (1.0 - left) * z);
         let removal = Removal::new(&desired, removal_nm).unwrap();
-        stage.write("", &removal, json!({}), &Status::Done).unwrap();
-        let mut stage = self.stage("planish-verify", &dir.join("verdict"));
-        stage.read::<Trajectory>("trajectory", &trajectory).unwrap();
-        self.read(&mut stage, &["machine"]);
+        let roles = [&*trajectory, "tif", "surface"];
+        let out = format!("methods/{name}/removal");
+        self.write("planish-simulate", &roles, &out, &removal, json!({}));
+        let inputs = self.read(&[&trajectory, "machine"]);
+        let parts = [("verdict", &kind::VERDICT)];
+        let mut writer = self.writer("planish-verify", &inputs, &self.method(name), parts);
         let outcome = json!({
             "total_time_s": END_S, "max_velocity_mm_per_s": [1.0, 2.0],
             "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],
             "max_acceleration_step_mm_per_s2": [7.0, 8.0], "limits_respected": kept,
         });
-        stage.write_files("", &kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
+        writer.write_arrays(&kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
     }
 
-    fn report(&self) -> Output {
+    fn report(&self) -> process::Output {
         let dir = self.run.parent().unwrap();
         let run = self.run.file_name().unwrap().to_str().unwrap();
         compare(dir, &["report", run, "--out", "report", "--force"])
@@ -429,9 +459,7 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
         let dir = tempfile::tempdir().unwrap();
         let lab = Lab::new(dir.path(), "run", height_nm);
         let path = ToolPath::through(vec![[7.0, 7.0]; 3], vec![true; 2], vec![0; 2]).unwrap();
-        let mut stage = lab.stage("planish-toolpath", &lab.run.join("tool_path"));
-        lab.read(&mut stage, &["surface", "tif"]);
-        stage.write("", &path, json!({}), &Status::Done).unwrap();
+        lab.write("planish-toolpath", &["surface", "tif"], "tool_path", &path, json!({}));
         lab.dwell(0.0, json!({ "end": "optimal", "relative_gap": 0.0 }));
         lab.schedule("pvt", 0.0);
         lab.judge("pvt", left, true);

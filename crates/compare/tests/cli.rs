@@ -3,16 +3,16 @@
 use std::{
     fs,
     path::Path,
-    process::{Command, Output},
+    process::{self, Command},
 };
 
 use ndarray::{Array2, ArrayD, array};
 use ndarray_npy::write_npy;
-use planish_handoff::{OutputArgs, Stage, Status, kind};
+use planish_handoff::{Inputs, Output, Status, Task, flags::OutputArgs, kind, save};
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Trajectory};
 use serde_json::{Value, json};
 
-fn compare(dir: &Path, arguments: &[&str]) -> Output {
+fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
     Command::new(env!("CARGO_BIN_EXE_planish-compare"))
         .current_dir(dir)
         .args(arguments)
@@ -24,9 +24,14 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).unwrap()
 }
 
-fn stage(out: &Path) -> Stage {
-    let output = OutputArgs { out: out.to_path_buf(), force: true, wall_time: None };
-    Stage::new("test", "0", "test", &output)
+/// A verdict as planish-verify writes it.
+fn save_verdict(dir: &Path, outcome: Value) {
+    let args = OutputArgs { out: dir.to_path_buf(), force: true, wall_time: None };
+    let task = Task::new("test", "0", "test", &outcome);
+    let begin = Output::directory(&args, &kind::VERDICT).begin(&task, &Inputs::new()).unwrap();
+    if let Some(mut writer) = begin.writer() {
+        writer.write_arrays(&kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
+    }
 }
 
 fn desired() -> Surface {
@@ -36,7 +41,7 @@ fn desired() -> Surface {
 
 /// A run whose methods remove `desired * part` and leave (1 - part) of the RMS.
 fn prepare(run: &Path, methods: &[(&str, f64, bool)]) {
-    stage(&run.join("surface")).write("", &desired(), json!({}), &Status::Done).unwrap();
+    save(&run.join("surface"), &desired()).unwrap();
     for (i, (name, part, kept)) in methods.iter().enumerate() {
         let dir = run.join("methods").join(name);
         let removal_nm = desired().height_nm().mapv(|z| if z.is_nan() { 0.0 } else { part * z });
@@ -50,11 +55,9 @@ fn prepare(run: &Path, methods: &[(&str, f64, bool)]) {
             "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],
             "max_acceleration_step_mm_per_s2": [7.0, 8.0], "limits_respected": kept,
         });
-        stage(&dir).write("trajectory", &trajectory, json!({}), &Status::Done).unwrap();
-        stage(&dir).write("removal", &removal, json!({}), &Status::Done).unwrap();
-        stage(&dir)
-            .write_files("verdict", &kind::VERDICT, &[], &[], outcome, &Status::Done)
-            .unwrap();
+        save(&dir.join("trajectory"), &trajectory).unwrap();
+        save(&dir.join("removal"), &removal).unwrap();
+        save_verdict(&dir.join("verdict"), outcome);
     }
 }
 
@@ -241,7 +244,7 @@ fn a_run_that_cannot_be_read_is_exit_2_and_writes_nothing() {
     // A removal predicted on another surface.
     prepare(&run, &[("pvt", 0.5, true)]);
     let other = Surface::new(*desired().grid(), Array2::ones((2, 3))).unwrap();
-    stage(&run.join("surface")).write("", &other, json!({}), &Status::Done).unwrap();
+    save(&run.join("surface"), &other).unwrap();
     refused("run", "run/methods/pvt: residual_nm[0, 0]: is 4.5 nm where the surface has 1 nm");
     prepare(&run, &[("pvt", 0.5, true)]);
     fs::write(run.join("methods/pvt/simulate-wall.json"), "{}").unwrap();
@@ -252,7 +255,7 @@ fn a_run_that_cannot_be_read_is_exit_2_and_writes_nothing() {
 fn diff_decides_by_the_tolerance_and_by_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let write = |name: &str, surface: &Surface| {
-        stage(&dir.path().join(name)).write("", surface, json!({}), &Status::Done).unwrap();
+        save(&dir.path().join(name), surface).unwrap();
     };
     let mut heights = desired().height_nm().clone();
     write("a", &desired());
@@ -288,12 +291,10 @@ fn diff_refuses_what_cannot_be_compared() {
         fs::create_dir_all(out(name)).unwrap();
         write_npy(out(name).join(format!("{array}.npy")), &values).unwrap();
     };
-    stage(&out("surface")).write("", &desired(), json!({}), &Status::Done).unwrap();
+    save(&out("surface"), &desired()).unwrap();
     let dwell = DwellTime::new(vec![1.0, 2.0]).unwrap();
-    stage(&out("dwell")).write("", &dwell, json!({}), &Status::Done).unwrap();
-    stage(&out("report"))
-        .write_files("", &kind::VERDICT, &[], &[], json!({}), &Status::Done)
-        .unwrap();
+    save(&out("dwell"), &dwell).unwrap();
+    save_verdict(&out("report"), json!({}));
     bare("three", "dwell_s", array![1.0, 2.0, 3.0].into_dyn());
     bare("two", "dwell_s", array![1.0, 2.5].into_dyn());
     bare("other", "seconds", array![1.0, 2.5].into_dyn());

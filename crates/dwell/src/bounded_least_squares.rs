@@ -71,6 +71,7 @@ pub enum Bound {
 
 /// What need not be removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Free {
     /// A constant.

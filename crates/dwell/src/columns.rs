@@ -21,6 +21,7 @@ use serde::Serialize;
 
 /// What a dwell time is spent on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Columns {
     /// Standing at the dwell point.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ndarray::Array2;
 use planish_dwell::{
     DwellError, bcls,
@@ -12,9 +12,13 @@ use planish_dwell::{
     problem::{Outcome, Problem, Solution},
     rifta, tikhonov_lsqr, truncated_svd, udo,
 };
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    say, task,
+};
 use planish_types::{
-    DwellTime, End, Limits, Surface, Tif, ToolPath,
+    DwellTime, End, Surface, Tif, ToolPath,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -23,58 +27,18 @@ use serde_json::json;
 /// What every solver is given.
 #[derive(Args)]
 pub struct Given {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
     /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
     /// What a dwell time is spent on
     #[arg(long, value_enum, default_value = "segment")]
-    columns: ColumnKind,
+    columns: Columns,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-/// The floor.
-#[derive(Args)]
-pub struct LeastDwell {
-    /// Least dwell time of every dwell point, s [default: 0]
-    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
-    min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T")]
-    min_dwell_s_per_mm: Option<f64>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ColumnKind {
-    /// Uniform motion along the segment
-    Segment,
-    /// Standing at the dwell point
-    Point,
-}
-
-impl From<ColumnKind> for Columns {
-    fn from(kind: ColumnKind) -> Self {
-        match kind {
-            ColumnKind::Segment => Self::Segment,
-            ColumnKind::Point => Self::Point,
-        }
-    }
-}
-
-impl LeastDwell {
-    fn bound(&self) -> Bound {
-        let per_mm = self.min_dwell_s_per_mm.map(Bound::SecondsPerMm);
-        self.min_dwell_s.map(Bound::Seconds).or(per_mm).unwrap_or(Bound::Seconds(0.0))
-    }
 }
 
 #[derive(Args)]
@@ -82,10 +46,10 @@ pub struct LucyRichardson {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// What is solved for
     #[arg(long, value_enum, default_value = "path")]
-    unknowns: UnknownKind,
+    unknowns: lucy_richardson::Unknowns,
     /// Weight of the total variation, useful from 0 to 0.02
     #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
     total_variation: f64,
@@ -111,20 +75,12 @@ pub struct LucyRichardson {
     pixels_per_cell: Option<usize>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum UnknownKind {
-    /// Dwell times of the path
-    Path,
-    /// A map of dwell times, which then goes to the path
-    Map,
-}
-
 #[derive(Args)]
 pub struct Rifta {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// RMS that a smaller margin around the aperture may cost, nm
     #[arg(long, value_name = "NM", default_value_t = rifta::Settings::default().margin_tolerance_nm)]
     margin_tolerance_nm: f64,
@@ -138,10 +94,10 @@ pub struct Udo {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// How the floor is kept
     #[arg(long, value_enum, default_value = "model")]
-    floor: FloorKind,
+    floor: udo::Floor,
     /// Part of the best step that is taken from the second round on
     #[arg(long, value_name = "BETA", default_value_t = udo::Settings::default().step)]
     step: f64,
@@ -153,26 +109,18 @@ pub struct Udo {
     max_iterations: usize,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum FloorKind {
-    /// The removal by the floor is part of the model
-    Model,
-    /// All dwell times are lifted alike at the end, as published
-    Shift,
-}
-
 #[derive(Args)]
 pub struct TikhonovLsqr {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// Damping as a fraction of the largest singular value [default: 0.01]
     #[arg(long, value_name = "PART", group = "choice")]
     damping: Option<f64>,
-    /// Choose the largest damping whose residual is at most this noise, nm
-    #[arg(long, value_name = "NM", group = "choice")]
-    noise_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: the largest damping whose residual is at most that
+    #[arg(long, value_name = "S", group = "choice")]
+    noise_rms_nm: Option<f64>,
     /// Choose the damping at the corner of the L-curve
     #[arg(long, group = "choice")]
     l_curve: bool,
@@ -186,13 +134,13 @@ pub struct TruncatedSvd {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// Leave out singular values up to this fraction of the largest
     #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
     cut: f64,
     /// Most steps; each keeps a vector of the number of dwell points
-    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_steps)]
-    max_steps: usize,
+    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_iterations)]
+    max_iterations: usize,
 }
 
 #[derive(Args)]
@@ -200,7 +148,7 @@ pub struct NonNegativeLeastSquares {
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
-    least: LeastDwell,
+    least: FloorArgs,
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = non_negative_least_squares::Settings::default().tikhonov)]
     tikhonov: f64,
@@ -210,9 +158,8 @@ pub struct NonNegativeLeastSquares {
 pub struct Bcls {
     #[command(flatten)]
     given: Given,
-    /// Limits of the machine [.json file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Least feed as a fraction of the largest that is reachable on a segment; 0 for none
     #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
     least_feed: f64,
@@ -248,20 +195,12 @@ struct Nouns {
 }
 
 impl Given {
-    fn stage(&self, method: &'static str) -> Stage {
-        Stage::new("planish-dwell", env!("CARGO_PKG_VERSION"), method, &self.output)
-    }
-
-    fn read(&self, stage: &mut Stage) -> Result<Nouns, Failure> {
-        let weight = |stage: &mut Stage| {
-            self.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()
+    fn read(&self, inputs: &mut Inputs) -> Result<Nouns, Failure> {
+        let weight = |inputs: &mut Inputs| {
+            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()
         };
-        Ok(Nouns {
-            desired: stage.read("surface", &self.surface)?,
-            tif: stage.read("tif", &self.tif)?,
-            path: stage.read("tool-path", &self.tool_path)?,
-            weight: weight(stage)?,
-        })
+        let (desired, tif) = self.mirror.read(inputs)?;
+        Ok(Nouns { desired, tif, path: self.path.read(inputs)?, weight: weight(inputs)? })
     }
 }
 
@@ -279,19 +218,24 @@ struct Ended {
 fn solve<S: Serialize, R: Serialize>(
     method: &'static str,
     given: &Given,
-    least: &LeastDwell,
+    floor: &FloorArgs,
     settings: S,
     solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
     ended: impl FnOnce(&R) -> Ended,
 ) -> Result<Status, Failure> {
-    let mut stage = given.stage(method);
-    let resolved =
-        Resolved { columns: given.columns.into(), min_dwell: least.bound(), solver: settings };
-    stage.settings(&resolved);
-    let nouns = given.read(&mut stage)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-        return Ok(status);
-    }
+    let mut inputs = Inputs::new();
+    let resolved = Resolved {
+        columns: given.columns,
+        min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+        solver: settings,
+    };
+    let task = task!(method, &resolved);
+    let nouns = given.read(&mut inputs)?;
+    let mut output =
+        match Output::directory(&given.output, DwellTime::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
     let problem = Problem {
         desired: &nouns.desired,
         tif: &nouns.tif,
@@ -309,7 +253,7 @@ fn solve<S: Serialize, R: Serialize>(
     let negative = negative.or_else(|| plausible::drawback(before, after, outcome.total_time_s));
     let status = negative.map_or(Status::Done, Status::Negative);
     let written = json!({ "end": end, "report": Reported { outcome, report } });
-    stage.write("", dwell, written, &status)?;
+    output.write(dwell, written, &status)?;
     let unreached = match outcome.unreached_pixels {
         0 => String::new(),
         n => format!("; {n} valid pixels out of reach"),
@@ -359,10 +303,7 @@ pub fn bounded_status(r: &bounded_least_squares::Report, before: Rms) -> Status 
 
 pub fn lucy_richardson(cli: &LucyRichardson) -> Result<Status, Failure> {
     let settings = lucy_richardson::Settings {
-        unknowns: match cli.unknowns {
-            UnknownKind::Path => lucy_richardson::Unknowns::Path,
-            UnknownKind::Map => lucy_richardson::Unknowns::Map,
-        },
+        unknowns: cli.unknowns,
         total_variation: cli.total_variation,
         margin: cli.margin,
         pits: cli.pits,
@@ -420,10 +361,7 @@ pub fn rifta(cli: &Rifta) -> Result<Status, Failure> {
 
 pub fn udo(cli: &Udo) -> Result<Status, Failure> {
     let settings = udo::Settings {
-        floor: match cli.floor {
-            FloorKind::Model => udo::Floor::Model,
-            FloorKind::Shift => udo::Floor::Shift,
-        },
+        floor: cli.floor,
         step: cli.step,
         threshold_nm: cli.threshold_nm,
         max_iterations: cli.max_iterations,
@@ -441,7 +379,7 @@ pub fn udo(cli: &Udo) -> Result<Status, Failure> {
 
 pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
     let defaults = tikhonov_lsqr::Settings::default();
-    let damping = match (cli.damping, cli.noise_nm, cli.l_curve) {
+    let damping = match (cli.damping, cli.noise_rms_nm, cli.l_curve) {
         (Some(part), ..) => tikhonov_lsqr::Damping::Relative(part),
         (_, Some(noise), _) => tikhonov_lsqr::Damping::Discrepancy(noise),
         (.., true) => tikhonov_lsqr::Damping::LCurve,
@@ -470,13 +408,13 @@ pub fn tikhonov_lsqr(cli: &TikhonovLsqr) -> Result<Status, Failure> {
 pub fn truncated_svd(cli: &TruncatedSvd) -> Result<Status, Failure> {
     let settings = truncated_svd::Settings {
         cut: cli.cut,
-        max_steps: cli.max_steps,
+        max_iterations: cli.max_iterations,
         ..truncated_svd::Settings::default()
     };
     let solver = truncated_svd::solve;
     solve("truncated-svd", &cli.given, &cli.least, settings, solver, |r| {
         let negative = (r.end != End::Converged)
-            .then(|| format!("not converged after {} steps; raise --max-steps", r.steps));
+            .then(|| format!("not converged after {} steps; raise --max-iterations", r.steps));
         let words = format!(
             "rank {}, {} after {} steps, level {:.4} s, {} clipped",
             r.rank, r.end, r.steps, r.level_s, r.clipped
@@ -502,23 +440,25 @@ pub fn non_negative_least_squares(cli: &NonNegativeLeastSquares) -> Result<Statu
 
 pub fn bcls(cli: &Bcls) -> Result<Status, Failure> {
     let settings = bcls::Settings {
-        columns: cli.given.columns.into(),
+        columns: cli.given.columns,
         least_feed: cli.least_feed,
         tikhonov: cli.tikhonov,
     };
-    let mut stage = cli.given.stage("bcls");
-    stage.settings(settings);
-    let Nouns { desired, tif, path, weight } = cli.given.read(&mut stage)?;
-    let machine: Limits = stage.read_machine(&cli.machine)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-        return Ok(status);
-    }
+    let task = task!("bcls", settings);
+    let mut inputs = Inputs::new();
+    let Nouns { desired, tif, path, weight } = cli.given.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
+    let mut output =
+        match Output::directory(&cli.given.output, DwellTime::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
     plausible::check_path(&desired, &tif, &path)?;
     let found = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)?;
     let (r, bounds) = (&found.solution.report, &found.report);
     let status = bounded_status(r, before(&desired, weight.as_ref()));
     let dwell = &found.solution.dwell;
-    stage.write("", dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
+    output.write(dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
     say(format!(
         "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \
          limit {:.4} mm, {} of the segments are shorter, feeds up to {:.2} mm/s; {} at the least dwell \

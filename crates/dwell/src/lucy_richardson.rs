@@ -59,6 +59,7 @@ use crate::{
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Unknowns {
     /// The dwell times of the path.

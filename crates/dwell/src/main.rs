@@ -4,14 +4,21 @@ mod flags;
 
 use std::{path::PathBuf, process::ExitCode};
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use planish_dwell::{
     bounded_least_squares::{self, Bound, Free, Program, Settings},
     columns::Columns,
 };
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
-use planish_types::{DwellTime, Surface, Tif, ToolPath, plausible};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
+    run, say, task,
+};
+use planish_types::{DwellTime, plausible};
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-dwell bounded-least-squares --surface out/surface --tif tool --tool-path out/tool_path --min-dwell-s 0.1 --out out/dwell\n\
@@ -47,24 +54,15 @@ enum Solver {
 
 #[derive(Args)]
 struct BoundedLeastSquares {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
     /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
-    /// Least dwell time of every dwell point, s [default: 0]
-    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
-    min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T")]
-    min_dwell_s_per_mm: Option<f64>,
+    #[command(flatten)]
+    floor: FloorArgs,
     /// Largest dwell time of every dwell point, s
     #[arg(long, value_name = "T", conflicts_with = "max_dwell_s_per_mm")]
     max_dwell_s: Option<f64>,
@@ -82,7 +80,7 @@ struct BoundedLeastSquares {
     time_weight_nm2_per_s: f64,
     /// What need not be removed
     #[arg(long, value_enum, default_value = "piston")]
-    free: FreeKind,
+    free: Free,
     /// Residual above which a pixel counts linearly instead of squared, nm: robust to pits
     #[arg(long, value_name = "K")]
     huber_nm: Option<f64>,
@@ -91,7 +89,7 @@ struct BoundedLeastSquares {
     noise_rms_nm: Option<f64>,
     /// What a dwell time is spent on
     #[arg(long, value_enum, default_value = "segment")]
-    columns: ColumnKind,
+    columns: Columns,
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
@@ -100,22 +98,6 @@ struct BoundedLeastSquares {
     smoothness: f64,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum ColumnKind {
-    /// Uniform motion along the segment
-    Segment,
-    /// Standing at the dwell point
-    Point,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum FreeKind {
-    /// A constant
-    Piston,
-    /// A plane: the part keeps the tilt that this leaves
-    Plane,
 }
 
 fn main() -> ExitCode {
@@ -133,46 +115,35 @@ fn main() -> ExitCode {
 }
 
 fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
-    let bound = |seconds: Option<f64>, per_mm: Option<f64>| {
-        seconds.map(Bound::Seconds).or(per_mm.map(Bound::SecondsPerMm))
-    };
     let defaults = Settings::default();
     let settings = Settings {
-        columns: match cli.columns {
-            ColumnKind::Segment => Columns::Segment,
-            ColumnKind::Point => Columns::Point,
-        },
-        min_dwell: bound(cli.min_dwell_s, cli.min_dwell_s_per_mm).unwrap_or(defaults.min_dwell),
-        max_dwell: bound(cli.max_dwell_s, cli.max_dwell_s_per_mm),
+        columns: cli.columns,
+        min_dwell: cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+        max_dwell: cli
+            .max_dwell_s
+            .map(Bound::Seconds)
+            .or(cli.max_dwell_s_per_mm.map(Bound::SecondsPerMm)),
         tikhonov: cli.tikhonov,
         smoothness: cli.smoothness,
         time_weight_nm2_per_s: cli.time_weight_nm2_per_s,
-        free: match cli.free {
-            FreeKind::Piston => Free::Piston,
-            FreeKind::Plane => Free::Plane,
-        },
+        free: cli.free,
         huber_nm: cli.huber_nm,
         noise_rms_nm: cli.noise_rms_nm,
         ..defaults
     };
-    let mut stage = Stage::new(
-        "planish-dwell",
-        env!("CARGO_PKG_VERSION"),
-        "bounded-least-squares",
-        &cli.output,
-    );
-    stage.settings(settings);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let weight = cli.weight.as_ref().map(|file| stage.read_map("weight", file)).transpose()?;
+    let mut inputs = Inputs::new();
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let weight = cli.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
     let least: Option<DwellTime> =
-        cli.min_dwell.as_ref().map(|dir| stage.read("min-dwell", dir)).transpose()?;
+        cli.min_dwell.as_ref().map(|dir| inputs.read("min-dwell", dir)).transpose()?;
     let most: Option<DwellTime> =
-        cli.max_dwell.as_ref().map(|dir| stage.read("max-dwell", dir)).transpose()?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-        return Ok(status);
-    }
+        cli.max_dwell.as_ref().map(|dir| inputs.read("max-dwell", dir)).transpose()?;
+    let task = task!("bounded-least-squares", settings);
+    let mut output = match Output::directory(&cli.output, DwellTime::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     plausible::check_path(&surface, &tif, &path)?;
     let (lo, hi) = bounded_least_squares::bounds(&path, &settings)?;
@@ -193,7 +164,7 @@ fn bounded_least_squares(cli: &BoundedLeastSquares) -> Result<Status, Failure> {
 
     let r = &solution.report;
     let status = flags::bounded_status(r, flags::before(&surface, weight.as_ref()));
-    stage.write("", &solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
+    output.write(&solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
     say(format!(
         "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \
          iterations, KKT residual {:.1e} s; {} at the lower bound, {} out of reach -> {}",

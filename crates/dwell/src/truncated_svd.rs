@@ -38,12 +38,12 @@ pub struct Settings {
     /// Change of the dwell times, as a fraction of them, at which the process ends.
     pub tolerance: f64,
     /// Most steps of the process; each keeps a vector of n.
-    pub max_steps: usize,
+    pub max_iterations: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { cut: 1e-2, tolerance: 1e-3, max_steps: 2000 }
+        Self { cut: 1e-2, tolerance: 1e-3, max_iterations: 2000 }
     }
 }
 
@@ -69,13 +69,13 @@ pub struct Report {
 /// Computes (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("cut", settings.cut, |c| c > 0.0 && c < 1.0, "give a number between 0 and 1")?;
-    if settings.max_steps == 0 {
-        return Err(Invalid::whole("max_steps", "is 0", "give at least 1").into());
+    if settings.max_iterations == 0 {
+        return Err(Invalid::whole("max_iterations", "is 0", "give at least 1").into());
     }
     let model = Model::new(problem)?;
     // Every step keeps a vector of n: as many as fit into memory.
     let fit = budget::memory_bytes() / (size_of::<f64>() * problem.path.len()) as u64;
-    let max_steps = settings.max_steps.min(usize::try_from(fit).unwrap_or(usize::MAX).max(1));
+    let max_steps = settings.max_iterations.min(usize::try_from(fit).unwrap_or(usize::MAX).max(1));
     let matrix = if problem.path.len() <= MAX_MATRIX_POINTS {
         normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight).ok()
     } else {

@@ -38,6 +38,7 @@ use crate::{
 
 /// How the floor is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Floor {
     /// The removal by the floor is part of the model.

@@ -7,14 +7,12 @@ use std::{
 };
 
 use ndarray::Array2;
-use planish_handoff::{Artifact, OutputArgs, Stage, Status, artifact, npy::ArrayData};
+use planish_handoff::{Artifact, artifact, npy::ArrayData};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 use serde_json::{Value, json};
 
 fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    let output = OutputArgs { out: dir.join(name), force: true, wall_time: None };
-    let stage = Stage::new("test", "0", name, &output);
-    stage.write("", value, json!({}), &Status::Done).unwrap();
+    planish_handoff::save(&dir.join(name), value).unwrap();
 }
 
 /// An array of a directory without a manifest.

@@ -7,13 +7,12 @@ use std::{
 };
 
 use ndarray::{Array2, array};
-use planish_handoff::{Artifact, OutputArgs, Stage, Status, artifact, npy::ArrayData};
+use planish_handoff::{Artifact, artifact, npy::ArrayData};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 use serde_json::{Value, json};
 
 fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    let output = OutputArgs { out: dir.join(name), force: true, wall_time: None };
-    Stage::new("test", "0", name, &output).write("", value, json!({}), &Status::Done).unwrap();
+    planish_handoff::save(&dir.join(name), value).unwrap();
 }
 
 /// An array of a directory without a manifest.
@@ -160,8 +159,8 @@ fn bad_flags_and_verdicts() {
         (&["bcls", "--machine=nowhere.json"], 2, "nowhere.json: cannot read"),
         (&["bcls", "--machine=machine.json", "--least-feed=1"], 2, "least_feed: is 1; give a part"),
         // Done, but not what was asked for.
-        (&["tikhonov-lsqr", "--noise-nm=1e-9"], 1, "above the noise"),
-        (&["truncated-svd", "--cut=0.001", "--max-steps=3"], 1, "not converged after 3 steps"),
+        (&["tikhonov-lsqr", "--noise-rms-nm=1e-9"], 1, "above the noise"),
+        (&["truncated-svd", "--cut=0.001", "--max-iterations=3"], 1, "not converged after 3 steps"),
     ] {
         let output = run(tmp.path(), "2", solver, "surface", "tif");
         let message = text(&output.stderr);

@@ -46,6 +46,7 @@ const COMMENT: Comment = Comment { open: "(", close: ")", line: 254 };
 
 /// What F is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Feed {
     /// G93: lines per minute.

@@ -6,15 +6,24 @@ use std::{
     process::ExitCode,
 };
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
-use planish_handoff::{Failure, OutputArgs, Stage, Status, pair, run, stage::say};
-use planish_types::{Limits, Trajectory};
+use planish_handoff::{
+    Failure, Inputs, OutputFile, Status,
+    flags::{MachineArgs, OutputFileArgs, TrajectoryArgs},
+    pair, run, say, warn,
+};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-export galil --trajectory out/trajectory --machine machine.json --out run.dmc";
 
 /// A trajectory as the program of a motion controller
+///
+/// The limits of the machine hold on the whole motion, or nothing is written. FILE.json beside the
+/// program says what it is.
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -58,7 +67,7 @@ enum Method {
     Gcode {
         /// What F is
         #[arg(long, value_enum, default_value = "inverse-time")]
-        feed: FeedArg,
+        feed: gcode::Feed,
         /// What a time is rounded to, s
         #[arg(long, value_name = "T", default_value_t = 1e-6, allow_negative_numbers = true)]
         tick_s: f64,
@@ -78,23 +87,12 @@ enum Method {
     },
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FeedArg {
-    /// G93: 60 / F seconds per line
-    InverseTime,
-    /// G94: mm per minute
-    PerMinute,
-}
-
 #[derive(Debug, Args)]
 struct CommonArgs {
-    /// Motion
-    #[arg(long, value_name = "DIR")]
-    trajectory: PathBuf,
-    /// Machine: its name goes into the header, and its limits hold on the whole motion or nothing is
-    /// written
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Size of a count, mm: one number, or two for X,Y
     #[arg(long, value_name = "C", value_parser = pair, default_value = "0.0001", allow_hyphen_values = true)]
     count_mm: [f64; 2],
@@ -105,12 +103,8 @@ struct CommonArgs {
     /// Leave the tool on where the motion has it off and the program cannot switch it
     #[arg(long)]
     always_on: bool,
-    /// Program to write; FILE.json beside it says what it is
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Replace the files
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
 }
 
 fn main() -> ExitCode {
@@ -126,10 +120,6 @@ fn main() -> ExitCode {
                 (Controller::Pmac(settings), common)
             }
             Method::Gcode { feed, tick_s, path_tolerance_mm, common } => {
-                let feed = match feed {
-                    FeedArg::InverseTime => gcode::Feed::InverseTime,
-                    FeedArg::PerMinute => gcode::Feed::PerMinute,
-                };
                 let settings = gcode::Settings { feed, tick_s, path_tolerance_mm };
                 (Controller::Gcode(settings), common)
             }
@@ -140,32 +130,30 @@ fn main() -> ExitCode {
 }
 
 fn export(controller: &Controller, args: &CommonArgs) -> Result<Status, Failure> {
-    let out = &args.out;
+    let OutputFileArgs { out, force } = &args.output;
     let about = PathBuf::from(format!("{}.json", out.display()));
     let version = env!("CARGO_PKG_VERSION");
-    let output = OutputArgs { out: out.clone(), force: args.force, wall_time: None };
-    let mut stage = Stage::new("planish-export", version, "program", &output);
-    let machine: Limits = stage.read_machine(&args.machine)?;
-    let trajectory: Trajectory = stage.read("trajectory", &args.trajectory)?;
-    stage.begin_file("--out", out, args.force)?;
-    stage.begin_file("--out", &about, args.force)?;
+    let mut inputs = Inputs::new();
+    let machine = args.machine.read(&mut inputs)?;
+    let trajectory = args.trajectory.read(&mut inputs)?;
+    let program_file = args.output.begin(&inputs)?;
+    let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
     refuse_foreign_about(&about)?;
 
-    let digest = stage.digest("trajectory").unwrap_or_default();
+    let digest = inputs.digest("trajectory").unwrap_or_default();
     let origin = Origin {
-        made_from: format!("trajectory {}, BLAKE3 {digest}", args.trajectory.display()),
+        made_from: format!("trajectory {}, BLAKE3 {digest}", args.trajectory.trajectory.display()),
         made_by: format!("planish-export {version}"),
     };
     let common =
         Common { count_mm: args.count_mm, max_step_s: args.max_step_s, always_on: args.always_on };
     let made = program(&trajectory, &machine, controller, &common, &origin)?;
     for warning in &made.about.warnings {
-        use std::io::Write;
-        let _ = writeln!(std::io::stderr(), "warning: {warning}");
+        warn(warning);
     }
     let about_text = format!("{}\n", serde_json::to_string_pretty(&made.about)?);
-    let files = [(out.as_path(), made.text.as_bytes()), (about.as_path(), about_text.as_bytes())];
-    stage.write_single_files(&files, args.force)?;
+    let files = [(program_file, made.text.as_bytes()), (about_file, about_text.as_bytes())];
+    OutputFile::write_together(files)?;
     let a = &made.about;
     say(format!(
         "planish-export: {} segments, {:.4} s, rounded by {:.1e} x {:.1e} mm and {:.1e} s at most -> {}",

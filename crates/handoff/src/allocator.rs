@@ -36,10 +36,16 @@ thread_local! {
     static UNREPORTED: Cell<i64> = const { Cell::new(0) };
 }
 
-/// mimalloc that counts.
-pub(crate) struct Budgeted;
+/// mimalloc within the memory budget of the process; a program chooses it:
+///
+/// ```
+/// #[global_allocator]
+/// static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
+/// ```
+#[derive(Debug)]
+pub struct Allocator;
 
-impl Budgeted {
+impl Allocator {
     /// Counts `bytes` more (less where negative); ends the process where that is beyond the budget.
     fn count(bytes: i64) {
         // A thread that ends has no counter any more: what it still frees is not counted.
@@ -87,7 +93,7 @@ fn end(problem: &str) -> ! {
 // SAFETY: every call is passed on to mimalloc unchanged, and what it returns is returned unchanged;
 // counting touches neither pointer nor memory.
 #[allow(unsafe_code)] // a global allocator cannot be written without
-unsafe impl GlobalAlloc for Budgeted {
+unsafe impl GlobalAlloc for Allocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         Self::count(layout.size() as i64);
         Self::checked(unsafe { MiMalloc.alloc(layout) }, layout)

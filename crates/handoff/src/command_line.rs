@@ -10,6 +10,8 @@ use clap::{Arg, CommandFactory, Parser, ValueEnum, error::ErrorKind, value_parse
 use clap_complete::Shell;
 use planish_types::budget;
 
+use crate::words;
+
 /// Id and name of the flag that every program has.
 const MEMORY: &str = "memory-gib";
 
@@ -52,10 +54,16 @@ fn command<C: CommandFactory>() -> clap::Command {
         .allow_negative_numbers(true)
         .global(true)
         .help(format!(
-            "Memory that the program may take, it refuses what needs more [GiB] [default: {}]",
+            "Memory that the program may take, GiB: it refuses what needs more [default: {}]",
             budget::DEFAULT_MEMORY_GIB
         ));
     C::command().arg(memory).after_help(after_help::<C>())
+}
+
+/// The command line that started this process, quoted for a shell, under the plain name of the program.
+pub(crate) fn as_typed(tool: &str) -> String {
+    let arguments = std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned());
+    words::join(std::iter::once(tool.to_string()).chain(arguments))
 }
 
 /// The value of a flag for x and y: a number for both, or two as `X,Y`.

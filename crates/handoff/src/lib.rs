@@ -1,31 +1,82 @@
 //! The only crate that knows files, and the shell that every binary shares.
 //!
-//! * `allocator`: mimalloc, within the memory that the run may take.
+//! * [`Allocator`]: mimalloc, within the memory that the run may take; a program chooses it.
 //! * [`kind`]: what an artifact directory holds. One table; the readers, the writers and
 //!   `docs/formats.md` all follow it.
 //! * [`npy`]: one array from or to a `.npy` file.
 //! * [`artifact`]: a directory of arrays with its manifest: read, checked, hashed, written whole
 //!   or not at all.
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
+//! * [`flags`]: groups of flags that several programs have.
+//! * [`Inputs`]: what a command reads, with its hashes.
+//! * [`Output`], [`OutputFile`]: what it writes; skipped where it is there already.
 //! * `publish`: how what a run writes appears, whole and together, and survives a power failure.
-//! * [`stage`]: what the `main` of a stage does: flags, inputs, skipping what is unchanged,
-//!   progress, messages and exit codes.
+//! * [`run`]: messages and exit codes.
+//! * [`words`]: several words in one text, as a shell reads them.
+//!
+//! The `main.rs` of a program that doubles every dwell time:
+//!
+//! ```no_run
+//! use std::{path::PathBuf, process::ExitCode};
+//!
+//! use planish_handoff::{
+//!     Allocator, Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, parse, run, task,
+//! };
+//! use planish_types::DwellTime;
+//! use serde_json::json;
+//!
+//! #[global_allocator]
+//! static ALLOCATOR: Allocator = Allocator;
+//!
+//! /// Double every dwell time
+//! #[derive(clap::Parser)]
+//! struct Cli {
+//!     /// Dwell times [dwell artifact]
+//!     #[arg(long, value_name = "DIR")]
+//!     dwell: PathBuf,
+//!     #[command(flatten)]
+//!     output: OutputArgs,
+//! }
+//!
+//! fn main() -> ExitCode {
+//!     let cli: Cli = parse();
+//!     run(|| double(&cli))
+//! }
+//!
+//! fn double(cli: &Cli) -> Result<Status, Failure> {
+//!     let mut inputs = Inputs::new();
+//!     let dwell: DwellTime = inputs.read("dwell", &cli.dwell)?;
+//!     let output = Output::directory(&cli.output, DwellTime::KIND);
+//!     let mut output = match output.begin(&task!("double", json!({ "factor": 2 })), &inputs)? {
+//!         Begin::Unchanged(status) => return Ok(status),
+//!         Begin::Run(output) => output,
+//!     };
+//!     let doubled = DwellTime::new(dwell.dwell_s().iter().map(|t| 2.0 * t).collect())?;
+//!     output.write(&doubled, json!({ "total_s": doubled.total_s() }), &Status::Done)?;
+//!     Ok(Status::Done)
+//! }
+//! ```
 
 mod allocator;
 pub mod artifact;
 pub mod command_line;
+pub mod flags;
+mod inputs;
 pub mod kind;
 mod nouns;
 pub mod npy;
+mod output;
 mod publish;
-pub mod stage;
+mod shell;
+pub mod words;
 
+pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest};
 pub use command_line::{pair, parse};
-pub use stage::{Begin, Failure, OutputArgs, Stage, Status, run};
-
-#[global_allocator]
-static ALLOCATOR: allocator::Budgeted = allocator::Budgeted;
+pub use inputs::Inputs;
+pub use output::{Begin, Output, OutputFile, Task, Writer, save};
+pub use publish::is_temporary;
+pub use shell::{Failure, Status, run, say, warn};
 
 /// A file or directory that cannot be used. The message names the file, the place, the value and
 /// what to do about it.

@@ -318,6 +318,12 @@ fn create_sibling(
     }
 }
 
+/// Whether this is the name of something that a run has not finished, or left behind when it was killed;
+/// the next run into the same directory clears it away.
+pub fn is_temporary(name: &str) -> bool {
+    name.starts_with(PREFIX) && (name.ends_with(TEMPORARY) || name.ends_with(JOURNAL))
+}
+
 /// Names in `parent` that begin as ours and end with `end`.
 fn temporaries(parent: &Path, end: &str) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(parent) else { return Vec::new() };

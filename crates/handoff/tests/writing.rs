@@ -1,4 +1,4 @@
-//! What a stage does to its output: whole or not at all, nothing lost, nothing done twice.
+//! What a command does to its output: whole or not at all, nothing lost, nothing done twice.
 //! The runs that are killed are this test program itself, started again as [`child`].
 
 mod support;
@@ -7,22 +7,25 @@ use std::{
     fs,
     os::unix::fs::symlink,
     path::{Path, PathBuf},
-    process::{Child, Command, Output, Stdio},
+    process::{self, Child, Command, Stdio},
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
     thread,
     time::Duration,
 };
 
 use planish_handoff::{
-    Artifact, Begin, HandoffError, OutputArgs, Stage, Status,
+    Artifact, Begin, HandoffError, Inputs, Output, OutputFile, Status, Task, Writer,
     artifact::{self, MANIFEST},
+    flags::OutputArgs,
     kind,
+    kind::Kind,
+    npy::ArrayData,
 };
-use planish_types::DwellTime;
-use serde_json::json;
+use planish_types::{DwellTime, Trajectory};
+use serde_json::{Value, json};
 use support::{output, save_f8, surface, tif, write, write_bare};
 
-/// One run of a stage as its `main` would do it: the input, the settings, begin, write.
+/// One run of a command: the input, the settings, begin, write.
 struct Run {
     output: OutputArgs,
     input: PathBuf,
@@ -59,27 +62,61 @@ impl Run {
         self
     }
 
-    fn stage(&self) -> Result<Stage, HandoffError> {
-        let mut stage = Stage::new("test", "0", "scale", &self.output);
-        stage.settings(json!({ "factor": self.setting }));
-        stage.read::<DwellTime>("input", &self.input)?;
-        Ok(stage)
+    fn task(&self) -> Task {
+        Task::new("test", "0", "scale", json!({ "factor": self.setting }))
+    }
+
+    fn inputs(&self) -> Result<Inputs, HandoffError> {
+        let mut inputs = Inputs::new();
+        inputs.read::<DwellTime>("input", &self.input)?;
+        Ok(inputs)
+    }
+
+    fn begin(&self) -> Result<Begin, HandoffError> {
+        Output::directory(&self.output, DwellTime::KIND).begin(&self.task(), &self.inputs()?)
+    }
+
+    /// For two directories in `--out`: a (dwell times) and b (a motion).
+    fn begin_two(&self) -> Result<Begin, HandoffError> {
+        let parts = [("a", DwellTime::KIND), ("b", Trajectory::KIND)];
+        Output::directories(&self.output, parts).begin(&self.task(), &self.inputs()?)
     }
 
     /// `None` when it ran, else how the unchanged output ended.
     fn run(&self) -> Result<Option<Status>, HandoffError> {
-        let stage = self.stage()?;
-        if let Begin::Unchanged(status) = stage.begin(&[""], DwellTime::KIND)? {
-            return Ok(Some(status));
+        match self.begin()? {
+            Begin::Unchanged(status) => Ok(Some(status)),
+            Begin::Run(mut output) => {
+                output.write(&dwell(self.setting), json!({}), &self.status)?;
+                Ok(None)
+            }
         }
-        stage.write("", &dwell(self.setting), json!({}), &self.status)?;
-        Ok(None)
     }
 
     fn refused(&self, expected: &str) {
         let message = self.run().unwrap_err().to_string();
         assert!(message.contains(expected), "no {expected:?} in: {message}");
     }
+}
+
+/// How an output that is there already ended.
+fn unchanged(begin: Begin) -> Status {
+    match begin {
+        Begin::Unchanged(status) => status,
+        Begin::Run(_) => panic!("there is work to do"),
+    }
+}
+
+/// The writer where there is work to do.
+fn writer(begin: Result<Begin, HandoffError>) -> Writer {
+    begin.unwrap().writer().expect("there is work to do")
+}
+
+/// Makes an artifact of this kind from the inputs.
+fn make(out: &Path, kind: &'static Kind, arrays: &[ArrayData], inputs: &Inputs, outcome: Value) {
+    let task = Task::new("test", "0", "make", json!({}));
+    let mut output = writer(Output::directory(&output(out), kind).begin(&task, inputs));
+    output.write_arrays(kind, arrays, &[], outcome, &Status::Done).unwrap();
 }
 
 fn dwell(value: f64) -> DwellTime {
@@ -133,13 +170,14 @@ fn an_output_is_replaced_only_by_force_and_not_made_twice() {
 fn the_key_follows_inputs_settings_method_and_version() {
     let dir = tempfile::tempdir().unwrap();
     let key = |run: Run, tool_version: &'static str, method: &str| {
-        let mut stage = Stage::new("test", tool_version, method, &run.output);
-        stage.settings(json!({ "factor": run.setting }));
-        stage.read::<DwellTime>("input", &run.input).unwrap();
-        stage.write("", &dwell(1.0), json!({}), &Status::Done).unwrap();
+        let task = Task::new("test", tool_version, method, json!({ "factor": run.setting }));
+        let output = Output::directory(&run.output, DwellTime::KIND);
+        if let Some(mut output) = output.begin(&task, &run.inputs().unwrap()).unwrap().writer() {
+            output.write(&dwell(1.0), json!({}), &Status::Done).unwrap();
+        }
         artifact::read_manifest(&run.output.out, DwellTime::KIND).unwrap().unwrap().key
     };
-    let run = || Run::new(dir.path());
+    let run = || Run::new(dir.path()).force();
     let first = key(run(), "0", "scale");
     assert_eq!(key(run(), "0", "scale"), first);
     // Where an input lies and where the output goes decide nothing.
@@ -162,22 +200,22 @@ fn a_negative_verdict_stays_negative_when_nothing_is_done() {
 
     // Of several parts one is enough.
     let run = Run::new(dir.path()).out(dir.path().join("parts"));
-    let stage = run.stage().unwrap();
-    for (part, status) in [("a", Status::Negative("not converged".into())), ("b", Status::Done)] {
-        stage.write(part, &dwell(1.0), json!({}), &status).unwrap();
-    }
-    let begin = stage.begin(&["a", "b"], DwellTime::KIND).unwrap();
-    assert_eq!(begin, Begin::Unchanged(Status::Negative("not converged".into())));
+    let negative = Status::Negative("not converged".into());
+    let mut output = writer(run.begin_two());
+    output.write(&dwell(1.0), json!({}), &negative).unwrap();
+    output.write(&support::trajectory(), json!({}), &Status::Done).unwrap();
+    assert_eq!(unchanged(run.begin_two().unwrap()), negative);
     fs::remove_dir_all(dir.path().join("parts/b")).unwrap();
-    assert_eq!(stage.begin(&["a", "b"], DwellTime::KIND).unwrap(), Begin::Run);
+    writer(run.begin_two());
 }
 
 #[test]
 fn a_report_with_a_reason_of_its_own_is_not_a_negative_verdict() {
     let dir = tempfile::tempdir().unwrap();
-    let stage = Run::new(dir.path()).stage().unwrap();
-    stage.write("", &dwell(1.0), json!({"reason": "of another kind"}), &Status::Done).unwrap();
-    assert_eq!(stage.begin(&[""], DwellTime::KIND).unwrap(), Begin::Unchanged(Status::Done));
+    let run = Run::new(dir.path());
+    let outcome = json!({"reason": "of another kind"});
+    writer(run.begin()).write(&dwell(1.0), outcome, &Status::Done).unwrap();
+    assert_eq!(unchanged(run.begin().unwrap()), Status::Done);
 }
 
 #[test]
@@ -241,11 +279,11 @@ fn foreign_files_are_never_lost() {
     keep("out: holds dwell_s.npy and no manifest.json, so Planish did not write it");
     fs::remove_dir_all(&out).unwrap();
     // A kind without arrays has the same file names as any other of its sort.
-    let stage = Stage::new("test", "0", "verify", &output(&out));
-    stage.write_files("", &kind::VERDICT, &[], &[], json!({}), &Status::Done).unwrap();
+    make(&out, &kind::VERDICT, &[], &Inputs::new(), json!({}));
     let before = snapshot(dir.path());
     let report = OutputArgs { force: true, ..output(&out) };
-    let error = Stage::new("test", "0", "report", &report).begin(&[""], &kind::REPORT);
+    let task = Task::new("test", "0", "report", json!({}));
+    let error = Output::directory(&report, &kind::REPORT).begin(&task, &Inputs::new());
     assert!(error.unwrap_err().to_string().contains("holds a verdict, needs a report"));
     assert_eq!(snapshot(dir.path()), before);
 }
@@ -258,23 +296,27 @@ fn no_output_is_contains_or_lies_in_an_input() {
     save_f8(&at("raw"), "height_nm", "(2, 2)", &[1.0; 4]);
     fs::write(at("machine.json"), "{}").unwrap();
     let before = snapshot(dir.path());
-    let mut stage = Stage::new("test", "0", "import", &output(&at("raw")));
-    stage.read_map("file", &at("raw/height_nm.npy")).unwrap();
-    stage.read_json::<serde_json::Value>("machine", &at("machine.json")).unwrap();
+    let mut inputs = Inputs::new();
+    inputs.read_map("file", &at("raw/height_nm.npy")).unwrap();
+    inputs.read_json::<Value>("machine", &at("machine.json")).unwrap();
+    let begin = |inputs: &Inputs, out: &str, kind: &'static Kind| {
+        let task = Task::new("test", "0", "make", json!({}));
+        Output::directory(&output(&at(out)), kind).begin(&task, inputs).unwrap_err()
+    };
     let refused = |error: HandoffError, expected: &str| {
         assert!(error.to_string().contains(expected), "no {expected:?} in: {error}");
         assert_eq!(snapshot(dir.path()), before);
     };
-    let error = stage.begin(&[""], &kind::SURFACE).unwrap_err();
+    let error = begin(&inputs, "raw", &kind::SURFACE);
     refused(error, "raw: contains the input --file; choose another --out");
-    let file = |path: &str| stage.begin_file("--picture", &at(path), true).unwrap_err();
+    let file = |path: &str| OutputFile::begin("--picture", &at(path), true, &inputs).unwrap_err();
     refused(file("raw/height_nm.npy"), "is the input --file; choose another --picture");
     refused(file("raw"), "raw: contains the input --file");
     refused(file("raw/../machine.json"), "is the input --machine");
-    let mut stage = Stage::new("test", "0", "scale", &output(&at("bare/inside")));
     write_bare(&at("bare"), &dwell(1.0));
-    stage.read::<DwellTime>("input", &at("bare")).unwrap();
-    let error = stage.begin(&[""], DwellTime::KIND).unwrap_err();
+    let mut inputs = Inputs::new();
+    inputs.read::<DwellTime>("input", &at("bare")).unwrap();
+    let error = begin(&inputs, "bare/inside", DwellTime::KIND);
     assert!(error.to_string().contains("bare/inside: lies in the input --input"), "{error}");
 
     // --wall-time replaces a wall time and nothing else.
@@ -294,19 +336,69 @@ fn no_output_is_contains_or_lies_in_an_input() {
 #[test]
 fn several_parts_appear_together_or_not_at_all() {
     let dir = tempfile::tempdir().unwrap();
-    let stage = Run::new(dir.path()).stage().unwrap();
-    assert_eq!(stage.begin(&["a", "b"], DwellTime::KIND).unwrap(), Begin::Run);
-    stage.write("a", &dwell(1.0), json!({}), &Status::Done).unwrap();
+    let mut output = writer(Run::new(dir.path()).begin_two());
+    output.write(&dwell(1.0), json!({}), &Status::Done).unwrap();
     let out = dir.path().join("out");
     assert!(!out.join("a").exists(), "b is not written yet");
-    stage.write("b", &dwell(1.0), json!({}), &Status::Done).unwrap();
+    output.write(&support::trajectory(), json!({}), &Status::Done).unwrap();
     assert_eq!(names(&out), ["a", "b"]);
     // A run that ends before its last part leaves nothing.
-    let stage = Run::new(dir.path()).setting(2.0).force().stage().unwrap();
-    stage.begin(&["a", "b"], DwellTime::KIND).unwrap();
-    stage.write("a", &dwell(2.0), json!({}), &Status::Done).unwrap();
-    drop(stage);
+    let mut output = writer(Run::new(dir.path()).setting(2.0).force().begin_two());
+    output.write(&dwell(2.0), json!({}), &Status::Done).unwrap();
+    drop(output);
     assert_eq!((value_in(&out.join("a")), names(&out)), (1.0, vec!["a".into(), "b".into()]));
+}
+
+#[test]
+fn a_file_beside_the_artifact_appears_with_it_and_is_made_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let picture = dir.path().join("picture.svg");
+    let begin = |run: &Run| {
+        let output = Output::directory(&run.output, DwellTime::KIND);
+        output.and_file("--picture", &picture).begin(&run.task(), &run.inputs().unwrap())
+    };
+    let make = |run: &Run| {
+        let mut output = writer(begin(run));
+        output.write_file(&picture, b"<svg/>").unwrap();
+        assert!(!picture.exists(), "the artifact is not written yet");
+        output.write(&dwell(run.setting), json!({}), &Status::Done).unwrap();
+        assert!(picture.exists());
+    };
+    let run = Run::new(dir.path());
+    make(&run);
+    assert_eq!(unchanged(begin(&run).unwrap()), Status::Done);
+    fs::remove_file(&picture).unwrap();
+    make(&run);
+    // Another artifact beside the same picture: neither is replaced without --force.
+    let other = Run::new(dir.path()).out(dir.path().join("other"));
+    let message = begin(&other).unwrap_err().to_string();
+    assert!(
+        message.contains("exists; give --force to replace it, or another --picture"),
+        "{message}"
+    );
+    let inside = Output::directory(&run.output, DwellTime::KIND)
+        .and_file("--picture", &run.output.out.join("picture.svg"))
+        .begin(&run.task(), &run.inputs().unwrap());
+    let message = inside.unwrap_err().to_string();
+    assert!(message.contains("is in the output; give another --picture"), "{message}");
+}
+
+#[test]
+fn two_artifacts_of_a_run_do_not_take_each_others_place() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = Run::new(dir.path()).force();
+    for (second, refused) in [("out", true), ("out/feed", true), (".", true), ("feed", false)] {
+        let output = Output::directory(&run.output, DwellTime::KIND).and_directory(
+            "--second",
+            &dir.path().join(second),
+            Trajectory::KIND,
+        );
+        let begin = output.begin(&run.task(), &run.inputs().unwrap());
+        assert_eq!(begin.is_err(), refused, "{second}: {begin:?}");
+        if let Err(error) = begin {
+            assert!(error.to_string().contains("give another --second"), "{second}: {error}");
+        }
+    }
 }
 
 #[test]
@@ -317,27 +409,26 @@ fn inputs_that_do_not_belong_together_are_told() {
         write_bare(&at(name), &dwell(value));
     }
     // "made" comes from "middle", which comes from "one": the lineage goes all the way back.
-    let make = |from: &str, to: &str, kind: &'static kind::Kind| {
-        let mut stage = Stage::new("test", "0", "make", &output(&at(to)));
+    let derive = |from: &str, to: &str, kind: &'static Kind| {
+        let mut inputs = Inputs::new();
         match from {
-            "one" => drop(stage.read::<DwellTime>("dwell", &at(from)).unwrap()),
-            _ => drop(stage.read::<planish_types::ToolPath>("path", &at(from)).unwrap()),
+            "one" => drop(inputs.read::<DwellTime>("dwell", &at(from)).unwrap()),
+            _ => drop(inputs.read::<planish_types::ToolPath>("path", &at(from)).unwrap()),
         }
         let arrays = match kind.name {
             "tool_path" => support::tool_path().to_arrays(),
             _ => support::trajectory().to_arrays(),
         };
-        stage.write_files("", kind, &arrays, &[], json!({}), &Status::Done).unwrap();
+        make(&at(to), kind, &arrays, &inputs, json!({}));
     };
-    make("one", "middle", &kind::TOOL_PATH);
-    make("middle", "made", &kind::TRAJECTORY);
+    derive("one", "middle", &kind::TOOL_PATH);
+    derive("middle", "made", &kind::TRAJECTORY);
     let check = |dwell_dir: &str| {
-        let mut stage = Stage::new("test", "0", "use", &output(&at("out")));
-        let (_, manifest) = stage
-            .read_with_manifest::<planish_types::Trajectory>("trajectory", &at("made"))
-            .unwrap();
-        stage.read::<DwellTime>("dwell", &at(dwell_dir)).unwrap();
-        stage.refuse_unrelated("trajectory", manifest.as_ref(), "dwell")
+        let mut inputs = Inputs::new();
+        let (_, manifest) =
+            inputs.read_with_manifest::<Trajectory>("trajectory", &at("made")).unwrap();
+        inputs.read::<DwellTime>("dwell", &at(dwell_dir)).unwrap();
+        inputs.refuse_unrelated("trajectory", manifest.as_ref(), "dwell")
     };
     check("one").unwrap();
     let message = check("two").unwrap_err().to_string();
@@ -350,13 +441,8 @@ fn inputs_that_do_not_belong_together_are_told() {
 fn a_verdict_that_was_edited_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("verdict");
-    let stage = Stage::new("test", "0", "verify", &output(&out));
-    let outcome = json!({ "limits_respected": false });
-    stage.write_files("", &kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
-    let read = || {
-        let mut stage = Stage::new("test", "0", "report", &output(&dir.path().join("report")));
-        stage.read_manifest("verdict", &out, &kind::VERDICT)
-    };
+    make(&out, &kind::VERDICT, &[], &Inputs::new(), json!({ "limits_respected": false }));
+    let read = || Inputs::new().read_manifest("verdict", &out, &kind::VERDICT);
     read().unwrap();
     let text = fs::read_to_string(out.join(MANIFEST)).unwrap();
     fs::write(out.join(MANIFEST), text.replace("false", "true")).unwrap();
@@ -374,10 +460,9 @@ fn a_file_that_appears_during_the_work_is_not_lost() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     Run::new(dir.path()).run().unwrap();
-    let stage = Run::new(dir.path()).setting(2.0).force().stage().unwrap();
-    assert_eq!(stage.begin(&[""], DwellTime::KIND).unwrap(), Begin::Run);
+    let mut output = writer(Run::new(dir.path()).setting(2.0).force().begin());
     fs::write(out.join("notes.txt"), "mine").unwrap();
-    let error = stage.write("", &dwell(2.0), json!({}), &Status::Done).unwrap_err();
+    let error = output.write(&dwell(2.0), json!({}), &Status::Done).unwrap_err();
     assert!(error.to_string().contains("holds notes.txt"), "{error}");
     assert_eq!(fs::read_to_string(out.join("notes.txt")).unwrap(), "mine");
     assert_eq!((value_in(&out), names(dir.path())), (1.0, vec!["input".into(), "out".into()]));
@@ -386,10 +471,9 @@ fn a_file_that_appears_during_the_work_is_not_lost() {
 #[test]
 fn an_output_that_another_run_made_meanwhile_is_replaced_only_by_force() {
     let dir = tempfile::tempdir().unwrap();
-    let slow = Run::new(dir.path()).setting(2.0).stage().unwrap();
-    assert_eq!(slow.begin(&[""], DwellTime::KIND).unwrap(), Begin::Run);
+    let mut slow = writer(Run::new(dir.path()).setting(2.0).begin());
     Run::new(dir.path()).run().unwrap();
-    let error = slow.write("", &dwell(2.0), json!({}), &Status::Done).unwrap_err().to_string();
+    let error = slow.write(&dwell(2.0), json!({}), &Status::Done).unwrap_err().to_string();
     assert!(error.contains("out: exists, made while this ran; give --force"), "{error}");
     assert_eq!((value_in(&dir.path().join("out")), names(dir.path()).len()), (1.0, 2));
 }
@@ -425,13 +509,13 @@ fn an_output_that_cannot_be_is_refused_before_the_work() {
         ("new/..", "is not the name of a directory"),
     ] {
         let run = Run::new(dir.path()).out(dir.path().join(out)).force();
-        let error = run.stage().unwrap().begin(&[""], DwellTime::KIND).unwrap_err().to_string();
+        let error = run.begin().unwrap_err().to_string();
         assert!(error.contains(expected), "{out}: {error}");
     }
-    let empty = Run::new(dir.path()).out("").stage().unwrap().begin(&[""], DwellTime::KIND);
+    let empty = Run::new(dir.path()).out("").begin();
     assert!(empty.unwrap_err().to_string().contains("is not the name of a directory"));
-    let parts = Run::new(dir.path()).out(dir.path().join("file")).stage().unwrap();
-    let error = parts.begin(&["a", "b"], DwellTime::KIND).unwrap_err().to_string();
+    let parts = Run::new(dir.path()).out(dir.path().join("file"));
+    let error = parts.begin_two().unwrap_err().to_string();
     assert!(error.contains("file/a: cannot be written: Not a directory"), "{error}");
     let mut wall = Run::new(dir.path());
     wall.output.wall_time = Some(dir.path().join("out/wall.json"));
@@ -482,7 +566,7 @@ fn names_up_to_the_length_of_the_file_system_are_written() {
 fn what_a_killed_run_left_behind_is_removed_by_the_next() {
     let dir = tempfile::tempdir().unwrap();
     // A container gives every run the same process id.
-    let left = dir.path().join(format!(".planish-{}-0.tmp", std::process::id()));
+    let left = dir.path().join(format!(".planish-{}-0.tmp", process::id()));
     fs::create_dir(&left).unwrap();
     fs::write(left.join("dwell_s.npy"), "half").unwrap();
     Run::new(dir.path()).run().unwrap();
@@ -493,16 +577,18 @@ fn what_a_killed_run_left_behind_is_removed_by_the_next() {
 #[test]
 fn beside_files_are_hashed_made_again_when_missing_and_kept_when_changed() {
     let dir = tempfile::tempdir().unwrap();
-    let stage = Stage::new("test", "0", "report", &output(&dir.path().join("report")));
+    let args = output(&dir.path().join("report"));
+    let task = Task::new("test", "0", "report", json!({}));
+    let begin = || Output::directory(&args, &kind::REPORT).begin(&task, &Inputs::new());
     let beside = [("summary.json", b"{}\n".to_vec())];
-    stage.write_files("", &kind::REPORT, &[], &beside, json!({}), &Status::Done).unwrap();
-    let begin = || stage.begin(&[""], &kind::REPORT).unwrap();
-    assert_eq!(begin(), Begin::Unchanged(Status::Done));
+    let mut report = writer(begin());
+    report.write_arrays(&kind::REPORT, &[], &beside, json!({}), &Status::Done).unwrap();
+    assert_eq!(unchanged(begin().unwrap()), Status::Done);
     let summary = dir.path().join("report/summary.json");
     fs::remove_file(&summary).unwrap();
-    assert_eq!(begin(), Begin::Run);
+    writer(begin());
     fs::write(&summary, "{ }\n").unwrap();
-    let message = stage.begin(&[""], &kind::REPORT).unwrap_err().to_string();
+    let message = begin().unwrap_err().to_string();
     assert!(message.contains("summary.json: is not what manifest.json says"), "{message}");
 }
 
@@ -520,12 +606,12 @@ fn child() {
     let Ok(mode) = std::env::var("PLANISH_CHILD") else { return };
     let out = PathBuf::from(std::env::var_os("PLANISH_OUT").unwrap());
     let write = |value: f64| {
-        let output = OutputArgs { force: true, ..output(&out) };
-        let mut stage = Stage::new("test", "0", "write", &output);
-        stage.settings(json!({ "value": value }));
-        if stage.begin(&[""], DwellTime::KIND)? == Begin::Run {
+        let args = OutputArgs { force: true, ..output(&out) };
+        let task = Task::new("test", "0", "write", json!({ "value": value }));
+        let output = Output::directory(&args, DwellTime::KIND);
+        if let Begin::Run(mut output) = output.begin(&task, &Inputs::new())? {
             let long = DwellTime::new(vec![value; LONG]).unwrap();
-            stage.write("", &long, json!({ "value": value }), &Status::Done)?;
+            output.write(&long, json!({ "value": value }), &Status::Done)?;
         }
         Ok::<(), HandoffError>(())
     };
@@ -533,7 +619,7 @@ fn child() {
         "once" => {
             if let Err(e) = write(std::env::var("PLANISH_VALUE").unwrap().parse().unwrap()) {
                 eprintln!("error: {e}");
-                std::process::exit(2);
+                process::exit(2);
             }
         }
         _ => {
@@ -560,7 +646,7 @@ fn child_command(shell: &str, directory: &Path, mode: &str, out: &str, value: f6
     command
 }
 
-fn write_once(shell: &str, directory: &Path, out: &str, value: f64) -> Output {
+fn write_once(shell: &str, directory: &Path, out: &str, value: f64) -> process::Output {
     child_command(shell, directory, "once", out, value).output().unwrap()
 }
 
@@ -683,7 +769,8 @@ fn killed_writers_leave_a_whole_artifact_at_every_moment() {
 fn a_tif_and_a_surface_do_not_take_each_others_place() {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path().join("a").as_path(), &tif());
-    let stage = Stage::new("test", "0", "make", &output(&dir.path().join("a")));
-    let error = stage.begin(&[""], &kind::SURFACE).unwrap_err().to_string();
+    let task = Task::new("test", "0", "make", json!({}));
+    let output = Output::directory(&output(&dir.path().join("a")), &kind::SURFACE);
+    let error = output.begin(&task, &Inputs::new()).unwrap_err().to_string();
     assert!(error.contains("holds rate_nm_per_s.npy, which no surface has"), "{error}");
 }

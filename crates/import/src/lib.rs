@@ -49,6 +49,7 @@ use planish_types::Invalid;
 
 /// A format that is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Format {
     /// MetroPro `.dat`.
@@ -70,6 +71,7 @@ pub enum Format {
     /// Surface data file.
     Sdf,
     /// Directory of `.npy` files, with or without a manifest.
+    #[cfg_attr(feature = "cli", value(skip))]
     Directory,
 }
 

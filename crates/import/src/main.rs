@@ -1,14 +1,16 @@
 //! `planish-import`: files of instruments and other programs in.
 
 use std::{
-    io::Write,
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use ndarray::Array2;
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, pair, run, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind::Kind, pair,
+    run, say, task, warn,
+};
 use planish_import::{
     Alignment, Baseline, FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale,
     Settings, SpotSettings, Statement, Unit,
@@ -18,6 +20,9 @@ use planish_import::{
 use planish_types::{Grid, Surface, Tif, Trajectory, text::significant};
 use serde::Serialize;
 use serde_json::{Value, json};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
@@ -49,7 +54,7 @@ struct FileArgs {
     file: PathBuf,
     /// Format [default: by the content; for text of numbers by the ending .csv or .xyz]
     #[arg(long, value_enum)]
-    format: Option<FormatArg>,
+    format: Option<Format>,
     /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
     /// [default: Z (Ztif for rates), or the only one]
     #[arg(long, value_name = "NAME")]
@@ -62,7 +67,7 @@ struct FileArgs {
     y: Option<String>,
     /// Unit of the heights, where the file does not state it
     #[arg(long, value_enum)]
-    unit: Option<UnitArg>,
+    unit: Option<Unit>,
     /// Wavelength of heights in waves, nm
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     wavelength_nm: Option<f64>,
@@ -71,7 +76,7 @@ struct FileArgs {
     pitch_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file, where it does not state it
     #[arg(long, value_enum)]
-    coordinate_unit: Option<UnitArg>,
+    coordinate_unit: Option<Unit>,
     /// Surface height per height in the file: 0.5 for the wavefront of one reflection
     #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true)]
     surface_per_value: f64,
@@ -83,7 +88,7 @@ struct FileArgs {
     no_data: Option<f64>,
     /// Where the first row of the file is [default: as the format has it]
     #[arg(long, value_enum)]
-    first_row: Option<FirstRowArg>,
+    first_row: Option<FirstRow>,
     /// Mirror x
     #[arg(long)]
     flip_x: bool,
@@ -92,7 +97,7 @@ struct FileArgs {
     flip_y: bool,
     /// Turn counter-clockwise with y upwards, after mirroring
     #[arg(long, value_enum, default_value = "0")]
-    rotate_deg: RotationArg,
+    rotate_deg: Rotation,
     /// Draw what was read, as SVG, to compare with the picture on the instrument
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -106,7 +111,7 @@ struct SurfaceArgs {
     file: FileArgs,
     /// Where the coordinate 0 is
     #[arg(long, value_enum, default_value = "file")]
-    origin: OriginArg,
+    origin: Origin,
 }
 
 #[derive(Debug, Args)]
@@ -118,7 +123,7 @@ struct TifArgs {
     rate: bool,
     /// Where the offset 0 of a map of rates is [default: the file's coordinates, else the middle]
     #[arg(long, value_enum, requires = "rate")]
-    origin: Option<OriginArg>,
+    origin: Option<Origin>,
     /// Time that the tool rested, s; FILE is the depth of the removal, or the map after it
     #[arg(long, value_name = "T", requires = "half_size_mm", allow_negative_numbers = true)]
     dwell_s: Option<f64>,
@@ -133,10 +138,10 @@ struct TifArgs {
     spot_mm: Option<[f64; 2]>,
     /// Whether the part moved between the maps
     #[arg(long, value_enum, default_value = "none")]
-    align: AlignArg,
+    align: Alignment,
     /// What is subtracted from the removal, fitted outside the square
     #[arg(long, value_enum, default_value = "plane")]
-    baseline: BaselineArg,
+    baseline: Baseline,
     /// Set negative rates (noise) to zero
     #[arg(long, requires = "dwell_s")]
     clip_negative: bool,
@@ -148,7 +153,7 @@ struct ProgramArgs {
     file: PathBuf,
     /// Whose program it is
     #[arg(long, value_enum)]
-    controller: ControllerArg,
+    controller: Controller,
     /// File that planish-export wrote beside the program; the flags below go before it
     #[arg(long, value_name = "FILE")]
     about: Option<PathBuf>,
@@ -168,86 +173,6 @@ struct ProgramArgs {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FormatArg {
-    Metropro,
-    Datx,
-    /// Zygo .xyz, or lines x y z
-    Xyz,
-    /// MATLAB up to version 7; 7.3 is hdf5
-    Mat5,
-    Hdf5,
-    Fits,
-    /// A matrix of numbers as text
-    Csv,
-    Npy,
-    Sdf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum UnitArg {
-    M,
-    Mm,
-    Um,
-    Nm,
-    Angstrom,
-    Waves,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FirstRowArg {
-    /// Largest y
-    Top,
-    /// Smallest y
-    Bottom,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum RotationArg {
-    #[value(name = "0")]
-    None,
-    #[value(name = "90")]
-    Quarter,
-    #[value(name = "180")]
-    Half,
-    #[value(name = "270")]
-    ThreeQuarters,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum OriginArg {
-    /// Where the file has it; without coordinates at the first pixel
-    File,
-    /// At the smallest x and y
-    Corner,
-    /// In the middle
-    Centre,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum AlignArg {
-    /// It did not
-    None,
-    /// By a shift, which is found outside the square
-    Shift,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum BaselineArg {
-    None,
-    Piston,
-    Plane,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ControllerArg {
-    Galil,
-    Xps,
-    Pmac,
-    Gcode,
-    Csv,
-}
-
 fn main() -> ExitCode {
     let method = planish_handoff::parse::<Cli>().method;
     run(move || match method {
@@ -259,28 +184,26 @@ fn main() -> ExitCode {
 
 fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
     let file = &args.file;
-    let mut stage = stage("surface", &file.output);
+    let mut inputs = Inputs::new();
     let (pick, settings) = (pick(file, false), settings(file, args.origin));
-    let bytes = map_bytes(&mut stage, "file", &file.file)?;
+    let bytes = map_bytes(&mut inputs, "file", &file.file)?;
     let format = format_of(file, bytes.as_deref())?;
-    stage.settings(json!({ "format": format, "pick": pick, "reading": settings }));
-    let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)?
-        && file.picture.as_ref().is_none_or(|p| p.exists())
-    {
-        return Ok(status);
-    }
-    begin_picture(&stage, file)?;
+    let task = task!("surface", json!({ "format": format, "pick": pick, "reading": settings }));
+    let reading = open(&mut inputs, "file", &file.file, format, bytes, &pick)?;
+    let mut output = match file.output(Surface::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let (map, statement) = surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
     let picture = || draw(map.grid(), map.height_nm(), Scale::HeightNm, &file.file, &statement);
-    put_picture(&stage, file, picture)?;
+    put_picture(&mut output, file, picture)?;
     let statistics = map.statistics();
     let outcome = json!({
         "reading": statement,
         "pv_nm": statistics.pv,
         "rms_nm": statistics.rms,
     });
-    stage.write("", &map, outcome, &Status::Done)?;
+    output.write(&map, outcome, &Status::Done)?;
     report(&statement, map.grid());
     say(format!(
         "planish-import: {:.4} nm RMS, {:.4} nm PV, height {:.4} .. {:.4} nm -> {}",
@@ -295,52 +218,44 @@ fn surface_stage(args: &SurfaceArgs) -> Result<Status, Failure> {
 
 fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     let file = &args.file;
-    let mut stage = stage("tif", &file.output);
+    let mut inputs = Inputs::new();
     // Maps of a spot are surfaces.
     let pick = pick(file, args.rate);
-    let bytes = map_bytes(&mut stage, "file", &file.file)?;
+    let bytes = map_bytes(&mut inputs, "file", &file.file)?;
     let format = format_of(file, bytes.as_deref())?;
-    let origin = args.origin.unwrap_or(OriginArg::File);
+    let origin = args.origin.unwrap_or(Origin::File);
     let mut settings = settings(file, origin);
     let spot_settings = match (args.dwell_s, args.half_size_mm) {
         (Some(dwell_s), Some(half_size_mm)) => Some(SpotSettings {
             dwell_s,
             half_size_mm,
             spot_mm: args.spot_mm,
-            alignment: match args.align {
-                AlignArg::None => Alignment::None,
-                AlignArg::Shift => Alignment::Shift,
-            },
-            baseline: match args.baseline {
-                BaselineArg::None => Baseline::None,
-                BaselineArg::Piston => Baseline::Piston,
-                BaselineArg::Plane => Baseline::Plane,
-            },
+            alignment: args.align,
+            baseline: args.baseline,
             clip_negative: args.clip_negative,
         }),
         _ => None,
     };
-    stage.settings(json!({
+    let resolved = json!({
         "format": format,
         "pick": pick,
         "reading": settings,
         "origin_given": args.origin.is_some(),
         "spot": spot_settings,
-    }));
-    let reading = open(&mut stage, "file", &file.file, format, bytes, &pick)?;
+    });
+    let task = task!("tif", resolved);
+    let reading = open(&mut inputs, "file", &file.file, format, bytes, &pick)?;
     let before = match &args.before {
         Some(path) => {
-            let bytes = map_bytes(&mut stage, "before", path)?;
-            Some(open(&mut stage, "before", path, format, bytes, &pick)?)
+            let bytes = map_bytes(&mut inputs, "before", path)?;
+            Some(open(&mut inputs, "before", path, format, bytes, &pick)?)
         }
         None => None,
     };
-    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)?
-        && file.picture.as_ref().is_none_or(|p| p.exists())
-    {
-        return Ok(status);
-    }
-    begin_picture(&stage, file)?;
+    let mut output = match file.output(Tif::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let (made, statement, own) = match &spot_settings {
         Some(spot_settings) => {
             let (after, statement) =
@@ -365,14 +280,14 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
     };
     let picture =
         || draw(made.grid(), made.rate_nm_per_s(), Scale::RateNmPerS, &file.file, &statement);
-    put_picture(&stage, file, picture)?;
+    put_picture(&mut output, file, picture)?;
     let outcome = json!({
         "reading": statement,
         "spot": own,
         "peak_nm_per_s": made.peak_nm_per_s(),
         "vrr_nm_mm2_per_s": made.vrr_nm_mm2_per_s(),
     });
-    stage.write("", &made, outcome, &Status::Done)?;
+    output.write(&made, outcome, &Status::Done)?;
     report(&statement, made.grid());
     if let Some(noise) = own["outside_rms_nm"].as_f64() {
         say(format!(
@@ -390,10 +305,10 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
 }
 
 fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
-    let mut stage = stage("program", &args.output);
+    let mut inputs = Inputs::new();
     let mut configuration = match &args.about {
         Some(path) => {
-            let bytes = foreign(&mut stage, "about", path)?;
+            let bytes = foreign(&mut inputs, "about", path)?;
             serde_json::from_slice::<Configuration>(&bytes).map_err(|e| about(path, &e))?
         }
         None => Configuration::default(),
@@ -403,18 +318,15 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
     configuration.sample_s = args.sample_s.or(configuration.sample_s);
     configuration.feedrate_time_unit_s =
         args.feedrate_time_unit_s.or(configuration.feedrate_time_unit_s);
-    let controller = match args.controller {
-        ControllerArg::Galil => Controller::Galil,
-        ControllerArg::Xps => Controller::Xps,
-        ControllerArg::Pmac => Controller::Pmac,
-        ControllerArg::Gcode => Controller::Gcode,
-        ControllerArg::Csv => Controller::Csv,
-    };
-    stage.settings(json!({ "controller": controller, "configuration": configuration }));
-    let bytes = foreign(&mut stage, "file", &args.file)?;
-    if let Begin::Unchanged(status) = stage.begin(&[""], Trajectory::KIND)? {
-        return Ok(status);
-    }
+    let controller = args.controller;
+    let resolved = json!({ "controller": controller, "configuration": configuration });
+    let task = task!("program", resolved);
+    let bytes = foreign(&mut inputs, "file", &args.file)?;
+    let mut output =
+        match Output::directory(&args.output, Trajectory::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
     let motion =
         program::read(controller, &bytes, &configuration).map_err(|e| about(&args.file, &e))?;
     let outcome = json!({
@@ -422,7 +334,7 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
         "total_time_s": motion.total_time_s(),
         "always_on": motion.tool_on().iter().all(|on| *on),
     });
-    stage.write("", &motion, outcome, &Status::Done)?;
+    output.write(&motion, outcome, &Status::Done)?;
     say(format!(
         "planish-import: {} segments, {:.4} s -> {}",
         motion.len(),
@@ -432,8 +344,15 @@ fn program_stage(args: &ProgramArgs) -> Result<Status, Failure> {
     Ok(Status::Done)
 }
 
-fn stage(method: &str, output: &OutputArgs) -> Stage {
-    Stage::new("planish-import", env!("CARGO_PKG_VERSION"), method, output)
+impl FileArgs {
+    /// The artifact, and the picture where one is asked for.
+    fn output(&self, kind: &'static Kind) -> Output {
+        let output = Output::directory(&self.output, kind);
+        match &self.picture {
+            Some(path) => output.and_file("--picture", path),
+            None => output,
+        }
+    }
 }
 
 /// A message of the library, with the file that it is about.
@@ -442,8 +361,8 @@ fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
 }
 
 /// The bytes of a file of another program.
-fn foreign(stage: &mut Stage, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
-    let bytes = stage.read_bytes(role, path, MOST_FILE_BYTES)?;
+fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
+    let bytes = inputs.read_bytes(role, path, MOST_FILE_BYTES)?;
     match bytes.is_empty() {
         true => Err(Failure::new(format!("{}: is empty; export it again", path.display()))),
         false => Ok(bytes),
@@ -451,48 +370,28 @@ fn foreign(stage: &mut Stage, role: &str, path: &Path) -> Result<Vec<u8>, Failur
 }
 
 /// The bytes of a map; `None` for a directory.
-fn map_bytes(stage: &mut Stage, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
-    if path.is_dir() { Ok(None) } else { foreign(stage, role, path).map(Some) }
+fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
+    if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
 }
 
 fn pick(args: &FileArgs, is_tif: bool) -> Pick {
     Pick { data: args.dataset.clone(), x: args.x.clone(), y: args.y.clone(), is_tif }
 }
 
-fn settings(args: &FileArgs, origin: OriginArg) -> Settings {
-    let unit = |unit| match unit {
-        UnitArg::M => Unit::M,
-        UnitArg::Mm => Unit::Mm,
-        UnitArg::Um => Unit::Um,
-        UnitArg::Nm => Unit::Nm,
-        UnitArg::Angstrom => Unit::Angstrom,
-        UnitArg::Waves => Unit::Waves,
-    };
+fn settings(args: &FileArgs, origin: Origin) -> Settings {
     Settings {
-        unit: args.unit.map(unit),
+        unit: args.unit,
         wavelength_nm: args.wavelength_nm,
         pitch_mm: args.pitch_mm,
-        coordinate_unit: args.coordinate_unit.map(unit),
+        coordinate_unit: args.coordinate_unit,
         surface_per_value: args.surface_per_value,
         negate: args.negate,
         no_data: args.no_data,
-        first_row: args.first_row.map(|row| match row {
-            FirstRowArg::Top => FirstRow::Top,
-            FirstRowArg::Bottom => FirstRow::SmallestY,
-        }),
+        first_row: args.first_row,
         flip_x: args.flip_x,
         flip_y: args.flip_y,
-        rotation: match args.rotate_deg {
-            RotationArg::None => Rotation::None,
-            RotationArg::Quarter => Rotation::Quarter,
-            RotationArg::Half => Rotation::Half,
-            RotationArg::ThreeQuarters => Rotation::ThreeQuarters,
-        },
-        origin: match origin {
-            OriginArg::File => Origin::File,
-            OriginArg::Corner => Origin::Corner,
-            OriginArg::Centre => Origin::Centre,
-        },
+        rotation: args.rotate_deg,
+        origin,
     }
 }
 
@@ -502,17 +401,7 @@ fn format_of(args: &FileArgs, bytes: Option<&[u8]>) -> Result<Format, Failure> {
     let path = &args.file;
     let Some(bytes) = bytes else { return Ok(Format::Directory) };
     if let Some(format) = args.format {
-        return Ok(match format {
-            FormatArg::Metropro => Format::Metropro,
-            FormatArg::Datx => Format::Datx,
-            FormatArg::Xyz => Format::Xyz,
-            FormatArg::Mat5 => Format::Mat5,
-            FormatArg::Hdf5 => Format::Hdf5,
-            FormatArg::Fits => Format::Fits,
-            FormatArg::Csv => Format::Csv,
-            FormatArg::Npy => Format::Npy,
-            FormatArg::Sdf => Format::Sdf,
-        });
+        return Ok(format);
     }
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     let by_ending = match ending.as_deref() {
@@ -526,7 +415,7 @@ fn format_of(args: &FileArgs, bytes: Option<&[u8]>) -> Result<Format, Failure> {
 }
 
 fn open(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     role: &str,
     path: &Path,
     format: Format,
@@ -540,11 +429,11 @@ fn open(
         }
         return Ok(match pick.is_tif {
             false => {
-                let map: Surface = stage.read(role, path)?;
+                let map: Surface = inputs.read(role, path)?;
                 Reading::of_map(map.grid(), map.height_nm())
             }
             true => {
-                let map: Tif = stage.read(role, path)?;
+                let map: Tif = inputs.read(role, path)?;
                 Reading::of_map(map.grid(), map.rate_nm_per_s())
             }
         });
@@ -555,7 +444,7 @@ fn open(
 /// What was done, for the user to check, and the warnings.
 fn report(statement: &Statement, grid: &Grid) {
     for warning in &statement.warnings {
-        let _ = writeln!(std::io::stderr(), "warning: {warning}");
+        warn(warning);
     }
     #[derive(Serialize)]
     struct Names(Format, FirstRow);
@@ -599,20 +488,10 @@ fn draw(
 
 /// The picture that was asked for appears with the map; an older one is replaced with --force.
 fn put_picture(
-    stage: &Stage,
+    output: &mut Writer,
     args: &FileArgs,
     picture: impl Fn() -> String,
 ) -> Result<(), Failure> {
     let Some(path) = &args.picture else { return Ok(()) };
-    Ok(stage.stage_file(path, picture().as_bytes(), args.output.force)?)
-}
-
-/// Refuses a picture that may not be written, before the work.
-fn begin_picture(stage: &Stage, args: &FileArgs) -> Result<(), Failure> {
-    let Some(path) = &args.picture else { return Ok(()) };
-    if path.starts_with(&args.output.out) {
-        let problem = "is in the output; give another --picture";
-        return Err(Failure::new(format!("{}: {problem}", path.display())));
-    }
-    Ok(stage.begin_file("--picture", path, args.output.force)?)
+    Ok(output.write_file(path, picture().as_bytes())?)
 }

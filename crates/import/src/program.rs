@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 
 /// Whose program it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Controller {
     /// Galil DMC, PVT mode.

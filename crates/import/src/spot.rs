@@ -41,6 +41,7 @@ const LEAST_CONTRAST: f64 = 5.0;
 
 /// Whether the part moved between the measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
     /// It did not.
@@ -51,6 +52,7 @@ pub enum Alignment {
 
 /// What is subtracted from the removal, fitted outside the spot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Baseline {
     /// Nothing.

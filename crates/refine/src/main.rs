@@ -8,16 +8,23 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_refine::{Iterate, Scheduler, Settings, refine};
 use planish_schedule::pvt;
 use planish_types::{
-    DwellTime, End, Limits, Surface, Tif, ToolPath, Trajectory,
+    DwellTime, End, Trajectory,
     plausible::{self, Rms},
 };
 use serde::Serialize;
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-refine --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --min-dwell-s 0.1 --out out/refined\n\
@@ -46,27 +53,17 @@ enum Command {
 #[derive(Args)]
 #[group(args = ["surface"])]
 struct Refine {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// First dwell times [dwell artifact]; without it, bounded least squares
     #[arg(long, value_name = "DIR")]
     dwell: Option<PathBuf>,
-    /// Least dwell time of every dwell point, s [default: 0]
-    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
-    min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T")]
-    min_dwell_s_per_mm: Option<f64>,
+    #[command(flatten)]
+    floor: FloorArgs,
     /// Weight of the distance to the least dwell time, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
     tikhonov: f64,
@@ -84,7 +81,7 @@ struct Refine {
     scheduler: SchedulerKind,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
-    mode: Mode,
+    mode: pvt::ModeChoice,
     /// Most rounds; where a number is given, to stop there is what is wanted [default: 12, and a negative
     /// verdict where they still improve]
     #[arg(long, value_name = "N")]
@@ -101,26 +98,6 @@ enum SchedulerKind {
     ConstantAcceleration,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Mode {
-    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps
-    Auto,
-    /// Least acceleration energy; may overshoot corners
-    Smooth,
-    /// Least acceleration energy without reversal inside a segment
-    Monotone,
-}
-
-impl Mode {
-    fn on(self, machine: &Limits) -> pvt::Mode {
-        match self {
-            Self::Auto => pvt::Mode::within(machine),
-            Self::Smooth => pvt::Mode::Smooth,
-            Self::Monotone => pvt::Mode::Monotone,
-        }
-    }
-}
-
 fn main() -> ExitCode {
     let cli: Cli = planish_handoff::parse();
     run(|| match (&cli.command, &cli.refine) {
@@ -135,38 +112,33 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
     settings.max_rounds = cli.max_rounds.unwrap_or(settings.max_rounds);
     settings.dwell.time_weight_nm2_per_s = cli.time_weight_nm2_per_s;
     settings.dwell.noise_rms_nm = cli.noise_rms_nm;
-    if let Some(tau) = cli.min_dwell_s_per_mm {
-        settings.dwell.min_dwell = Bound::SecondsPerMm(tau);
-    } else if let Some(t) = cli.min_dwell_s {
-        settings.dwell.min_dwell = Bound::Seconds(t);
-    }
+    settings.dwell.min_dwell = cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
     settings.dwell.tikhonov = cli.tikhonov;
     settings.dwell.smoothness = cli.smoothness;
     let method = match cli.scheduler {
         SchedulerKind::Pvt => "pvt",
         SchedulerKind::ConstantAcceleration => "constant-acceleration",
     };
-    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), method, &cli.output);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let machine = stage.read_machine(&cli.machine)?;
+    let mut inputs = Inputs::new();
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
     settings.scheduler = match cli.scheduler {
         SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
         SchedulerKind::Pvt => Scheduler::Pvt(cli.mode.on(&machine)),
     };
-    stage.settings(Resolved { settings, stop_at_max_rounds: cli.max_rounds.is_some() });
-    let first = cli.dwell.as_ref().map(|dir| stage.read_with_manifest("dwell", dir)).transpose()?;
-    let (first, manifest): (Option<DwellTime>, _) = first.unzip();
-    stage.refuse_unrelated("dwell", manifest.flatten().as_ref(), "tool-path")?;
+    let resolved = Resolved { settings, stop_at_max_rounds: cli.max_rounds.is_some() };
+    let task = task!(method, resolved);
+    let first = cli.dwell.as_ref().map(|dir| flags::read_dwell(dir, &mut inputs)).transpose()?;
     let parts = [
         ("dwell", DwellTime::KIND),
         ("trajectory", Trajectory::KIND),
         ("iterations", &kind::ITERATIONS),
     ];
-    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
-        return Ok(status);
-    }
+    let mut output = match Output::directories(&cli.output, parts).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     plausible::check_path(&surface, &tif, &path)?;
     let refined = refine(&surface, &tif, &path, &machine, first, &settings)?;
@@ -193,10 +165,10 @@ fn body(cli: &Refine) -> Result<Status, Failure> {
         plausible::drawback(before, after, best.total_time_s)
     };
     let status = negative.map_or(Status::Done, Status::Negative);
-    stage.write("dwell", &refined.dwell, outcome.clone(), &status)?;
-    stage.write("trajectory", &refined.trajectory, outcome.clone(), &status)?;
+    output.write(&refined.dwell, outcome.clone(), &status)?;
+    output.write(&refined.trajectory, outcome.clone(), &status)?;
     let arrays = iterations(&refined.iterates);
-    stage.write_files("iterations", &kind::ITERATIONS, &arrays, &[], outcome, &status)?;
+    output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
     for (round, i) in refined.iterates.iter().enumerate() {
         say(format!(
             "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",

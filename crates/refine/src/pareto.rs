@@ -1,41 +1,35 @@
 //! `planish-refine pareto`: residual against total time.
 
-use std::path::PathBuf;
-
 use ndarray::{Array1, Array2};
 use planish_dwell::bounded_least_squares::Bound;
 use planish_handoff::{
-    Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, stage::say,
+    Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind,
+    npy::ArrayData,
+    say, task,
 };
 use planish_refine::{Scheduler, Settings, trade_off};
-use planish_types::{End, Invalid, Surface, Tif, ToolPath, plausible};
+use planish_schedule::pvt::ModeChoice;
+use planish_types::{End, Invalid, plausible};
 use serde_json::json;
-
-use crate::Mode;
 
 /// Refine at rising prices of a second: residual against total time
 ///
 /// Writes the plans as iterations and DIR/pareto.svg, and prints the table.
 #[derive(clap::Args)]
 pub struct Pareto {
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
-    #[arg(long, value_name = "T", default_value_t = 0.02)]
-    min_dwell_s_per_mm: f64,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    #[command(flatten)]
+    floor: FloorArgs,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
-    mode: Mode,
+    mode: ModeChoice,
     /// Prices beside that of nothing
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,
@@ -52,17 +46,18 @@ const MOST_PRICES: usize = 1000;
 /// The plans, their table and their picture.
 pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
     let mut settings = Settings { max_rounds: cli.max_rounds, ..Settings::default() };
-    settings.dwell.min_dwell = Bound::SecondsPerMm(cli.min_dwell_s_per_mm);
-    let mut stage = Stage::new("planish-refine", env!("CARGO_PKG_VERSION"), "pareto", &cli.output);
-    let surface: Surface = stage.read("surface", &cli.surface)?;
-    let tif: Tif = stage.read("tif", &cli.tif)?;
-    let path: ToolPath = stage.read("tool-path", &cli.tool_path)?;
-    let machine = stage.read_machine(&cli.machine)?;
+    settings.dwell.min_dwell = cli.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
+    let mut inputs = Inputs::new();
+    let (surface, tif) = cli.mirror.read(&mut inputs)?;
+    let path = cli.path.read(&mut inputs)?;
+    let machine = cli.machine.read(&mut inputs)?;
     settings.scheduler = Scheduler::Pvt(cli.mode.on(&machine));
-    stage.settings(json!({ "prices": cli.prices, "refine": settings }));
-    if let Begin::Unchanged(status) = stage.begin(&[""], &kind::ITERATIONS)? {
-        return Ok(status);
-    }
+    let task = task!("pareto", json!({ "prices": cli.prices, "refine": settings }));
+    let mut output =
+        match Output::directory(&cli.output, &kind::ITERATIONS).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
 
     plausible::check_path(&surface, &tif, &path)?;
     if cli.prices > MOST_PRICES {
@@ -113,7 +108,7 @@ pub fn pareto(cli: &Pareto) -> Result<Status, Failure> {
         Status::Negative("some plan exceeds the limits of the machine".into())
     };
     let beside = [("pareto.svg", picture)];
-    stage.write_files("", &kind::ITERATIONS, &arrays, &beside, outcome, &status)?;
+    output.write_arrays(&kind::ITERATIONS, &arrays, &beside, outcome, &status)?;
     say(format!("-> {}", cli.output.out.display()));
     Ok(status)
 }

@@ -6,8 +6,10 @@ mod verdict;
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
-use planish_handoff::{Failure, Status, run, stage::say};
-use planish_run::words;
+use planish_handoff::{Failure, Status, run, say, words};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-run start --out out/mine --pipeline mine --surface mirror --tif tool --machine machine.json -- sh my-stages.sh\n\
@@ -60,7 +62,7 @@ struct Start {
     /// Its tool [tif artifact, or a file of an instrument]
     #[arg(long, value_name = "PATH")]
     tif: Option<PathBuf>,
-    /// Machine [JSON]
+    /// Machine and its limits [JSON]
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
     /// A setting that holds several flags, as NAME=FLAGS; can be given again. An unclosed quotation

@@ -7,18 +7,13 @@ use std::{
     process,
 };
 
-use planish_handoff::{Failure, OutputArgs, Stage, Status};
-use planish_run::{
-    owner::{Mirror, Owner},
-    words,
-};
+use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, words};
+use planish_run::owner::{Mirror, Owner};
 
 use crate::Start;
 
 /// Says whose directory it is.
 const OWNER: &str = "run.json";
-/// [`OWNER`] while it is written.
-const OWNER_PART: &str = "run.json.part";
 /// Locked while a run has the directory; says which process that is. It stays when the run is over:
 /// to remove it would let two runs lock two files of the same name.
 const LOCK: &str = "run.lock";
@@ -30,7 +25,8 @@ pub fn start(arguments: &Start) -> Result<Status, Failure> {
         let (name, text) = flags.split_once('=').unwrap_or(("", flags));
         words::split(text).map_err(|e| Failure::new(format!("{name}={text}: {e}")))?;
     }
-    read_machine(machine, out)?;
+    // By the reader of the stages.
+    Inputs::new().read_machine(machine)?;
     let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
     for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
         path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
@@ -39,14 +35,6 @@ pub fn start(arguments: &Start) -> Result<Status, Failure> {
 
     let lock = take(out, &owner, command)?;
     Err(become_command(command, lock))
-}
-
-/// The machine file, by the reader of the stages.
-fn read_machine(machine: &Path, out: &Path) -> Result<(), Failure> {
-    let output = OutputArgs { out: out.into(), force: false, wall_time: None };
-    let mut stage = Stage::new("planish-run", env!("CARGO_PKG_VERSION"), "start", &output);
-    stage.read_machine(machine)?;
-    Ok(())
 }
 
 /// The mirror, which is there.
@@ -154,7 +142,7 @@ fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> 
         Err(TryLockError::Error(e)) => return Err(failed("lock it", e)),
     }
     if !owned(out, owner)? {
-        write_owner(out, owner).map_err(|e| failed("write in it", e))?;
+        write_owner(out, owner)?;
     }
     // The command takes over the process, and its number.
     let holder = format!("process {} ({})\n", process::id(), words::join(command));
@@ -206,20 +194,15 @@ fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     };
     let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
     let mut names = names.collect::<std::io::Result<Vec<_>>>()?;
-    names.retain(|name| ![LOCK, OWNER_PART].contains(&name.as_str()));
+    names.retain(|name| name != LOCK && !is_temporary(name));
     Ok(names.into_iter().min())
 }
 
-/// Whole or not at all, also after a loss of power; the lock is held.
-fn write_owner(out: &Path, owner: &Owner) -> std::io::Result<()> {
-    let part = out.join(OWNER_PART);
-    let mut text = serde_json::to_string_pretty(owner)?;
-    text.push('\n');
-    let mut file = File::create(&part)?;
-    file.write_all(text.as_bytes())?;
-    file.sync_all()?;
-    fs::rename(&part, out.join(OWNER))?;
-    File::open(out)?.sync_all()
+/// The lock is held, so nobody else writes it.
+fn write_owner(out: &Path, owner: &Owner) -> Result<(), Failure> {
+    let text = format!("{}\n", serde_json::to_string_pretty(owner)?);
+    let file = OutputFile::begin("out", &out.join(OWNER), false, &Inputs::new())?;
+    Ok(file.write(text.as_bytes())?)
 }
 
 /// Runs the command in the place of this process, so that signals reach it and its exit code is the run's

@@ -2,14 +2,13 @@
 
 mod program;
 
-use std::{
-    path::{Path, PathBuf},
-    process::ExitCode,
-};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind::Kind, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, OutputArgs, PlanArgs},
+    run, say, task,
 };
 use planish_schedule::{
     average_velocity, claim::Claim, constant_acceleration, position, pvt, pvt_seed,
@@ -17,6 +16,9 @@ use planish_schedule::{
 };
 use planish_types::{DwellDensity, DwellTime, Limits, ToolPath, Trajectory, plausible};
 use serde_json::{Value, json};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-schedule pvt --tool-path out/tool_path --dwell out/dwell --machine machine.json --mode monotone --out out/trajectory";
@@ -34,6 +36,8 @@ enum Command {
     #[command(flatten)]
     Schedule(Scheduler),
     /// Reference positions at every tick of a controller, from a feed or its NC program
+    ///
+    /// The file, .csv or .npy, has a row per tick: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx.
     Interpolate(program::Interpolate),
     /// Write a feed as an NC program: blocks of end point, densities and arc lengths
     Program(program::Program),
@@ -50,10 +54,10 @@ enum Scheduler {
         formulation: Formulation,
         /// Whether Eq. 16 rests at the start only, or as printed after the first segment too (seed)
         #[arg(long, value_enum)]
-        eq_16: Option<Eq16>,
+        eq_16: Option<pvt_seed::Eq16>,
         /// What the motion shall be like (hermite) [default: auto]
         #[arg(long, value_enum)]
-        mode: Option<Mode>,
+        mode: Option<pvt::ModeChoice>,
         /// Refuse dwell times that the machine cannot follow instead of stretching them (hermite)
         #[arg(long)]
         no_stretch: bool,
@@ -72,11 +76,11 @@ enum Scheduler {
         common: Common,
         /// How densities that the machine cannot follow are repaired
         #[arg(long, value_enum, default_value = "offset")]
-        repair: Repair,
-        /// Largest distance of the motion from a corner [mm]
+        repair: trig_spline::Repair,
+        /// Largest distance of the motion from a corner, mm
         #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
         corner_deviation_mm: f64,
-        /// Largest error of the position where the motion is fitted by cubics [mm]
+        /// Largest error of the position where the motion is fitted by cubics, mm
         #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
         fit_tolerance_mm: f64,
         /// Also write the nodes of the spline, for `interpolate` and `program` [feed artifact]
@@ -97,15 +101,10 @@ enum Scheduler {
 
 #[derive(Args)]
 struct Common {
-    /// Tool path [tool_path artifact]
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Dwell times [dwell artifact]
-    #[arg(long, value_name = "DIR")]
-    dwell: PathBuf,
-    /// Limits of the machine [JSON file]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -119,37 +118,11 @@ enum Formulation {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Eq16 {
-    /// At rest at the start
-    Corrected,
-    /// At rest after the first segment too
-    Printed,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
 enum Corners {
     /// Each axis by itself, as in the source: it goes too far and comes back
     Overshoot,
     /// Along the path with look-ahead, at rest in every corner: within all limits, for more time
     Stop,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Mode {
-    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps
-    Auto,
-    /// Least acceleration energy; may overshoot corners; keeps a limit on jerk
-    Smooth,
-    /// Least acceleration energy without reversal inside a segment; its acceleration steps
-    Monotone,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Repair {
-    /// One offset for all densities: a piston where the path overscans far enough
-    Offset,
-    /// Only the densities that need it are raised
-    Local,
 }
 
 /// A scheduler with its resolved settings.
@@ -209,18 +182,11 @@ impl Scheduler {
                 return Err(Failure::new(message));
             }
             Self::Pvt { formulation: Formulation::Hermite, mode, no_stretch, .. } => {
-                let mode = match mode {
-                    None | Some(Mode::Auto) => pvt::Mode::within(machine),
-                    Some(Mode::Smooth) => pvt::Mode::Smooth,
-                    Some(Mode::Monotone) => pvt::Mode::Monotone,
-                };
+                let mode = mode.unwrap_or_default().on(machine);
                 Method::Pvt(pvt::Settings { mode, stretch: !no_stretch })
             }
             Self::Pvt { mode: None, no_stretch: false, eq_16, .. } => {
-                Method::PvtSeed(match eq_16 {
-                    None | Some(Eq16::Corrected) => pvt_seed::Eq16::Corrected,
-                    Some(Eq16::Printed) => pvt_seed::Eq16::Printed,
-                })
+                Method::PvtSeed(eq_16.unwrap_or_default())
             }
             Self::Pvt { .. } => {
                 let message = "--mode and --no-stretch belong to --formulation hermite; the seed \
@@ -232,12 +198,8 @@ impl Scheduler {
             }
             Self::ConstantAcceleration { corners: Corners::Stop, .. } => Method::StopAtCorners,
             Self::TrigSpline { repair, corner_deviation_mm, fit_tolerance_mm, .. } => {
-                let repair = match repair {
-                    Repair::Offset => trig_spline::Repair::Offset,
-                    Repair::Local => trig_spline::Repair::Local,
-                };
                 Method::TrigSpline(trig_spline::Settings {
-                    repair,
+                    repair: *repair,
                     corner_deviation_mm: *corner_deviation_mm,
                     fit_tolerance_mm: *fit_tolerance_mm,
                 })
@@ -378,23 +340,23 @@ impl Method {
 fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
     let common = scheduler.common();
     let name = scheduler.name();
-    let mut stage = Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), name, &common.output);
-    let path: ToolPath = stage.read("tool-path", &common.tool_path)?;
-    let (dwell, manifest): (DwellTime, _) = stage.read_with_manifest("dwell", &common.dwell)?;
-    stage.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
-    let machine = stage.read_machine(&common.machine)?;
+    let mut inputs = Inputs::new();
+    let (path, dwell) = common.plan.read(&mut inputs)?;
+    let machine = common.machine.read(&mut inputs)?;
     let method = scheduler.method(&machine)?;
-    stage.settings(method.settings());
-    // A part of the output by its absolute path stands there, not under --out.
-    let feed_part = match scheduler {
-        Scheduler::TrigSpline { feed: Some(dir), .. } => Some(absolute(dir)?),
+    let task = task!(name, method.settings());
+    let feed_dir = match scheduler {
+        Scheduler::TrigSpline { feed, .. } => feed.as_ref(),
         _ => None,
     };
-    let mut parts: Vec<(&str, &Kind)> = vec![("", Trajectory::KIND)];
-    parts.extend(feed_part.as_deref().map(|dir| (dir, DwellDensity::KIND)));
-    if let Begin::Unchanged(status) = stage.begin_each(&parts)? {
-        return Ok(status);
+    let mut output = Output::directory(&common.output, Trajectory::KIND);
+    if let Some(dir) = feed_dir {
+        output = output.and_directory("--feed", dir, DwellDensity::KIND);
     }
+    let mut output = match output.begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
 
     let made = method.run(&path, &dwell, &machine)?;
     let claim = Claim::of(&made.trajectory, &machine);
@@ -405,13 +367,13 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         "claim": claim,
         "report": made.report,
     });
-    if let Some(part) = &feed_part {
+    if feed_dir.is_some() {
         let density = made.density.as_ref().ok_or_else(|| {
             Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
         })?;
-        stage.write(part, density, json!({ "report": made.report }), &status)?;
+        output.write(density, json!({ "report": made.report }), &status)?;
     }
-    stage.write("", &made.trajectory, outcome, &status)?;
+    output.write(&made.trajectory, outcome, &status)?;
     say(format!(
         "{}{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
         name,
@@ -424,11 +386,4 @@ fn schedule(scheduler: &Scheduler) -> Result<Status, Failure> {
         common.output.out.display()
     ));
     Ok(status)
-}
-
-fn absolute(dir: &Path) -> Result<String, Failure> {
-    let path = std::path::absolute(dir)?;
-    path.into_os_string().into_string().map_err(|_| {
-        Failure::new(format!("--feed: {} is not readable text; give another name", dir.display()))
-    })
 }

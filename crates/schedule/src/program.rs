@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, OutputArgs, Stage, Status, stage::say};
+use planish_handoff::{Failure, Inputs, Status, flags::OutputFileArgs, say};
 use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
 use planish_types::{DwellDensity, budget};
 
@@ -17,12 +17,8 @@ pub struct Program {
     /// Feed [feed artifact]
     #[arg(long, value_name = "DIR")]
     feed: PathBuf,
-    /// Program to write
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Replace an existing file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
 }
 
 #[derive(Args)]
@@ -33,15 +29,11 @@ pub struct Interpolate {
     /// NC program, read block by block, in place of a feed
     #[arg(long, value_name = "FILE", conflicts_with = "feed")]
     program: Option<PathBuf>,
-    /// Time between two positions [s]
+    /// Time between two positions, s
     #[arg(long, value_name = "S", default_value_t = 0.001)]
     tick_s: f64,
-    /// File to write, .csv or .npy: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx per tick
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Replace an existing file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
 }
 
 /// First lines of a program.
@@ -51,11 +43,11 @@ const PROGRAM_HEAD: &str = "\
 ";
 
 pub fn write(arguments: &Program) -> Result<Status, Failure> {
-    let mut stage = reader("program", &arguments.out, arguments.force);
-    let density: DwellDensity = stage.read("feed", &arguments.feed)?;
-    stage.begin_file("--out", &arguments.out, arguments.force)?;
+    let mut inputs = Inputs::new();
+    let density: DwellDensity = inputs.read("feed", &arguments.feed)?;
+    let output = arguments.output.begin(&inputs)?;
     let mut count = 0;
-    stage.write_single_file(&arguments.out, arguments.force, |file| {
+    output.write_by(|file| {
         let mut to = BufWriter::new(file);
         to.write_all(PROGRAM_HEAD.as_bytes())?;
         for (number, record) in records(&density).enumerate() {
@@ -64,27 +56,27 @@ pub fn write(arguments: &Program) -> Result<Status, Failure> {
         }
         Ok(to.flush()?)
     })?;
-    say(format!("program: {count} records -> {}", arguments.out.display()));
+    say(format!("program: {count} records -> {}", arguments.output.out.display()));
     Ok(Status::Done)
 }
 
 pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
     let tick = |e| Failure::new(format!("--tick-s: {e}"));
     let mut interpolator = Interpolator::new(arguments.tick_s).map_err(tick)?;
-    let table = Table::of(&arguments.out)?;
-    let mut stage = reader("interpolate", &arguments.out, arguments.force);
+    let table = Table::of(&arguments.output.out)?;
+    let mut inputs = Inputs::new();
     let source = match (&arguments.program, &arguments.feed) {
         (Some(program), _) => {
-            stage.note_file("program", program)?;
+            inputs.record_file("program", program)?;
             Source::Program(program)
         }
-        (None, Some(dir)) => Source::Density(stage.read("feed", dir)?, dir),
+        (None, Some(dir)) => Source::Density(inputs.read("feed", dir)?, dir),
         (None, None) => unreachable!("clap asks for one of them"),
     };
-    stage.begin_file("--out", &arguments.out, arguments.force)?;
+    let output = arguments.output.begin(&inputs)?;
     refuse_too_many(&source, arguments.tick_s, table)?;
     let (mut count, mut end_s) = (0_u64, 0.0);
-    stage.write_single_file(&arguments.out, arguments.force, |file| {
+    output.write_by(|file| {
         let mut to = BufWriter::new(file);
         table.begin(&mut to)?;
         let mut failed = None;
@@ -103,14 +95,11 @@ pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
         }
         table.end(to, count)
     })?;
-    say(format!("interpolate: {count} positions, {end_s:.6} s -> {}", arguments.out.display()));
+    say(format!(
+        "interpolate: {count} positions, {end_s:.6} s -> {}",
+        arguments.output.out.display()
+    ));
     Ok(Status::Done)
-}
-
-/// A stage that reads artifacts and writes a single file.
-fn reader(method: &str, out: &Path, force: bool) -> Stage {
-    let output = OutputArgs { out: out.into(), force, wall_time: None };
-    Stage::new("planish-schedule", env!("CARGO_PKG_VERSION"), method, &output)
 }
 
 /// Where the records come from.

@@ -73,6 +73,30 @@ pub enum Mode {
     Monotone,
 }
 
+/// A [`Mode`], or the one that suits the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum ModeChoice {
+    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps.
+    #[default]
+    Auto,
+    /// Least acceleration energy; may overshoot corners; keeps a limit on jerk.
+    Smooth,
+    /// Least acceleration energy without reversal inside a segment; its acceleration steps.
+    Monotone,
+}
+
+impl ModeChoice {
+    /// The mode on this machine.
+    pub fn on(self, machine: &Limits) -> Mode {
+        match self {
+            Self::Auto => Mode::within(machine),
+            Self::Smooth => Mode::Smooth,
+            Self::Monotone => Mode::Monotone,
+        }
+    }
+}
+
 impl Mode {
     /// The mode for a machine where none is asked for: monotone, which never leaves the box of a segment;
     /// where the machine limits jerk, smooth, because the acceleration of monotone motions steps.

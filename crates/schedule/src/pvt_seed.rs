@@ -63,6 +63,7 @@ use crate::{ScheduleError, check_lengths, pvt::accelerations, pvt::hermite};
 
 /// Which node the first two rows of Eq. 16 fix.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Eq16 {
     /// The start: `v = a = 0` at node 0.

@@ -68,6 +68,7 @@ use crate::{
 
 /// How densities that the machine cannot follow are repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Repair {
     /// One offset for all densities.

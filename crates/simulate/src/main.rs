@@ -1,11 +1,15 @@
 //! `planish-simulate`: removal and residual of a trajectory.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
 use ndarray::Array1;
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status, Writer,
+    flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_simulate::{
     Settings,
@@ -18,6 +22,9 @@ use planish_types::{
 };
 use serde_json::json;
 
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
+
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface --out out/removal\n\
     \x20 planish-simulate --trajectory out/trajectory --tif tool --surface out/surface --frames 24 --out out/frames";
@@ -26,15 +33,10 @@ const EXAMPLES: &str = "Examples:\n\
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
-    /// Motion [trajectory artifact]
-    #[arg(long, value_name = "DIR")]
-    trajectory: PathBuf,
-    /// Tool influence function [tif artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
-    /// Desired removal [surface artifact]
-    #[arg(long, value_name = "DIR")]
-    surface: PathBuf,
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    mirror: MirrorArgs,
     /// How the integral along the motion is computed
     #[arg(long, value_enum, default_value = "gridded")]
     method: Method,
@@ -65,28 +67,28 @@ fn main() -> ExitCode {
             Method::Direct => Settings::Direct { steps: cli.steps },
         };
         let method = if cli.frames.is_some() { "frames" } else { "simulate" };
-        let version = env!("CARGO_PKG_VERSION");
-        let mut stage = Stage::new("planish-simulate", version, method, &cli.output);
-        match cli.frames {
-            Some(count) => stage.settings(json!({ "method": settings, "frames": count })),
-            None => stage.settings(settings),
-        }
+        let task = match cli.frames {
+            Some(count) => task!(method, json!({ "method": settings, "frames": count })),
+            None => task!(method, settings),
+        };
+        let mut inputs = Inputs::new();
         let (trajectory, manifest): (Trajectory, _) =
-            stage.read_with_manifest("trajectory", &cli.trajectory)?;
-        let tif: Tif = stage.read("tif", &cli.tif)?;
-        let surface: Surface = stage.read("surface", &cli.surface)?;
+            inputs.read_with_manifest("trajectory", &cli.trajectory.trajectory)?;
+        let tif: Tif = inputs.read("tif", &cli.mirror.tif)?;
+        let surface: Surface = inputs.read("surface", &cli.mirror.surface)?;
         for other in ["tif", "surface"] {
-            stage.warn_unrelated("trajectory", manifest.as_ref(), other);
+            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
         }
         let kind = if cli.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
-        if let Begin::Unchanged(status) = stage.begin(&[""], kind)? {
-            return Ok(status);
-        }
+        let mut output = match Output::directory(&cli.output, kind).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
         plausible::check_tool(&surface, &tif)?;
         if let Some(count) = cli.frames {
-            let done = |i| stage.progress(i, count);
+            let done = |i| output.progress(i, count);
             let frames = frames(&trajectory, &tif, &surface, settings, count, done)?;
-            return write_frames(&stage, frames, &cli.output);
+            return write_frames(&mut output, frames, &cli.output);
         }
 
         let prediction = simulate(&trajectory, &tif, &surface, settings)?;
@@ -103,7 +105,7 @@ fn main() -> ExitCode {
             "total_time_s": trajectory.total_time_s(),
             "numerics": prediction.numerics,
         });
-        stage.write("", &prediction.removal, outcome, &status)?;
+        output.write(&prediction.removal, outcome, &status)?;
         say(format!(
             "residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
             statistics.rms,
@@ -116,14 +118,18 @@ fn main() -> ExitCode {
     })
 }
 
-fn write_frames(stage: &Stage, frames: Frames, output: &OutputArgs) -> Result<Status, Failure> {
+fn write_frames(
+    writer: &mut Writer,
+    frames: Frames,
+    output: &OutputArgs,
+) -> Result<Status, Failure> {
     let (x, y) = (frames.grid.x.coordinates(), frames.grid.y.coordinates());
     let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
     let (count, stride) = (frames.time_s.len(), frames.stride);
     let removal = ArrayData::F64(frames.removal_nm.into_dyn());
     let arrays = [list(frames.time_s), removal, list(x), list(y)];
     let outcome = json!({ "every_pixel": stride });
-    stage.write_files("", &kind::FRAMES, &arrays, &[], outcome, &Status::Done)?;
+    writer.write_arrays(&kind::FRAMES, &arrays, &[], outcome, &Status::Done)?;
     let [sx, sy] = stride;
     let shape = format!("{} x {} pixels", frames.grid.x.len(), frames.grid.y.len());
     say(format!(

@@ -9,7 +9,7 @@ use std::{
 
 use ndarray::{Array1, Array2, Array3};
 use planish_handoff::{
-    Artifact, OutputArgs, Stage, Status, artifact,
+    Artifact, artifact,
     kind::Dtype,
     npy::{self, ArrayData},
 };
@@ -20,9 +20,7 @@ const PEAK: f64 = 8.0;
 const SIGMA: f64 = 1.0;
 
 fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    let output = OutputArgs { out: dir.join(name), force: true, wall_time: None };
-    let stage = Stage::new("test", "0", name, &output);
-    stage.write("", value, json!({}), &Status::Done).unwrap();
+    planish_handoff::save(&dir.join(name), value).unwrap();
 }
 
 fn save(dir: &Path, name: &str, array: ArrayData) {

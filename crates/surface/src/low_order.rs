@@ -52,6 +52,7 @@ pub struct LowOrderSettings {
 
 /// Which polynomials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Family {
     /// For circular apertures.

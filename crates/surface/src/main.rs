@@ -8,7 +8,11 @@ use std::{
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use ndarray::Array1;
 use planish_handoff::{
-    Artifact, Begin, Failure, OutputArgs, Stage, Status, kind, npy::ArrayData, run, stage::say,
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{OutputArgs, OutputFileArgs},
+    kind,
+    npy::ArrayData,
+    run, say, task,
 };
 use planish_surface::{
     Level, OutlierSettings, PrepareSettings,
@@ -27,7 +31,9 @@ use serde_json::json;
 
 const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
 const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface prepare --surface mirror --level plane --out out/surface\n\
@@ -60,7 +66,7 @@ enum Method {
 
 #[derive(Debug, Args)]
 struct PrepareArgs {
-    /// Measured map
+    /// Measured map [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// What to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms
@@ -106,7 +112,7 @@ struct ApertureArgs {
     /// Clear aperture: pixel centres in this circle, mm
     #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
     aperture_circle_mm: Option<Vec<f64>>,
-    /// Clear aperture: pixels that are 1 in this .npy array (ny, nx)
+    /// Clear aperture: pixels that are 1 [.npy file (ny, nx)]
     #[arg(long, value_name = "FILE")]
     aperture_mask: Option<PathBuf>,
 }
@@ -116,7 +122,7 @@ struct OutlierArgs {
     /// Mask pits and dust that are narrower than half the tool; needs --tif or --feature-mm
     #[arg(long, requires = "feature")]
     mask_outliers: bool,
-    /// Tool influence function whose width at half maximum tells what is narrow
+    /// Tool influence function whose width at half maximum tells what is narrow [tif artifact]
     #[arg(long, value_name = "DIR", group = "feature", requires = "mask_outliers")]
     tif: Option<PathBuf>,
     /// Full width at half maximum of the tool, mm
@@ -182,10 +188,10 @@ enum ExtendArg {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 struct MapArgs {
-    /// Map
+    /// Map [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: Option<PathBuf>,
-    /// Predicted removal whose residual is the map
+    /// Predicted removal whose residual is the map [removal artifact]
     #[arg(long, value_name = "DIR")]
     removal: Option<PathBuf>,
 }
@@ -197,17 +203,10 @@ struct StatisticsArgs {
     /// Terms of the fit in the robust PV [default: zernike where the valid pixels fill less than 90 %
     /// of their bounding box, else legendre]
     #[arg(long, value_enum)]
-    pvr_terms: Option<FamilyArg>,
+    pvr_terms: Option<Family>,
     /// Unit circle of the zernike terms, mm [default: about the valid pixels]
     #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
     zernike_circle_mm: Option<Vec<f64>>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FamilyArg {
-    Zernike,
-    Legendre,
-    Chebyshev,
 }
 
 #[derive(Debug, Args)]
@@ -215,11 +214,11 @@ struct PsdArgs {
     #[command(flatten)]
     map: MapArgs,
     /// Window along x and y
-    #[arg(long, value_enum, default_value_t = WindowArg::Hann)]
-    window: WindowArg,
+    #[arg(long, value_enum, default_value_t = Window::Hann)]
+    window: Window,
     /// What to take off first
-    #[arg(long, value_enum, default_value_t = DetrendArg::Plane)]
-    detrend: DetrendArg,
+    #[arg(long, value_enum, default_value_t = Detrend::Plane)]
+    detrend: Detrend,
     /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
     #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = clap::ArgAction::Append, allow_negative_numbers = true)]
     band_per_mm: Vec<f64>,
@@ -227,29 +226,17 @@ struct PsdArgs {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum WindowArg {
-    Hann,
-    Rectangular,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum DetrendArg {
-    Mean,
-    Plane,
-}
-
 #[derive(Debug, Args)]
 struct TifArgs {
-    /// Measured tool influence function
+    /// Measured tool influence function [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Subtract the mean of the border samples and clip what is then negative
     #[arg(long)]
     subtract_border: bool,
     /// What the offsets are counted from; the samples stay as they are
-    #[arg(long, value_enum, default_value_t = CentreArg::Given)]
-    centre: CentreArg,
+    #[arg(long, value_enum, default_value_t = Centre::Given)]
+    centre: Centre,
     /// Turn counterclockwise about the centre, degrees; multiples of 90 are exact
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     rotate_deg: f64,
@@ -261,7 +248,7 @@ struct TifArgs {
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it
     #[arg(long, value_enum)]
-    fit: Option<FitArg>,
+    fit: Option<tif_fit::Model>,
     /// Write the formula's samples instead of the measured ones
     #[arg(long, requires = "fit")]
     use_fit: bool,
@@ -269,29 +256,15 @@ struct TifArgs {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum CentreArg {
-    Given,
-    Centroid,
-    Peak,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FitArg {
-    Gaussian,
-    SuperGaussian,
-    Mixture,
-}
-
 #[derive(Debug, Args)]
 struct DrawArgs {
-    /// Map; may be repeated
+    /// Map; may be repeated [surface artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "tif")]
     surface: Vec<PathBuf>,
-    /// Tool influence function, instead of maps; may be repeated
+    /// Tool influence function, instead of maps; may be repeated [tif artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "surface")]
     tif: Vec<PathBuf>,
-    /// Map whose valid pixels are outlined
+    /// Map whose valid pixels are outlined [surface artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "tif")]
     outline: Option<PathBuf>,
     /// y of the section, mm [default: the middle of the first map]
@@ -300,12 +273,8 @@ struct DrawArgs {
     /// Draw all maps in one colour scale
     #[arg(long)]
     common_scale: bool,
-    /// SVG file to write
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Replace the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
 }
 
 fn main() -> ExitCode {
@@ -320,22 +289,23 @@ fn main() -> ExitCode {
 }
 
 fn prepare_stage(args: &PrepareArgs) -> Result<Status, Failure> {
-    let mut stage = Stage::new("planish-surface", VERSION, "prepare", &args.output);
-    let surface: Surface = stage.read("surface", &args.surface)?;
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &args.surface)?;
     let settings = PrepareSettings {
-        aperture: aperture(&mut stage, &args.aperture)?,
-        outliers: outlier_settings(&mut stage, &args.outliers)?,
+        aperture: aperture(&mut inputs, &args.aperture)?,
+        outliers: outlier_settings(&mut inputs, &args.outliers)?,
         level: level(args)?,
         fill: args.fill,
         extension: extension_settings(&args.extension)?,
     };
-    stage.settings(&settings);
-    if let Begin::Unchanged(status) = stage.begin(&[""], Surface::KIND)? {
-        return Ok(status);
-    }
+    let task = task!("prepare", &settings);
+    let mut output = match Output::directory(&args.output, Surface::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let prepared = prepare(&surface, &settings)?;
     let report = &prepared.report;
-    stage.write("", &prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
+    output.write(&prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
     let (rows, columns) = report.after.shape;
     let masked = report.outliers.as_ref().map_or(String::new(), |o| {
         format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
@@ -397,9 +367,9 @@ fn circle(given: &Option<Vec<f64>>) -> Option<Circle> {
     given.as_ref().map(|v| Circle { centre_mm: [v[0], v[1]], radius_mm: v[2] })
 }
 
-fn aperture(stage: &mut Stage, args: &ApertureArgs) -> Result<Option<ClearAperture>, Failure> {
+fn aperture(inputs: &mut Inputs, args: &ApertureArgs) -> Result<Option<ClearAperture>, Failure> {
     if let Some(path) = &args.aperture_mask {
-        return Ok(Some(ClearAperture::Mask(stage.read_mask("aperture-mask", path)?)));
+        return Ok(Some(ClearAperture::Mask(inputs.read_mask("aperture-mask", path)?)));
     }
     let rectangle = args
         .aperture_rectangle_mm
@@ -413,11 +383,11 @@ fn aperture(stage: &mut Stage, args: &ApertureArgs) -> Result<Option<ClearApertu
 }
 
 fn outlier_settings(
-    stage: &mut Stage,
+    inputs: &mut Inputs,
     args: &OutlierArgs,
 ) -> Result<Option<OutlierSettings>, Failure> {
     let feature_mm = match (&args.tif, args.feature_mm) {
-        (Some(dir), _) => half_maximum_width_mm(&stage.read::<Tif>("tif", dir)?),
+        (Some(dir), _) => half_maximum_width_mm(&inputs.read::<Tif>("tif", dir)?),
         (None, Some(width)) => width,
         (None, None) => return Ok(None),
     };
@@ -475,23 +445,18 @@ fn extension_settings(args: &ExtensionArgs) -> Result<Option<ExtensionSettings>,
 }
 
 /// The map, or the residual.
-fn read_map(stage: &mut Stage, args: &MapArgs) -> Result<Surface, Failure> {
+fn read_map(inputs: &mut Inputs, args: &MapArgs) -> Result<Surface, Failure> {
     match (&args.surface, &args.removal) {
-        (Some(dir), _) => Ok(stage.read("surface", dir)?),
-        (None, Some(dir)) => Ok(stage.read::<Removal>("removal", dir)?.residual().clone()),
+        (Some(dir), _) => Ok(inputs.read("surface", dir)?),
+        (None, Some(dir)) => Ok(inputs.read::<Removal>("removal", dir)?.residual().clone()),
         (None, None) => Err(Failure::new("--surface: is missing; give it or --removal")),
     }
 }
 
 fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
-    let mut stage = reader("statistics");
-    let surface = read_map(&mut stage, &args.map)?;
-    let family = args.pvr_terms.map(|f| match f {
-        FamilyArg::Zernike => Family::Zernike,
-        FamilyArg::Legendre => Family::Legendre,
-        FamilyArg::Chebyshev => Family::Chebyshev,
-    });
-    let found = surface_statistics(&surface, family, circle(&args.zernike_circle_mm))?;
+    let mut inputs = Inputs::new();
+    let surface = read_map(&mut inputs, &args.map)?;
+    let found = surface_statistics(&surface, args.pvr_terms, circle(&args.zernike_circle_mm))?;
     let zernike = found.pvr.as_ref().is_some_and(|p| p.family == Family::Zernike);
     refuse_circle(args.zernike_circle_mm.is_some() && !zernike)?;
     say(serde_json::to_string_pretty(&found)?);
@@ -499,27 +464,22 @@ fn statistics_stage(args: &StatisticsArgs) -> Result<Status, Failure> {
 }
 
 fn psd_stage(args: &PsdArgs) -> Result<Status, Failure> {
-    let mut stage = Stage::new("planish-surface", VERSION, "psd", &args.output);
-    let surface = read_map(&mut stage, &args.map)?;
+    let mut inputs = Inputs::new();
+    let surface = read_map(&mut inputs, &args.map)?;
     let settings = PsdSettings {
-        window: match args.window {
-            WindowArg::Hann => Window::Hann,
-            WindowArg::Rectangular => Window::Rectangular,
-        },
-        detrend: match args.detrend {
-            DetrendArg::Mean => Detrend::Mean,
-            DetrendArg::Plane => Detrend::Plane,
-        },
+        window: args.window,
+        detrend: args.detrend,
         band_per_mm: args.band_per_mm.chunks_exact(2).map(|b| [b[0], b[1]]).collect(),
     };
-    stage.settings(&settings);
-    if let Begin::Unchanged(status) = stage.begin(&[""], &kind::PSD)? {
-        return Ok(status);
-    }
+    let task = task!("psd", &settings);
+    let mut output = match Output::directory(&args.output, &kind::PSD).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let found = psd(&surface, &settings)?;
     let picture = [("psd.svg", psd_svg(&found).into_bytes())];
     let outcome = serde_json::to_value(&found.report)?;
-    stage.write_files("", &kind::PSD, &psd_arrays(&found), &picture, outcome, &Status::Done)?;
+    output.write_arrays(&kind::PSD, &psd_arrays(&found), &picture, outcome, &Status::Done)?;
     let r = &found.report;
     say(format!(
         "planish-surface: spectrum of {} x {} px ({:.1} % of the valid ones), RMS {:.4} nm, in the \
@@ -557,28 +517,21 @@ fn psd_arrays(psd: &Psd) -> Vec<ArrayData> {
 }
 
 fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
-    let mut stage = Stage::new("planish-surface", VERSION, "tif", &args.output);
-    let tif: Tif = stage.read("tif", &args.tif)?;
+    let mut inputs = Inputs::new();
+    let tif: Tif = inputs.read("tif", &args.tif)?;
     let settings = TifSettings {
         subtract_border: args.subtract_border,
-        centre: match args.centre {
-            CentreArg::Given => Centre::Given,
-            CentreArg::Centroid => Centre::Centroid,
-            CentreArg::Peak => Centre::Peak,
-        },
+        centre: args.centre,
         rotate_deg: args.rotate_deg,
         pitch_mm: args.pitch_mm,
         taper_fraction: args.taper_fraction,
     };
-    let model = args.fit.map(|f| match f {
-        FitArg::Gaussian => tif_fit::Model::Gaussian,
-        FitArg::SuperGaussian => tif_fit::Model::SuperGaussian,
-        FitArg::Mixture => tif_fit::Model::Mixture,
-    });
-    stage.settings(json!({ "tif": settings, "fit": model, "use_fit": args.use_fit }));
-    if let Begin::Unchanged(status) = stage.begin(&[""], Tif::KIND)? {
-        return Ok(status);
-    }
+    let model = args.fit;
+    let task = task!("tif", json!({ "tif": settings, "fit": model, "use_fit": args.use_fit }));
+    let mut output = match Output::directory(&args.output, Tif::KIND).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let (mut made, report) = prepare_tif(&tif, &settings)?;
     let mut outcome = serde_json::to_value(&report)?;
     let mut status = Status::Done;
@@ -598,7 +551,7 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
             made = formula;
         }
     }
-    stage.write("", &made, outcome, &status)?;
+    output.write(&made, outcome, &status)?;
     let s = planish_surface::tif::tif_statistics(&made);
     say(format!(
         "planish-surface: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} \
@@ -618,13 +571,13 @@ fn tif_stage(args: &TifArgs) -> Result<Status, Failure> {
 }
 
 fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
-    let mut stage = reader("draw");
+    let mut inputs = Inputs::new();
     let mut panels = Vec::new();
     for dir in &args.surface {
-        panels.push(panel(dir, &stage.read("surface", dir)?));
+        panels.push(panel(dir, &inputs.read("surface", dir)?));
     }
     for dir in &args.tif {
-        let tif: Tif = stage.read("tif", dir)?;
+        let tif: Tif = inputs.read("tif", dir)?;
         panels.push(Panel {
             title: title(dir),
             grid: *tif.grid(),
@@ -632,7 +585,7 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
         });
     }
     let outline =
-        args.outline.as_ref().map(|dir| stage.read("outline", dir).map(|s| panel(dir, &s)));
+        args.outline.as_ref().map(|dir| inputs.read("outline", dir).map(|s| panel(dir, &s)));
     if let Some(y) = args.section_y_mm {
         let inside = |p: &Panel| (p.grid.y.start_mm()..=p.grid.y.end_mm()).contains(&y);
         if !panels.iter().any(inside) {
@@ -650,11 +603,10 @@ fn draw_stage(args: &DrawArgs) -> Result<Status, Failure> {
         common_scale: args.common_scale,
         outline: outline.transpose()?,
     };
-    let out = &args.out;
-    stage.begin_file("--out", out, args.force)?;
-    let picture = maps_svg(&panels, &settings);
-    stage.write_single_files(&[(out.as_path(), picture.as_bytes())], args.force)?;
-    say(format!("planish-surface: {} map(s) drawn to {}", panels.len(), out.display()));
+    let output = args.output.begin(&inputs)?;
+    output.write(maps_svg(&panels, &settings).as_bytes())?;
+    let out = args.output.out.display();
+    say(format!("planish-surface: {} map(s) drawn to {out}", panels.len()));
     Ok(Status::Done)
 }
 
@@ -665,10 +617,4 @@ fn panel(dir: &Path, surface: &Surface) -> Panel {
 /// The name of the directory.
 fn title(dir: &Path) -> String {
     dir.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned())
-}
-
-/// A stage that writes no artifact.
-fn reader(method: &str) -> Stage {
-    let output = OutputArgs { out: PathBuf::new(), force: false, wall_time: None };
-    Stage::new("planish-surface", VERSION, method, &output)
 }

@@ -54,6 +54,7 @@ pub struct PsdSettings {
 
 /// Weight of the pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Window {
     /// `w[i] = (1 - cos(2 pi i / n)) / 2` (periodic).
@@ -64,6 +65,7 @@ pub enum Window {
 
 /// What is taken off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Detrend {
     /// The mean.

@@ -69,6 +69,7 @@ pub struct TifSettings {
 
 /// What the offsets are counted from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Centre {
     /// As given.

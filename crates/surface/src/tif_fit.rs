@@ -41,6 +41,7 @@ const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
 /// Which formula.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// An elliptical Gaussian.

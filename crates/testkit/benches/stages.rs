@@ -25,6 +25,10 @@ use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 use rand::RngExt;
 
+/// That of the programs.
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
+
 struct Case {
     surface: Surface,
     tif: Tif,

@@ -401,7 +401,10 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
     let [inside, outside] = [&rounds, &outside].map(|m| number(&m["outcome"]["rms_nm"]));
     assert!((inside - outside).abs() < 1e-12, "{inside} {outside}");
 
-    let said = line.expect(0, &format!("refine pareto {inputs} --prices 3 --out run/pareto"));
+    let said = line.expect(
+        0,
+        &format!("refine pareto {inputs} --min-dwell-s-per-mm 0.02 --prices 3 --out run/pareto"),
+    );
     // | price | total time | RMS | limits |: dearer seconds give shorter plans, in the end with a
     // larger residual; none is shorter than the volume takes, 64 s.
     let rows: Vec<Vec<f64>> = said
@@ -415,7 +418,12 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
     assert!(said.contains("volume / VRR: 64.0 s") && rows[3][1] > 64.0, "{said}");
     assert!(line.path("run/pareto/pareto.svg").exists());
     // With other prices it takes the place of what is there.
-    line.expect(0, &format!("refine pareto {inputs} --prices 1 --force --out run/pareto"));
+    line.expect(
+        0,
+        &format!(
+            "refine pareto {inputs} --min-dwell-s-per-mm 0.02 --prices 1 --force --out run/pareto"
+        ),
+    );
 }
 
 /// RMS of the residual of the motion `run` against `surface`.

@@ -1,9 +1,13 @@
 //! `planish-toolpath`: tool paths over a clear aperture.
 
-use std::{io::Write, path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use planish_handoff::{Artifact, Begin, Failure, OutputArgs, Stage, Status, run, stage::say};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer,
+    flags::{OutputArgs, OutputFileArgs, PathArgs},
+    run, say, task, warn,
+};
 use planish_toolpath::{
     Construction, LineOrder, MazeSettings, MultiPitchSettings, PathStatistics, PitchLimit,
     RandomAdaptiveSettings, RasterSettings, Scan, SpiralSettings, Tree, Turn, maze, multi_pitch,
@@ -12,6 +16,9 @@ use planish_toolpath::{
 use planish_types::{Surface, Tif, ToolPath, plausible};
 use serde::Serialize;
 use serde_json::{Value, json};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-toolpath raster --surface out/surface --tif tool --pitch-mm 1 --step-mm 1 --out out/tool_path\n\
@@ -47,10 +54,10 @@ enum Method {
 /// What every path needs.
 #[derive(Debug, Args)]
 struct RegionArgs {
-    /// Map whose valid pixels (their centres) are the clear aperture
+    /// Map whose valid pixels (their centres) are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Tool influence function, for the overscan and the pitch limit
+    /// Tool influence function, for the overscan and the pitch limit [tif artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "overscan_mm")]
     tif: Option<PathBuf>,
     /// Distance between neighbouring lines, mm
@@ -79,7 +86,7 @@ struct RasterArgs {
     /// How consecutive lines are joined [default: square; lift for lines in one direction or in
     /// random order]
     #[arg(long, value_enum)]
-    turn: Option<TurnArg>,
+    turn: Option<Turn>,
     /// Run all lines in the same direction, and return with the tool off
     #[arg(long)]
     one_directional: bool,
@@ -109,16 +116,6 @@ struct RasterArgs {
 enum ScanArg {
     X,
     Y,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum TurnArg {
-    /// A straight step across: two corners of 90 degrees
-    Square,
-    /// A semicircle beyond the ends of the lines: no corner
-    Semicircle,
-    /// A straight segment with the tool off
-    Lift,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -177,27 +174,19 @@ struct RandomAdaptiveArgs {
     #[arg(long, value_name = "B", default_value_t = 1.0, allow_negative_numbers = true)]
     contrast: f64,
     /// What the path goes around
-    #[arg(long, value_enum, default_value_t = ConstructionArg::MeshTree)]
-    construction: ConstructionArg,
+    #[arg(long, value_enum, default_value_t = Construction::MeshTree)]
+    construction: Construction,
     /// Passes of corner cutting; each halves the turns and doubles the points
     #[arg(long, value_name = "K", default_value_t = 1)]
     rounding_passes: u32,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ConstructionArg {
-    /// A random tree of triangles: gentle turns, steps cannot cross
-    MeshTree,
-    /// A short tour through random points: sharper turns
-    Tour,
-}
-
 #[derive(Debug, Args)]
 struct MultiPitchArgs {
-    /// Desired removal; its valid pixels (their centres) are the clear aperture
+    /// Desired removal; its valid pixels (their centres) are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Tool influence function
+    /// Tool influence function [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Feed that shall not be exceeded, mm/s
@@ -237,31 +226,25 @@ struct SpiralArgs {
 
 #[derive(Debug, Args)]
 struct InspectArgs {
-    /// Path
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Map whose valid pixels are the clear aperture
+    #[command(flatten)]
+    path: PathArgs,
+    /// Map whose valid pixels are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Machine, for the least time
+    /// Machine and its limits, for the least time [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 struct DrawArgs {
-    /// Path
-    #[arg(long, value_name = "DIR")]
-    tool_path: PathBuf,
-    /// Map whose valid pixels, the clear aperture, are drawn in grey
+    #[command(flatten)]
+    path: PathArgs,
+    /// Map whose valid pixels, the clear aperture, are drawn in grey [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: Option<PathBuf>,
-    /// SVG file to write
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Replace the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
 }
 
 /// What the manifest says about a path.
@@ -292,7 +275,7 @@ fn main() -> ExitCode {
 }
 
 fn raster_stage(args: &RasterArgs) -> Result<Status, Failure> {
-    let mut on = Region::read("raster", &args.region)?;
+    let mut on = Region::read(&args.region)?;
     let order = match (args.line_order, args.seed) {
         (LineOrderArg::Sequential, None) => LineOrder::Sequential,
         (LineOrderArg::BiStep, None) => LineOrder::BiStep,
@@ -309,21 +292,16 @@ fn raster_stage(args: &RasterArgs) -> Result<Status, Failure> {
             (None, ScanArg::X) => Scan::X,
             (None, ScanArg::Y) => Scan::Y,
         },
-        turn: match args.turn {
-            None if lifts => Turn::Lift,
-            None | Some(TurnArg::Square) => Turn::Square,
-            Some(TurnArg::Semicircle) => Turn::Semicircle,
-            Some(TurnArg::Lift) => Turn::Lift,
-        },
+        turn: args.turn.unwrap_or(if lifts { Turn::Lift } else { Turn::Square }),
         line_origin_mm: args.line_origin_mm,
         order,
         one_directional: args.one_directional,
         pitch_range_mm: args.pitch_range_mm.as_ref().map(|range| [range[0], range[1]]),
     };
-    on.stage.settings(&settings);
-    if let Begin::Unchanged(status) = on.stage.begin(&[""], ToolPath::KIND)? {
-        return Ok(status);
-    }
+    let mut output = match on.begin(&task!("raster", &settings))? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let path = raster(&on.surface, &settings)?;
     // What the warnings compare with is the largest distance of the lines.
     on.pitch_mm = settings.pitch_range_mm.map_or(settings.pitch_mm, |[_, most]| most);
@@ -337,11 +315,11 @@ fn raster_stage(args: &RasterArgs) -> Result<Status, Failure> {
             settings.pitch_mm
         ));
     }
-    on.write(&path, json!({}), warnings)
+    on.write(&mut output, &path, json!({}), warnings)
 }
 
 fn maze_stage(args: &MazeArgs) -> Result<Status, Failure> {
-    let mut on = Region::read("maze", &args.region)?;
+    let on = Region::read(&args.region)?;
     let (pitch_mm, corner_radius_mm) = (args.region.pitch_mm, args.corner_radius_mm);
     let settings = MazeSettings {
         pitch_mm,
@@ -361,37 +339,34 @@ fn maze_stage(args: &MazeArgs) -> Result<Status, Failure> {
         open: args.open,
         seed: args.seed,
     };
-    on.stage.settings(&settings);
-    if let Begin::Unchanged(status) = on.stage.begin(&[""], ToolPath::KIND)? {
-        return Ok(status);
-    }
+    let mut output = match on.begin(&task!("maze", &settings))? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let made = maze(&on.surface, &settings)?;
     let own = json!({ "cells": made.cells, "cells_left_out": made.cells_left_out });
-    on.write(&made.path, own, Vec::new())
+    on.write(&mut output, &made.path, own, Vec::new())
 }
 
 fn random_adaptive_stage(args: &RandomAdaptiveArgs) -> Result<Status, Failure> {
-    let mut on = Region::read("random-adaptive", &args.region)?;
+    let mut on = Region::read(&args.region)?;
     let settings = RandomAdaptiveSettings {
         pitch_mm: args.region.pitch_mm,
         overscan_mm: on.overscan_mm,
         step_mm: args.step_mm,
         contrast: args.contrast,
-        construction: match args.construction {
-            ConstructionArg::MeshTree => Construction::MeshTree,
-            ConstructionArg::Tour => Construction::Tour,
-        },
+        construction: args.construction,
         rounding_passes: args.rounding_passes,
         seed: args.seed,
     };
-    on.stage.settings(&settings);
-    if let Begin::Unchanged(status) = on.stage.begin(&[""], ToolPath::KIND)? {
-        return Ok(status);
-    }
+    let mut output = match on.begin(&task!("random-adaptive", &settings))? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let made = random_adaptive(&on.surface, &settings)?;
     // What the warnings compare with is the pitch where the path is least dense.
     on.pitch_mm = (1e3 * made.report.largest_spacing_mm).ceil() / 1e3;
-    on.write(&made.path, serde_json::to_value(made.report)?, Vec::new())
+    on.write(&mut output, &made.path, serde_json::to_value(made.report)?, Vec::new())
 }
 
 fn multi_pitch_stage(args: MultiPitchArgs) -> Result<Status, Failure> {
@@ -402,7 +377,7 @@ fn multi_pitch_stage(args: MultiPitchArgs) -> Result<Status, Failure> {
         overscan_mm: args.overscan_mm,
         output: args.output,
     };
-    let mut on = Region::read("multi-pitch", &region)?;
+    let mut on = Region::read(&region)?;
     let Some(tif) = on.tif.take() else { return Err(Failure::new("tif: give --tif")) };
     let max_velocity_mm_per_s = args.max_velocity_mm_per_s;
     let settings = MultiPitchSettings {
@@ -417,10 +392,10 @@ fn multi_pitch_stage(args: MultiPitchArgs) -> Result<Status, Failure> {
         step_mm: args.step_mm,
         overscan_mm: on.overscan_mm,
     };
-    on.stage.settings(&settings);
-    if let Begin::Unchanged(status) = on.stage.begin(&[""], ToolPath::KIND)? {
-        return Ok(status);
-    }
+    let mut output = match on.begin(&task!("multi-pitch", &settings))? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
     let made = multi_pitch(&on.surface, &tif, &settings)?;
     on.tif = Some(tif);
     let classes = &made.report.classes;
@@ -438,26 +413,27 @@ fn multi_pitch_stage(args: MultiPitchArgs) -> Result<Status, Failure> {
             ));
         }
     }
-    on.write(&made.path, serde_json::to_value(&made.report)?, warnings)
+    on.write(&mut output, &made.path, serde_json::to_value(&made.report)?, warnings)
 }
 
 fn spiral_stage(args: &SpiralArgs) -> Result<Status, Failure> {
-    let mut on = Region::read("spiral", &args.region)?;
+    let on = Region::read(&args.region)?;
     let settings = SpiralSettings {
         pitch_mm: args.region.pitch_mm,
         step_mm: args.step_mm,
         overscan_mm: on.overscan_mm,
     };
-    on.stage.settings(&settings);
-    if let Begin::Unchanged(status) = on.stage.begin(&[""], ToolPath::KIND)? {
-        return Ok(status);
-    }
-    on.write(&spiral(&on.surface, &settings)?, json!({}), Vec::new())
+    let mut output = match on.begin(&task!("spiral", &settings))? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
+    on.write(&mut output, &spiral(&on.surface, &settings)?, json!({}), Vec::new())
 }
 
 /// A run of a method: where the path shall go.
 struct Region {
-    stage: Stage,
+    inputs: Inputs,
+    output: OutputArgs,
     surface: Surface,
     tif: Option<Tif>,
     pitch_mm: f64,
@@ -465,11 +441,10 @@ struct Region {
 }
 
 impl Region {
-    fn read(method: &str, args: &RegionArgs) -> Result<Self, Failure> {
-        let version = env!("CARGO_PKG_VERSION");
-        let mut stage = Stage::new("planish-toolpath", version, method, &args.output);
-        let surface = stage.read("surface", &args.surface)?;
-        let tif: Option<Tif> = args.tif.as_ref().map(|dir| stage.read("tif", dir)).transpose()?;
+    fn read(args: &RegionArgs) -> Result<Self, Failure> {
+        let mut inputs = Inputs::new();
+        let surface = inputs.read("surface", &args.surface)?;
+        let tif: Option<Tif> = args.tif.as_ref().map(|dir| inputs.read("tif", dir)).transpose()?;
         if let Some(tif) = &tif {
             plausible::check_tool(&surface, tif)?;
             plausible::check_pitch(tif, args.pitch_mm)?;
@@ -478,11 +453,17 @@ impl Region {
         let overscan_mm = args.overscan_mm.or(half_size_mm).ok_or_else(|| {
             Failure::new("overscan: unknown; give --overscan-mm, or --tif for half its size")
         })?;
-        Ok(Self { stage, surface, tif, pitch_mm: args.pitch_mm, overscan_mm })
+        let (output, pitch_mm) = (args.output.clone(), args.pitch_mm);
+        Ok(Self { inputs, output, surface, tif, pitch_mm, overscan_mm })
+    }
+
+    fn begin(&self, task: &Task) -> Result<Begin, Failure> {
+        Ok(Output::directory(&self.output, ToolPath::KIND).begin(task, &self.inputs)?)
     }
 
     fn write(
         &self,
+        output: &mut Writer,
         path: &ToolPath,
         own: Value,
         mut warnings: Vec<String>,
@@ -503,10 +484,10 @@ impl Region {
             ));
         }
         for warning in &warnings {
-            let _ = writeln!(std::io::stderr(), "warning: {warning}");
+            warn(warning);
         }
         let outcome = Outcome { statistics: s, pitch_limit: limit, own, warnings };
-        self.stage.write("", path, serde_json::to_value(outcome)?, &Status::Done)?;
+        output.write(path, serde_json::to_value(outcome)?, &Status::Done)?;
         say(format!(
             "planish-toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
             s.points, s.length_mm, s.passes, s.lifts, s.longest_step_mm
@@ -516,32 +497,25 @@ impl Region {
 }
 
 fn inspect(args: &InspectArgs) -> Result<Status, Failure> {
-    let mut stage = reader("inspect");
-    let path: ToolPath = stage.read("tool-path", &args.tool_path)?;
-    let surface: Surface = stage.read("surface", &args.surface)?;
+    let mut inputs = Inputs::new();
+    let path = args.path.read(&mut inputs)?;
+    let surface: Surface = inputs.read("surface", &args.surface)?;
     let mut found = serde_json::to_value(statistics(&path, &surface))?;
     if let Some(file) = &args.machine {
-        found["least_time_s"] = time_lower_bound_s(&path, &stage.read_machine(file)?).into();
+        found["least_time_s"] = time_lower_bound_s(&path, &inputs.read_machine(file)?).into();
     }
     say(serde_json::to_string_pretty(&found)?);
     Ok(Status::Done)
 }
 
 fn draw(args: &DrawArgs) -> Result<Status, Failure> {
-    let mut stage = reader("draw");
-    let path: ToolPath = stage.read("tool-path", &args.tool_path)?;
+    let mut inputs = Inputs::new();
+    let path = args.path.read(&mut inputs)?;
     let surface: Option<Surface> =
-        args.surface.as_ref().map(|dir| stage.read("surface", dir)).transpose()?;
-    let out = &args.out;
-    stage.begin_file("--out", out, args.force)?;
-    let picture = svg(&path, surface.as_ref());
-    stage.write_single_files(&[(out.as_path(), picture.as_bytes())], args.force)?;
-    say(format!("planish-toolpath: {} segments drawn to {}", path.len(), out.display()));
+        args.surface.as_ref().map(|dir| inputs.read("surface", dir)).transpose()?;
+    let output = args.output.begin(&inputs)?;
+    output.write(svg(&path, surface.as_ref()).as_bytes())?;
+    let out = args.output.out.display();
+    say(format!("planish-toolpath: {} segments drawn to {out}", path.len()));
     Ok(Status::Done)
-}
-
-/// A stage that reads and writes no artifact.
-fn reader(method: &str) -> Stage {
-    let output = OutputArgs { out: PathBuf::new(), force: false, wall_time: None };
-    Stage::new("planish-toolpath", env!("CARGO_PKG_VERSION"), method, &output)
 }

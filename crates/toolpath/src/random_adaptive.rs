@@ -88,6 +88,7 @@ pub struct RandomAdaptiveSettings {
 
 /// How the nodes are made and joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Construction {
     /// Around a random spanning tree of triangles.

@@ -147,6 +147,7 @@ pub enum LineOrder {
 
 /// How consecutive lines are joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
     /// A straight step across; two corners of 90 degrees.

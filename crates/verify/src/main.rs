@@ -1,11 +1,17 @@
 //! `planish-verify`: whether a trajectory keeps the limits of a machine.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::Parser;
-use planish_handoff::{Begin, OutputArgs, Stage, Status, kind, run, stage::say};
-use planish_types::Trajectory;
+use planish_handoff::{
+    Begin, Inputs, Output, Status,
+    flags::{MachineArgs, OutputArgs, TrajectoryArgs},
+    kind, run, say, task,
+};
 use planish_verify::{VerifySettings, verify};
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict";
@@ -14,16 +20,14 @@ const EXAMPLES: &str = "Examples:\n\
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
-    /// Motion [trajectory artifact]
-    #[arg(long, value_name = "DIR")]
-    trajectory: PathBuf,
-    /// Machine [JSON]
-    #[arg(long, value_name = "FILE")]
-    machine: PathBuf,
-    /// Largest jump in position that is taken for rounding [mm]
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// Largest jump in position that is taken for rounding, mm
     #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
     position_step_mm: f64,
-    /// Largest step in velocity that is taken for rounding [mm/s]; 1e-9 of the largest velocity
+    /// Largest step in velocity that is taken for rounding, mm/s; 1e-9 of the largest velocity
     /// is added
     #[arg(
         long,
@@ -42,20 +46,21 @@ fn main() -> ExitCode {
             position_step_mm: cli.position_step_mm,
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
         };
-        let mut stage =
-            Stage::new("planish-verify", env!("CARGO_PKG_VERSION"), "verify", &cli.output);
-        stage.settings(settings);
-        let trajectory: Trajectory = stage.read("trajectory", &cli.trajectory)?;
-        let limits = stage.read_machine(&cli.machine)?;
-        if let Begin::Unchanged(status) = stage.begin(&[""], &kind::VERDICT)? {
-            return Ok(status);
-        }
+        let mut inputs = Inputs::new();
+        let trajectory = cli.trajectory.read(&mut inputs)?;
+        let limits = cli.machine.read(&mut inputs)?;
+        let task = task!("verify", settings);
+        let mut output =
+            match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
+                Begin::Unchanged(status) => return Ok(status),
+                Begin::Run(output) => output,
+            };
 
         let verdict = verify(&trajectory, &limits, &settings)?;
 
         let status = verdict.reason().map_or(Status::Done, Status::Negative);
         let outcome = serde_json::to_value(&verdict)?;
-        stage.write_files("", &kind::VERDICT, &[], &[], outcome, &status)?;
+        output.write_arrays(&kind::VERDICT, &[], &[], outcome, &status)?;
         let [vx, vy] = verdict.max_velocity_mm_per_s;
         let [ax, ay] = verdict.max_acceleration_mm_per_s2;
         say(format!(

@@ -6,7 +6,6 @@ use std::{
     process::{Command, Output},
 };
 
-use planish_handoff::{OutputArgs, Stage, Status};
 use planish_types::Trajectory;
 use serde_json::{Value, json};
 
@@ -29,9 +28,7 @@ fn prepare(dir: &Path, max_velocity: f64) {
         vec![Some(0), Some(1)],
     )
     .unwrap();
-    let output = OutputArgs { out: dir.join("trajectory"), force: true, wall_time: None };
-    let stage = Stage::new("test", "0", "bang-bang", &output);
-    stage.write("", &trajectory, json!({}), &Status::Done).unwrap();
+    planish_handoff::save(&dir.join("trajectory"), &trajectory).unwrap();
     let axis = |name: &str| {
         json!({"name": name, "max_velocity_mm_per_s": max_velocity,
                "max_acceleration_mm_per_s2": 20.0})

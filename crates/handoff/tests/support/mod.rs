@@ -4,9 +4,8 @@
 use std::{fs, path::Path};
 
 use ndarray::{Array2, array};
-use planish_handoff::{Artifact, OutputArgs, Stage, Status};
+use planish_handoff::{Artifact, flags::OutputArgs};
 use planish_types::{Axis, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
-use serde_json::json;
 
 /// 2 rows, 3 columns, exact in binary.
 pub fn grid() -> Grid {
@@ -53,8 +52,7 @@ pub fn output(out: &Path) -> OutputArgs {
 
 /// A new artifact.
 pub fn write<T: Artifact>(dir: &Path, value: &T) {
-    let stage = Stage::new("test", "0", "make", &output(dir));
-    stage.write("", value, json!({}), &Status::Done).unwrap();
+    planish_handoff::save(dir, value).unwrap();
 }
 
 /// The arrays alone.

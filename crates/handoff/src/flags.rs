@@ -1,0 +1,153 @@
+//! Flags that several programs have: each has one name, one unit and one description.
+//!
+//! A command takes a group by `#[command(flatten)]`, and the group reads what its flags give.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath, Trajectory};
+
+use crate::{HandoffError, Inputs, OutputFile};
+
+/// The mirror: what is to be removed, and the tool that removes it.
+#[derive(Clone, Debug, Args)]
+pub struct MirrorArgs {
+    /// Desired removal [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    pub surface: PathBuf,
+    /// Tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    pub tif: PathBuf,
+}
+
+impl MirrorArgs {
+    /// Reads both.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<(Surface, Tif), HandoffError> {
+        Ok((inputs.read("surface", &self.surface)?, inputs.read("tif", &self.tif)?))
+    }
+}
+
+/// The tool path.
+#[derive(Clone, Debug, Args)]
+pub struct PathArgs {
+    /// Tool path [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    pub tool_path: PathBuf,
+}
+
+impl PathArgs {
+    /// Reads it.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<ToolPath, HandoffError> {
+        inputs.read("tool-path", &self.tool_path)
+    }
+}
+
+/// The plan: a tool path and its dwell times.
+#[derive(Clone, Debug, Args)]
+pub struct PlanArgs {
+    #[command(flatten)]
+    path: PathArgs,
+    /// Dwell times [dwell artifact]
+    #[arg(long, value_name = "DIR")]
+    dwell: PathBuf,
+}
+
+impl PlanArgs {
+    /// Reads both; refuses dwell times that were made for another path.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<(ToolPath, DwellTime), HandoffError> {
+        let path = self.path.read(inputs)?;
+        Ok((path, read_dwell(&self.dwell, inputs)?))
+    }
+}
+
+/// Dwell times given by `--dwell`, for the path that was read before; refused where they were made for
+/// another one.
+pub fn read_dwell(dir: &Path, inputs: &mut Inputs) -> Result<DwellTime, HandoffError> {
+    let (dwell, manifest) = inputs.read_with_manifest("dwell", dir)?;
+    inputs.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
+    Ok(dwell)
+}
+
+/// The motion.
+#[derive(Clone, Debug, Args)]
+pub struct TrajectoryArgs {
+    /// Motion [trajectory artifact]
+    #[arg(long, value_name = "DIR")]
+    pub trajectory: PathBuf,
+}
+
+impl TrajectoryArgs {
+    /// Reads it.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<Trajectory, HandoffError> {
+        inputs.read("trajectory", &self.trajectory)
+    }
+}
+
+/// The machine.
+#[derive(Clone, Debug, Args)]
+pub struct MachineArgs {
+    /// Machine and its limits [JSON]
+    #[arg(long, value_name = "FILE")]
+    pub machine: PathBuf,
+}
+
+impl MachineArgs {
+    /// Reads it.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
+        inputs.read_machine(&self.machine)
+    }
+}
+
+/// The least dwell time.
+#[derive(Clone, Debug, Args)]
+pub struct FloorArgs {
+    /// Least dwell time of every dwell point, s [default: 0]
+    #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
+    min_dwell_s: Option<f64>,
+    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
+    #[arg(long, value_name = "T")]
+    min_dwell_s_per_mm: Option<f64>,
+}
+
+impl FloorArgs {
+    /// The bound that was given, per dwell point or per length; 0 s where none was.
+    pub fn bound<B>(&self, seconds: fn(f64) -> B, seconds_per_mm: fn(f64) -> B) -> B {
+        match (self.min_dwell_s, self.min_dwell_s_per_mm) {
+            (_, Some(rate)) => seconds_per_mm(rate),
+            (time, None) => seconds(time.unwrap_or(0.0)),
+        }
+    }
+}
+
+/// Where an artifact goes.
+#[derive(Clone, Debug, Args)]
+pub struct OutputArgs {
+    /// Directory to write
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Replace an output that was made from other inputs or settings
+    #[arg(long)]
+    pub force: bool,
+    /// Also write the seconds that the stage took, and the most memory that it held, to FILE, as JSON
+    /// (kept out of the artifact, which is the same for the same command)
+    #[arg(long, value_name = "FILE")]
+    pub wall_time: Option<PathBuf>,
+}
+
+/// Where a single file goes.
+#[derive(Clone, Debug, Args)]
+pub struct OutputFileArgs {
+    /// File to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Replace an existing file
+    #[arg(long)]
+    pub force: bool,
+}
+
+impl OutputFileArgs {
+    /// Refuses, before the work, a file that may not be written.
+    pub fn begin(&self, inputs: &Inputs) -> Result<OutputFile, HandoffError> {
+        OutputFile::begin("--out", &self.out, self.force, inputs)
+    }
+}

@@ -1,0 +1,255 @@
+//! What a command reads, with the hash of each input.
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use ndarray::{Array2, Ix2};
+use planish_types::{Limits, MachineFile};
+
+use crate::{
+    HandoffError,
+    artifact::{self, Ancestor, Artifact, InputRecord, MANIFEST, Manifest, Seal},
+    kind::{Dtype, Kind},
+    npy::{self, ArrayData},
+    publish,
+    shell::warn,
+};
+
+/// Largest JSON file that is read (a machine, a recipe, what stands beside a program), bytes.
+pub(crate) const LARGEST_JSON_BYTES: u64 = 1 << 24;
+
+/// The inputs of a command. Every reader checks what it reads, and records its place and its BLAKE3
+/// hash: the manifest of the output names them, and they decide whether an output is up to date.
+///
+/// A role is the name of the flag that gives the input, without its dashes.
+#[derive(Debug)]
+pub struct Inputs {
+    pub(crate) records: Vec<InputRecord>,
+    pub(crate) lineage: BTreeSet<Ancestor>,
+    /// When the command began: reading is part of the time that it takes.
+    pub(crate) started: Instant,
+}
+
+impl Default for Inputs {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Inputs {
+    /// Nothing is read yet.
+    pub fn new() -> Self {
+        Self { records: Vec::new(), lineage: BTreeSet::new(), started: Instant::now() }
+    }
+
+    /// Reads an input artifact given by the flag `--role`.
+    pub fn read<T: Artifact>(&mut self, role: &str, dir: &Path) -> Result<T, HandoffError> {
+        Ok(self.read_with_manifest(role, dir)?.0)
+    }
+
+    /// [`Self::read`], and the manifest where there is one.
+    pub fn read_with_manifest<T: Artifact>(
+        &mut self,
+        role: &str,
+        dir: &Path,
+    ) -> Result<(T, Option<Manifest>), HandoffError> {
+        let loaded = artifact::read::<T>(dir)?;
+        if let Some(warning) = &loaded.warning {
+            warn(warning);
+        }
+        self.lineage.extend(loaded.manifest.iter().flat_map(|m| m.lineage.clone()));
+        self.record(role, dir, T::KIND.name, loaded.digest);
+        Ok((loaded.value, loaded.manifest))
+    }
+
+    /// BLAKE3 of the content of the input that was read for this role.
+    pub fn digest(&self, role: &str) -> Option<&str> {
+        self.records.iter().find(|input| input.role == role).map(|input| input.blake3.as_str())
+    }
+
+    /// Reads the manifest of an artifact whose kind keeps everything in its outcome.
+    pub fn read_manifest(
+        &mut self,
+        role: &str,
+        dir: &Path,
+        kind: &Kind,
+    ) -> Result<Manifest, HandoffError> {
+        publish::finish_interrupted(&publish::parent_of(dir));
+        let (manifest, seal) = artifact::read_sealed_manifest(dir, kind)?.ok_or_else(|| {
+            HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
+        })?;
+        // Nothing but the seal says that the outcome is what the stage found.
+        if seal != Seal::Whole {
+            let problem = "has no seal: an older Planish wrote it; make it again";
+            return Err(HandoffError::new(&dir.join(MANIFEST), problem));
+        }
+        let digest = blake3::hash(manifest.outcome.to_string().as_bytes()).to_string();
+        self.lineage.extend(manifest.lineage.iter().cloned());
+        self.record(role, dir, kind.name, digest);
+        Ok(manifest)
+    }
+
+    /// Reads a JSON file given by the flag `--role`.
+    pub fn read_json<T: serde::de::DeserializeOwned>(
+        &mut self,
+        role: &str,
+        path: &Path,
+    ) -> Result<T, HandoffError> {
+        let bytes = artifact::read_file(path, LARGEST_JSON_BYTES)?;
+        self.record(role, path, "file", blake3::hash(&bytes).to_string());
+        serde_json::from_slice(&bytes).map_err(|e| HandoffError::new(path, format!("{e}")))
+    }
+
+    /// Reads a file of another program, given by the flag `--role`; at most `most` bytes of it.
+    pub fn read_bytes(
+        &mut self,
+        role: &str,
+        path: &Path,
+        most: u64,
+    ) -> Result<Vec<u8>, HandoffError> {
+        let bytes = artifact::read_file(path, most)?;
+        self.record(role, path, "file", blake3::hash(&bytes).to_string());
+        Ok(bytes)
+    }
+
+    /// Records a file, given by the flag `--role`, that the command reads by itself, line by line.
+    pub fn record_file(&mut self, role: &str, path: &Path) -> Result<(), HandoffError> {
+        let io = |e| HandoffError::io(path, "read", &e);
+        if !fs::metadata(path).map_err(io)?.is_file() {
+            return Err(HandoffError::new(path, "is not a file; give a regular file"));
+        }
+        let digest = npy::hash(path).map_err(io)?;
+        self.record(role, path, "file", digest);
+        Ok(())
+    }
+
+    /// Reads the machine file given by `--machine`.
+    pub fn read_machine(&mut self, path: &Path) -> Result<Limits, HandoffError> {
+        let file: MachineFile = self.read_json("machine", path)?;
+        file.checked().map_err(|e| HandoffError::new(path, e.to_string()))
+    }
+
+    /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.
+    pub fn read_map(&mut self, role: &str, path: &Path) -> Result<Array2<f64>, HandoffError> {
+        let ArrayData::F64(a) = self.read_array(role, path, Dtype::F64)? else {
+            unreachable!("read as F64")
+        };
+        a.into_dimensionality::<Ix2>().map_err(|_| {
+            HandoffError::new(path, "is not a map; give an array with two axes (ny, nx)")
+        })
+    }
+
+    /// Reads one mask (ny, nx) of 0 and 1 from a `.npy` file given by the flag `--role`.
+    pub fn read_mask(&mut self, role: &str, path: &Path) -> Result<Array2<bool>, HandoffError> {
+        let ArrayData::U8(a) = self.read_array(role, path, Dtype::U8)? else {
+            unreachable!("read as U8")
+        };
+        a.into_dimensionality::<Ix2>().map(|a| a.mapv(|v| v != 0)).map_err(|_| {
+            HandoffError::new(path, "is not a mask; give an array with two axes (ny, nx)")
+        })
+    }
+
+    fn read_array(
+        &mut self,
+        role: &str,
+        path: &Path,
+        dtype: Dtype,
+    ) -> Result<ArrayData, HandoffError> {
+        let loaded = npy::read(path, dtype)?;
+        if let Some(note) = loaded.note {
+            warn(format!("{}: {note}", path.display()));
+        }
+        self.record(role, path, "file", loaded.blake3);
+        Ok(loaded.array)
+    }
+
+    fn record(&mut self, role: &str, path: &Path, kind: &str, blake3: String) {
+        let kind_or_role = if kind == "file" { role } else { kind };
+        self.lineage.insert(Ancestor { kind: kind_or_role.into(), blake3: blake3.clone() });
+        self.records.push(InputRecord {
+            role: role.into(),
+            path: path.display().to_string(),
+            kind: kind.into(),
+            blake3,
+        });
+    }
+
+    /// Refuses inputs that do not belong together: `made` (the manifest of the input `role`) was made
+    /// from another artifact of the kind of the input `from` than that one. Arrays without a manifest
+    /// say nothing of what they were made from, and pass.
+    pub fn refuse_unrelated(
+        &self,
+        role: &str,
+        made: Option<&Manifest>,
+        from: &str,
+    ) -> Result<(), HandoffError> {
+        let Some(problem) = self.unrelated(role, made, from) else { return Ok(()) };
+        let dir = self.records.iter().find(|i| i.role == role).map_or("", |i| &i.path);
+        Err(HandoffError::new(
+            Path::new(dir),
+            format!(
+                "{problem}; give the one it was made from, make it again, or remove its {MANIFEST} \
+                 to use its arrays all the same"
+            ),
+        ))
+    }
+
+    /// The same as a warning, where another input makes sense: a plan on another map.
+    pub fn warn_unrelated(&self, role: &str, made: Option<&Manifest>, from: &str) {
+        if let Some(problem) = self.unrelated(role, made, from) {
+            warn(problem);
+        }
+    }
+
+    fn unrelated(&self, role: &str, made: Option<&Manifest>, from: &str) -> Option<String> {
+        let from = self.records.iter().find(|i| i.role == from)?;
+        let mut known = made?.lineage.iter().filter(|a| a.kind == from.kind).peekable();
+        known.peek()?;
+        if known.any(|a| a.blake3 == from.blake3) {
+            return None;
+        }
+        let (kind, flag) = (&from.kind, &from.role);
+        Some(format!("--{role} was made from another {kind} than --{flag} {}", from.path))
+    }
+
+    /// Refuses to write what is an input, contains one, or lies in one.
+    pub(crate) fn refuse_overlap(&self, flag: &str, path: &Path) -> Result<(), HandoffError> {
+        for input in &self.records {
+            let at = Path::new(&input.path);
+            let how = match (is_within(path, at), is_within(at, path)) {
+                (true, true) => "is",
+                (true, false) => "lies in",
+                (false, true) => "contains",
+                (false, false) => continue,
+            };
+            let problem = format!("{how} the input --{}; choose another {flag}", input.role);
+            return Err(HandoffError::new(path, problem));
+        }
+        Ok(())
+    }
+}
+
+/// Whether two paths lead to the same file or directory.
+pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Whether `path` is `dir` or leads into it, links followed as far as they exist.
+pub(crate) fn is_within(path: &Path, dir: &Path) -> bool {
+    resolved(path).starts_with(resolved(dir))
+}
+
+/// The path without links and `..`; what does not exist yet is appended as it is.
+fn resolved(path: &Path) -> PathBuf {
+    if let Ok(whole) = path.canonicalize() {
+        return whole;
+    }
+    match path.file_name() {
+        Some(name) => resolved(&publish::parent_of(path)).join(name),
+        None => std::path::absolute(Path::new(".").join(path)).unwrap_or_else(|_| path.into()),
+    }
+}

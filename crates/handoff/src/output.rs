@@ -1,0 +1,529 @@
+//! What a command writes: directories with manifests and single files.
+//!
+//! Everything that one run writes appears together, whole, when the last of it has been written.
+
+use std::{
+    fs::{self, File},
+    io::ErrorKind,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::{
+    HandoffError,
+    artifact::{self, Artifact, MANIFEST, Manifest},
+    command_line,
+    flags::OutputArgs,
+    inputs::{Inputs, LARGEST_JSON_BYTES, is_same, is_within},
+    kind::Kind,
+    npy::ArrayData,
+    publish::{self, Staged},
+    shell::{Failure, Status, say},
+};
+
+/// How often the progress on a terminal is drawn anew: the first time after this long.
+const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
+
+/// What is done with the inputs: the program, its method, and every setting with its resolved value.
+/// Together with the hashes of the inputs it decides whether an output is up to date.
+#[derive(Clone, Debug)]
+pub struct Task {
+    tool: &'static str,
+    tool_version: &'static str,
+    method: String,
+    settings: Value,
+}
+
+impl Task {
+    /// What the version `tool_version` of `tool` does by `method`; [`task!`](crate::task) knows the
+    /// first two.
+    pub fn new(
+        tool: &'static str,
+        tool_version: &'static str,
+        method: &str,
+        settings: impl Serialize,
+    ) -> Self {
+        let settings = serde_json::to_value(settings).expect("settings serialise to JSON");
+        Self { tool, tool_version, method: method.into(), settings }
+    }
+}
+
+/// `task!(method, settings)`: the [`Task`] of the package in which it stands.
+#[macro_export]
+macro_rules! task {
+    ($method:expr, $settings:expr) => {
+        $crate::Task::new(env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"), $method, $settings)
+    };
+}
+
+/// What a run is to write: artifact directories, each of a kind of its own, and files beside them.
+#[derive(Debug)]
+pub struct Output {
+    args: OutputArgs,
+    directories: Vec<Directory>,
+    files: Vec<(&'static str, PathBuf)>,
+}
+
+#[derive(Debug)]
+struct Directory {
+    /// The flag that gives it.
+    flag: &'static str,
+    path: PathBuf,
+    kind: &'static Kind,
+}
+
+/// Whether there is work to do.
+#[derive(Debug)]
+pub enum Begin {
+    /// The output is there already, made from the same inputs and settings, and ended like this.
+    Unchanged(Status),
+    /// Run, and write what was announced.
+    Run(Writer),
+}
+
+impl Begin {
+    /// The writer, where there is work to do.
+    pub fn writer(self) -> Option<Writer> {
+        match self {
+            Self::Unchanged(_) => None,
+            Self::Run(writer) => Some(writer),
+        }
+    }
+}
+
+impl Output {
+    /// An artifact of this kind as the directory `--out`.
+    pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
+        Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
+            .and_directory("--out", &args.out, kind)
+    }
+
+    /// Artifacts as directories of these names in `--out`.
+    pub fn directories<const N: usize>(
+        args: &OutputArgs,
+        parts: [(&str, &'static Kind); N],
+    ) -> Self {
+        let empty = Self { args: args.clone(), directories: Vec::new(), files: Vec::new() };
+        let add = |output: Self, (name, kind): (&str, _)| {
+            output.and_directory("--out", &args.out.join(name), kind)
+        };
+        parts.into_iter().fold(empty, add)
+    }
+
+    /// One more artifact, as the directory given by `flag`.
+    pub fn and_directory(mut self, flag: &'static str, path: &Path, kind: &'static Kind) -> Self {
+        let is_new = self.directories.iter().all(|d| d.kind.name != kind.name);
+        assert!(is_new, "a run writes one {} at most: its kind says where it goes", kind.name);
+        self.directories.push(Directory { flag, path: path.into(), kind });
+        self
+    }
+
+    /// One more file, given by `flag`: a picture of the artifact, say.
+    pub fn and_file(mut self, flag: &'static str, path: &Path) -> Self {
+        self.files.push((flag, path.into()));
+        self
+    }
+
+    /// Call when all inputs and settings are known, before the work: refuses an output that may not be
+    /// replaced, and says so when there is nothing to do.
+    pub fn begin(self, task: &Task, inputs: &Inputs) -> Result<Begin, HandoffError> {
+        self.check_wall_time(inputs)?;
+        self.refuse_overlap_within()?;
+        let key = key(task, inputs);
+        let states = self.directories.iter().map(|d| self.state_of(d, &key, inputs));
+        let states = states.collect::<Result<Vec<_>, _>>()?;
+        let unchanged: Option<Vec<Status>> = states.into_iter().collect();
+        if let Some(each) = unchanged
+            && self.files.iter().all(|(_, path)| path.exists())
+        {
+            let out = self.args.out.display();
+            say(format!("{}: {out} unchanged, nothing to do", task.tool));
+            let negative = each.into_iter().find(|status| *status != Status::Done);
+            return Ok(Begin::Unchanged(negative.unwrap_or(Status::Done)));
+        }
+        for (flag, path) in &self.files {
+            check_file(flag, path, self.args.force, inputs)?;
+        }
+        Ok(Begin::Run(self.writer(task, inputs)))
+    }
+
+    /// How the artifact ended that stands in the place of this one, when it is what this run would make,
+    /// else `None`; an error when something there may not be replaced.
+    fn state_of(
+        &self,
+        directory: &Directory,
+        key: &str,
+        inputs: &Inputs,
+    ) -> Result<Option<Status>, HandoffError> {
+        let Directory { flag, path: dir, kind } = directory;
+        inputs.refuse_overlap(flag, dir)?;
+        let parent = publish::parent_of(dir);
+        publish::finish_interrupted(&parent);
+        publish::remove_abandoned(&parent);
+        if !output_exists(flag, dir)? {
+            return Ok(None);
+        }
+        if is_same(dir, Path::new(".")) {
+            let problem = format!("is the current directory; give a new directory in it as {flag}");
+            return Err(HandoffError::new(dir, problem));
+        }
+        artifact::refuse_foreign_files(dir, kind)?;
+        let Some(manifest) = artifact::read_manifest(dir, kind)? else {
+            return Ok(None); // an empty directory
+        };
+        let is_complete = artifact::is_complete(dir, &manifest)?;
+        if manifest.key == key {
+            let fresh = !older_than_this_program(&dir.join(MANIFEST));
+            return Ok((fresh && is_complete).then(|| status_of(&manifest)));
+        }
+        if self.args.force {
+            return Ok(None);
+        }
+        let problem = format!(
+            "exists, made from other inputs or settings; give --force to replace it, or another {flag}"
+        );
+        Err(HandoffError::new(dir, problem))
+    }
+
+    /// Refuses places of which one would replace or contain another.
+    fn refuse_overlap_within(&self) -> Result<(), HandoffError> {
+        for (i, one) in self.directories.iter().enumerate() {
+            for other in &self.directories[..i] {
+                if is_within(&one.path, &other.path) || is_within(&other.path, &one.path) {
+                    let problem = format!(
+                        "and {} are in each other's place; give another {}",
+                        other.path.display(),
+                        one.flag
+                    );
+                    return Err(HandoffError::new(&one.path, problem));
+                }
+            }
+        }
+        for (flag, file) in &self.files {
+            if self.directories.iter().any(|d| is_within(file, &d.path)) {
+                let problem = format!("is in the output; give another {flag}");
+                return Err(HandoffError::new(file, problem));
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses a file for `--wall-time` that would be lost or in the way of the output.
+    fn check_wall_time(&self, inputs: &Inputs) -> Result<(), HandoffError> {
+        let Some(file) = &self.args.wall_time else { return Ok(()) };
+        if self.directories.iter().any(|d| is_within(file, &d.path)) {
+            return Err(HandoffError::new(file, "is in the output; give another --wall-time"));
+        }
+        inputs.refuse_overlap("--wall-time", file)?;
+        if fs::symlink_metadata(file).is_err() {
+            return Ok(());
+        }
+        let text = artifact::read_text(file, LARGEST_JSON_BYTES).unwrap_or_default();
+        match serde_json::from_str::<WallTime>(&text) {
+            Ok(_) => Ok(()),
+            Err(_) => Err(HandoffError::new(
+                file,
+                "exists and holds no wall time, so Planish did not write it; give another --wall-time",
+            )),
+        }
+    }
+
+    fn writer(self, task: &Task, inputs: &Inputs) -> Writer {
+        let open = |d: Directory| {
+            let was_there = d.path.exists();
+            (d, was_there)
+        };
+        Writer {
+            manifest: Manifest {
+                tool: task.tool.into(),
+                tool_version: task.tool_version.into(),
+                method: task.method.clone(),
+                command: command_line::as_typed(task.tool),
+                key: key(task, inputs),
+                settings: task.settings.clone(),
+                inputs: inputs.records.clone(),
+                lineage: inputs.lineage.clone(),
+                ..Manifest::default()
+            },
+            directories: self.directories.into_iter().map(open).collect(),
+            files: self.files.into_iter().map(|(_, path)| path).collect(),
+            force: self.args.force,
+            wall_time: self.args.wall_time,
+            started: inputs.started,
+            staged: Vec::new(),
+            progress: spinner(format!("{} {}", task.tool, task.method)),
+        }
+    }
+}
+
+/// Decides whether an existing output is what this run would make.
+fn key(task: &Task, inputs: &Inputs) -> String {
+    let inputs: Vec<_> = inputs.records.iter().map(|i| (&i.role, &i.kind, &i.blake3)).collect();
+    let key = json!([task.tool, task.tool_version, task.method, task.settings, inputs]);
+    blake3::hash(key.to_string().as_bytes()).to_string()
+}
+
+/// Writes what an [`Output`] announced, each once; it all appears with the last of it.
+#[derive(Debug)]
+pub struct Writer {
+    /// What all manifests of the run have in common.
+    manifest: Manifest,
+    /// What is still to come: directories, each with whether it was there when the run began, and files.
+    directories: Vec<(Directory, bool)>,
+    files: Vec<PathBuf>,
+    force: bool,
+    wall_time: Option<PathBuf>,
+    started: Instant,
+    /// What is written and not shown yet.
+    staged: Vec<Staged>,
+    progress: ProgressBar,
+}
+
+impl Writer {
+    /// Writes `value` as the artifact of its kind.
+    pub fn write<T: Artifact>(
+        &mut self,
+        value: &T,
+        outcome: Value,
+        status: &Status,
+    ) -> Result<(), HandoffError> {
+        self.write_arrays(T::KIND, &value.to_arrays(), &[], outcome, status)
+    }
+
+    /// Writes the artifact of this kind from its arrays and the files beside them.
+    pub fn write_arrays(
+        &mut self,
+        kind: &'static Kind,
+        arrays: &[ArrayData],
+        beside: &[(&str, Vec<u8>)],
+        outcome: Value,
+        status: &Status,
+    ) -> Result<(), HandoffError> {
+        let at = self.directories.iter().position(|(d, _)| d.kind.name == kind.name);
+        let at = at.unwrap_or_else(|| panic!("no {} is to be written", kind.name));
+        let (directory, was_there) = &self.directories[at];
+        let staged = Staged::directory(&directory.path, kind, self.force || *was_there)?;
+        let dir = staged.path();
+        let records = artifact::write_arrays(dir, kind, arrays)?;
+        for (name, bytes) in beside {
+            artifact::write_file(&dir.join(name), bytes)?;
+        }
+        let hashed =
+            |(name, bytes): &(&str, Vec<u8>)| (name.to_string(), blake3::hash(bytes).to_string());
+        let manifest = Manifest {
+            kind: kind.name.into(),
+            version: kind.version,
+            frame: kind.frame.into(),
+            outcome: with_status(outcome, status),
+            arrays: records,
+            files: beside.iter().map(hashed).collect(),
+            ..self.manifest.clone()
+        };
+        artifact::write_file(&dir.join(MANIFEST), manifest.to_text().as_bytes())?;
+        self.directories.remove(at);
+        self.staged.push(staged);
+        self.show_when_complete()
+    }
+
+    /// Writes one of the announced files.
+    pub fn write_file(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
+        let at = self.files.iter().position(|p| p == path);
+        let at = at.unwrap_or_else(|| panic!("no {} is to be written", path.display()));
+        let mut staged = Staged::file(path, self.force)?;
+        staged.write_all(bytes)?;
+        self.files.remove(at);
+        self.staged.push(staged);
+        self.show_when_complete()
+    }
+
+    fn show_when_complete(&mut self) -> Result<(), HandoffError> {
+        if !(self.directories.is_empty() && self.files.is_empty()) {
+            return Ok(()); // more is to come
+        }
+        publish::publish(std::mem::take(&mut self.staged))?;
+        // What is said from now on is not mixed with it.
+        self.progress.finish_and_clear();
+        self.write_wall_time()
+    }
+
+    /// Says that `done` of `total` parts of the work are done; on a terminal the progress becomes a bar.
+    pub fn progress(&self, done: usize, total: usize) {
+        if self.progress.length() != Some(total as u64) {
+            let style = "{msg} {wide_bar} {pos}/{len} {elapsed}, {eta} left";
+            self.progress.set_style(ProgressStyle::with_template(style).expect("a valid template"));
+            self.progress.set_length(total as u64);
+        }
+        self.progress.set_position(done as u64);
+    }
+
+    fn write_wall_time(&self) -> Result<(), HandoffError> {
+        let Some(path) = &self.wall_time else { return Ok(()) };
+        let time = WallTime {
+            wall_s: self.started.elapsed().as_secs_f64(),
+            peak_memory_mb: peak_memory_mb(),
+        };
+        let text = serde_json::to_string(&time).expect("numbers serialise");
+        show_file(path, true, format!("{text}\n").as_bytes())
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        self.progress.finish_and_clear();
+    }
+}
+
+/// On a terminal: what runs, and for how long; nothing in a pipe.
+fn spinner(message: String) -> ProgressBar {
+    let progress = ProgressBar::hidden();
+    let style = "{spinner} {msg} {elapsed}";
+    progress.set_style(ProgressStyle::with_template(style).expect("a valid template"));
+    progress.set_message(message);
+    progress.set_draw_target(ProgressDrawTarget::stderr());
+    progress.enable_steady_tick(PROGRESS_PERIOD);
+    progress
+}
+
+/// Writes `value` as the artifact `dir`, made from nothing, in place of one that stands there: for
+/// programs that make inputs of their own, such as tests.
+pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
+    let args = OutputArgs { out: dir.into(), force: true, wall_time: None };
+    let task = crate::task!("save", json!({}));
+    let mut writer = Output::directory(&args, T::KIND).writer(&task, &Inputs::new());
+    writer.write(value, json!({}), &Status::Done)
+}
+
+/// A single file without a manifest that a command is to write.
+#[derive(Debug)]
+pub struct OutputFile {
+    path: PathBuf,
+    force: bool,
+}
+
+impl OutputFile {
+    /// Call before the work: refuses `path`, given by `flag`, where it is an input or a directory, or
+    /// exists and `force` does not say to replace it.
+    pub fn begin(
+        flag: &str,
+        path: &Path,
+        force: bool,
+        inputs: &Inputs,
+    ) -> Result<Self, HandoffError> {
+        check_file(flag, path, force, inputs)?;
+        Ok(Self { path: path.into(), force })
+    }
+
+    /// Writes the file.
+    pub fn write(self, bytes: &[u8]) -> Result<(), HandoffError> {
+        show_file(&self.path, self.force, bytes)
+    }
+
+    /// Writes a file that is too large to be held in memory.
+    pub fn write_by(
+        self,
+        write: impl FnOnce(&mut File) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let mut staged = Staged::file(&self.path, self.force)?;
+        write(staged.open_file())?;
+        Ok(publish::publish(vec![staged])?)
+    }
+
+    /// Writes several files, which appear together.
+    pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
+        let stage = |(file, bytes): (Self, &[u8])| {
+            let mut staged = Staged::file(&file.path, file.force)?;
+            staged.write_all(bytes).map(|()| staged)
+        };
+        publish::publish(files.into_iter().map(stage).collect::<Result<_, _>>()?)
+    }
+}
+
+fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(), HandoffError> {
+    inputs.refuse_overlap(flag, path)?;
+    if path.is_dir() || path.file_name().is_none() {
+        return Err(HandoffError::new(path, format!("is a directory; give a file as {flag}")));
+    }
+    if fs::symlink_metadata(path).is_ok() && !force {
+        let problem = format!("exists; give --force to replace it, or another {flag}");
+        return Err(HandoffError::new(path, problem));
+    }
+    Ok(())
+}
+
+fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffError> {
+    let mut staged = Staged::file(path, replace)?;
+    staged.write_all(bytes)?;
+    publish::publish(vec![staged])
+}
+
+/// What `--wall-time` writes.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WallTime {
+    wall_s: f64,
+    peak_memory_mb: Option<f64>,
+}
+
+/// The most memory that this process has held, in 2^20 bytes, where the system tells (Linux).
+fn peak_memory_mb() -> Option<f64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some((kilobytes / 1024.0).round())
+}
+
+/// Whether the output directory is there; an error when it is something else or cannot be.
+fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
+    let problem = match fs::metadata(dir) {
+        Ok(m) if m.is_dir() => return Ok(true),
+        Ok(_) => "is a file".into(),
+        Err(e) if e.kind() == ErrorKind::NotFound => {
+            if fs::symlink_metadata(dir).is_ok() {
+                "is a link to nothing".into()
+            } else if dir.file_name().is_none() {
+                "is not the name of a directory".into()
+            } else {
+                return Ok(false);
+            }
+        }
+        Err(e) => format!("cannot be written: {e}"),
+    };
+    Err(HandoffError::new(dir, format!("{problem}; choose another {flag}")))
+}
+
+/// Whether the file was written before this program was built: a developer changed the program,
+/// and its version does not say so.
+fn older_than_this_program(file: &Path) -> bool {
+    let modified = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
+    let program = std::env::current_exe().ok().and_then(|p| modified(&p));
+    matches!((modified(file), program), (Some(f), Some(p)) if f < p)
+}
+
+fn with_status(outcome: Value, status: &Status) -> Value {
+    let mut map = serde_json::Map::new();
+    match status {
+        Status::Done => map.insert("status".into(), "done".into()),
+        Status::Negative(reason) => {
+            map.insert("status".into(), "negative".into());
+            map.insert("reason".into(), reason.as_str().into())
+        }
+    };
+    match outcome {
+        Value::Object(fields) => map.extend(fields),
+        Value::Null => {}
+        other => panic!("an outcome is a JSON object, found {other}"),
+    }
+    map.into()
+}
+
+fn status_of(manifest: &Manifest) -> Status {
+    let text = |key| manifest.outcome.get(key).and_then(Value::as_str).unwrap_or_default();
+    match text("status") {
+        "negative" => Status::Negative(text("reason").into()),
+        _ => Status::Done,
+    }
+}

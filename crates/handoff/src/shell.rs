@@ -1,0 +1,83 @@
+//! What surrounds the work of every program: messages and exit codes.
+
+use std::{fmt::Display, io::Write, panic, process::ExitCode};
+
+use planish_types::text;
+
+use crate::publish;
+
+/// How a stage that ran ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Status {
+    /// Done; exit code 0.
+    Done,
+    /// Done, and the verdict is negative, for this reason; exit code 1.
+    Negative(String),
+}
+
+/// Why a stage could not run; exit code 2.
+#[derive(Debug)]
+pub struct Failure(String);
+
+impl Failure {
+    /// A failure with this message.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self(message.into())
+    }
+}
+
+impl Display for Failure {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Any error of a library becomes the one message that the user reads.
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self(error.to_string())
+    }
+}
+
+/// Runs the body of a stage and turns its end into the exit code: 0 done, 1 done with a negative
+/// verdict, 2 could not run.
+pub fn run(body: impl FnOnce() -> Result<Status, Failure> + panic::UnwindSafe) -> ExitCode {
+    publish::clean_up_on_signals();
+    panic::set_hook(Box::new(|info| {
+        complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
+    }));
+    let end = panic::catch_unwind(body);
+    publish::wait_for_signal_under_way();
+    match end {
+        Ok(Ok(Status::Done)) => ExitCode::SUCCESS,
+        Ok(Ok(Status::Negative(reason))) => {
+            complain(&format!("verdict: {reason}"));
+            ExitCode::from(1)
+        }
+        Ok(Err(failure)) => {
+            complain(&format!("error: {failure}"));
+            ExitCode::from(2)
+        }
+        Err(_) => ExitCode::from(2),
+    }
+}
+
+/// A warning on standard error; a closed pipe is not an error.
+pub fn warn(message: impl Display) {
+    complain(&format!("warning: {message}"));
+}
+
+/// Lines on standard error; a closed pipe is not an error.
+fn complain(message: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", without_commands(message));
+}
+
+/// Lines on standard output; a closed pipe is not an error.
+pub fn say(message: impl Display) {
+    let _ = writeln!(std::io::stdout(), "{}", without_commands(&message.to_string()));
+}
+
+/// The lines of `message` with what could command a terminal spelt out: names of files are in it.
+fn without_commands(message: &str) -> String {
+    message.split('\n').map(text::visible).collect::<Vec<_>>().join("\n")
+}
