@@ -19,6 +19,7 @@ pub mod multi_pitch;
 pub mod random_adaptive;
 pub mod raster;
 mod region;
+mod segments;
 pub mod spiral;
 pub mod statistics;
 

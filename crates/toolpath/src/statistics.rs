@@ -13,9 +13,7 @@
 //! ```
 //!
 //! A percentile of n sorted values is the value number ceil(q n). Whether two segments meet is
-//! decided without rounding: the sign of the cross product `(b - a) x (c - a)` is that of
-//! `ax by - ax cy - cx by - ay bx + ay cx + cy bx`, summed exactly wherever its rounded value is
-//! within its error bound (J. R. Shewchuk, Discrete Comput. Geom. 18 (1997) 305).
+//! decided without rounding ([`crate::segments`]).
 //!
 //! The pitch that keeps the ripple of parallel lines below `r` (peak to valley over mean) for a
 //! Gaussian TIF of standard deviation sigma, from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first
@@ -37,6 +35,8 @@ use ndarray::{ArrayView2, Axis};
 use planish_types::{Limits, Surface, Tif, ToolPath};
 use rayon::prelude::*;
 use serde::Serialize;
+
+use crate::segments::meet;
 
 /// Ripple that the pitch limit allows, peak to valley over mean: 0.1 %.
 const RIPPLE: f64 = 1e-3;
@@ -286,7 +286,7 @@ fn crossings(path: &ToolPath) -> usize {
                 let (i, j) = (*p.min(q) as usize, *p.max(q) as usize);
                 let neighbours = (j == i + 1 && follows(j)) || closes[j] == i;
                 let (a, b) = (&segments[i], &segments[j]);
-                if neighbours || !boxes_overlap(a, b) {
+                if neighbours {
                     continue;
                 }
                 // Once per pair: in the cell of the lowest corner that the boxes share.
@@ -299,52 +299,6 @@ fn crossings(path: &ToolPath) -> usize {
         count
     };
     (0..cells.start.len() - 1).into_par_iter().map(in_cell).sum()
-}
-
-fn boxes_overlap(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
-    (0..2).all(|c| {
-        a[0][c].max(a[1][c]) >= b[0][c].min(b[1][c]) && b[0][c].max(b[1][c]) >= a[0][c].min(a[1][c])
-    })
-}
-
-/// Whether two segments, whose boxes overlap, have a point in common.
-fn meet(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
-    side(a[0], a[1], b[0]) * side(a[0], a[1], b[1]) <= 0
-        && side(b[0], b[1], a[0]) * side(b[0], b[1], a[1]) <= 0
-}
-
-/// The sign of `(b - a) x (c - a)`: 1 with `c` on the left of the line from `a` to `b`.
-fn side(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> i32 {
-    let (left, right) = ((a[0] - c[0]) * (b[1] - c[1]), (a[1] - c[1]) * (b[0] - c[0]));
-    // Shewchuk's bound of the rounding error, with eps = 2^-53.
-    let unit = 0.5 * f64::EPSILON;
-    let bound = (3.0 + 16.0 * unit) * unit * (left.abs() + right.abs());
-    let rounded = left - right;
-    if rounded.abs() > bound {
-        return if rounded > 0.0 { 1 } else { -1 };
-    }
-    // ax by - ax cy - cx by - ay bx + ay cx + cy bx
-    let products =
-        [(a[0], b[1]), (-a[0], c[1]), (-c[0], b[1]), (-a[1], b[0]), (a[1], c[0]), (c[1], b[0])];
-    // Parts that do not overlap, ascending; their sum is exact.
-    let mut sum = [0.0_f64; 12];
-    let mut count = 0;
-    for (u, v) in products {
-        let high = u * v;
-        for term in [u.mul_add(v, -high), high] {
-            let mut carry = term;
-            for part in &mut sum[..count] {
-                let total = carry + *part;
-                let back = total - carry;
-                *part = (carry - (total - back)) + (*part - back);
-                carry = total;
-            }
-            sum[count] = carry;
-            count += 1;
-        }
-    }
-    let leading = sum.iter().rev().find(|part| **part != 0.0);
-    leading.map_or(0, |part| if *part > 0.0 { 1 } else { -1 })
 }
 
 /// Segments sorted into the square cells that their bounding boxes touch.
@@ -650,22 +604,6 @@ mod tests {
         let lifted = ToolPath::through(points, vec![true, true, true, false], vec![0; 4]).unwrap();
         assert_eq!(crossings(&lifted), 0);
     }
-
-    #[test]
-    fn the_side_of_a_line_is_decided_below_rounding() {
-        // Points next to the diagonal of a square: the naive cross product is 0 or has the wrong
-        // sign for most of them (L. Kettner et al., Comput. Geom. 40 (2008) 61).
-        let ulp = f64::EPSILON / 4.0;
-        for (i, j) in (0..40).flat_map(|i| (0..40).map(move |j| (i, j))) {
-            let c = [0.5 + f64::from(i) * ulp, 0.5 + f64::from(j) * ulp];
-            // x and y are multiples of 2^-54 above 1/2 where rounding keeps them so.
-            let expected = (c[1] - c[0]).partial_cmp(&0.0).unwrap() as i32;
-            assert_eq!(side([12.0, 12.0], [24.0, 24.0], c), expected, "{i} {j}");
-            assert_eq!(side([24.0, 24.0], [12.0, 12.0], c), -expected, "{i} {j}");
-            assert_eq!(side(c, [12.0, 12.0], [24.0, 24.0]), expected, "{i} {j}");
-        }
-    }
-
     proptest! {
         #[test]
         fn coverage_is_the_brute_force_maximum(
@@ -718,7 +656,10 @@ mod tests {
                     let ([a, b], [c, d]) = (kept[i], kept[j]);
                     let crossed = cross(a, b, c) * cross(a, b, d) <= 0.0
                         && cross(c, d, a) * cross(c, d, b) <= 0.0;
-                    count += usize::from(!neighbours && crossed && boxes_overlap(&kept[i], &kept[j]));
+                    let overlap = (0..2).all(|k| {
+                        a[k].max(b[k]) >= c[k].min(d[k]) && c[k].max(d[k]) >= a[k].min(b[k])
+                    });
+                    count += usize::from(!neighbours && crossed && overlap);
                 }
             }
             prop_assert_eq!(crossings(&path), count);

@@ -1,16 +1,9 @@
 //! Pairs of crossing steps of closed paths.
 //!
-//! Two segments a b and c d meet when c and d are not strictly on one side of a b, nor a and b
-//! of c d. A side is the sign of the determinant |b - a, c - a|; one that its rounding error
-//! could turn counts as both, so that no crossing is missed.
-//!
-//! Source of the error bound: J. R. Shewchuk, Discrete Comput. Geom. 18 (1997) 305; the one here
-//! is more than twice as wide.
+//! Whether two steps meet is decided without rounding ([`crate::segments`]), so no crossing is missed.
 
 use super::{Point, distance};
-
-/// Bound of the rounding error of a determinant, relative to the sum of its products' sizes.
-const ERROR: f64 = 4.0 * f64::EPSILON;
+use crate::segments::meet;
 
 /// (loop, step) of both steps of every pair that meets; neighbours in a loop do not count.
 pub(super) fn crossings(loops: &[Vec<Point>]) -> Vec<[(usize, usize); 2]> {
@@ -38,7 +31,7 @@ pub(super) fn crossings(loops: &[Vec<Point>]) -> Vec<[(usize, usize); 2]> {
                 let n = loops[s.2].len();
                 let apart = t.3 - s.3.min(t.3);
                 let neighbours = s.2 == t.2 && (apart <= 1 || apart == n - 1);
-                if !neighbours && meet(s.0, s.1, t.0, t.1) {
+                if !neighbours && meet(&[s.0, s.1], &[t.0, t.1]) {
                     pairs.push([(s.2, s.3), (t.2, t.3)]);
                 }
             }
@@ -49,27 +42,6 @@ pub(super) fn crossings(loops: &[Vec<Point>]) -> Vec<[(usize, usize); 2]> {
     pairs
 }
 
-fn meet(a: Point, b: Point, c: Point, d: Point) -> bool {
-    let beside = |x: usize| a[x].max(b[x]) < c[x].min(d[x]) || c[x].max(d[x]) < a[x].min(b[x]);
-    !beside(0)
-        && !beside(1)
-        && side(a, b, c) * side(a, b, d) <= 0
-        && side(c, d, a) * side(c, d, b) <= 0
-}
-
-/// Sign of |b - a, c - a|; 0 when rounding may have turned it.
-fn side(a: Point, b: Point, c: Point) -> i32 {
-    let (left, right) = ((a[0] - c[0]) * (b[1] - c[1]), (a[1] - c[1]) * (b[0] - c[0]));
-    let determinant = left - right;
-    if determinant.abs() <= ERROR * (left.abs() + right.abs()) {
-        0
-    } else if determinant > 0.0 {
-        1
-    } else {
-        -1
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -77,12 +49,13 @@ mod tests {
     #[test]
     fn crossings_touches_and_misses() {
         let (o, x) = ([0.0, 0.0], [2.0, 0.0]);
-        assert!(meet(o, x, [1.0, -1.0], [1.0, 1.0]));
-        assert!(meet(o, x, [1.0, 0.0], [1.0, 1.0]));
-        assert!(meet(o, x, [1.0, 0.0], [3.0, 0.0]));
-        assert!(!meet(o, x, [3.0, 0.0], [4.0, 0.0]));
-        assert!(!meet(o, x, [1.0, 1e-12], [1.0, 1.0]));
-        assert!(!meet(o, x, [3.0, -1.0], [3.0, 1.0]));
+        let meet = |c, d| meet(&[o, x], &[c, d]);
+        assert!(meet([1.0, -1.0], [1.0, 1.0]));
+        assert!(meet([1.0, 0.0], [1.0, 1.0]));
+        assert!(meet([1.0, 0.0], [3.0, 0.0]));
+        assert!(!meet([3.0, 0.0], [4.0, 0.0]));
+        assert!(!meet([1.0, 1e-12], [1.0, 1.0]));
+        assert!(!meet([3.0, -1.0], [3.0, 1.0]));
     }
 
     #[test]
