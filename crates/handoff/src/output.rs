@@ -82,7 +82,7 @@ pub enum Begin {
     /// The output is there already, made from the same inputs and settings, and ended like this.
     Unchanged(Status),
     /// Run, and write what was announced.
-    Run(Writer),
+    Run(Box<Writer>),
 }
 
 impl Begin {
@@ -90,7 +90,7 @@ impl Begin {
     pub fn writer(self) -> Option<Writer> {
         match self {
             Self::Unchanged(_) => None,
-            Self::Run(writer) => Some(writer),
+            Self::Run(writer) => Some(*writer),
         }
     }
 }
@@ -148,7 +148,7 @@ impl Output {
         for (flag, path) in &self.files {
             check_file(flag, path, self.args.force, inputs)?;
         }
-        Ok(Begin::Run(self.writer(task, inputs)))
+        Ok(Begin::Run(Box::new(self.writer(task, inputs))))
     }
 
     /// How the artifact ended that stands in the place of this one, when it is what this run would make,
