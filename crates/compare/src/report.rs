@@ -1,8 +1,9 @@
 //! The page that people look at, and its figures.
 //!
 //! [`View`] holds what the screen needs of a run, down-sampled where there is more; [`page`] puts
-//! views into one HTML file with its own style and program (`report/page.*`, plain JavaScript and
-//! canvas, no library, nothing from a network), [`figure`] draws them as SVG, [`sparkline`] in a terminal.
+//! views into one HTML file with its own style and program (`report/page.*` and `report/page/`, plain
+//! JavaScript and canvas, no library, nothing from a network), [`figure`] draws them as SVG,
+//! [`sparkline`] in a terminal.
 //!
 //! How much of the arrays is in the page is bounded, and stated on it: see the constants.
 
@@ -43,10 +44,29 @@ const MAX_ALL_DWELL: usize = 40_000;
 /// Most pixels of all frames (2 bytes each, 2.7 in base64).
 const MAX_ALL_FRAME_PIXELS: usize = 450_000;
 
-/// Parts of the page.
+/// Skeleton and style of the page.
 const HTML: &str = include_str!("report/page.html");
 const CSS: &str = include_str!("report/page.css");
-const JS: &str = include_str!("report/page.js");
+/// The program of the page, one subject per file; a file uses the constants of those before it.
+const JS: &str = concat!(
+    include_str!("report/page/data.js"),
+    include_str!("report/page/runs.js"),
+    include_str!("report/page/colours.js"),
+    include_str!("report/page/canvas.js"),
+    include_str!("report/page/panel.js"),
+    include_str!("report/page/map.js"),
+    include_str!("report/page/path.js"),
+    include_str!("report/page/dwell.js"),
+    include_str!("report/page/chart.js"),
+    include_str!("report/page/profiles.js"),
+    include_str!("report/page/motion.js"),
+    include_str!("report/page/heights.js"),
+    include_str!("report/page/rounds.js"),
+    include_str!("report/page/tables.js"),
+    include_str!("report/page/provenance.js"),
+    include_str!("report/page/full_values.js"),
+    include_str!("report/page/start.js"),
+);
 
 /// Everything of one run.
 #[derive(Debug)]
@@ -445,6 +465,18 @@ mod tests {
         let values = [("a", "{{b}}<"), ("b", "{{a}}")];
         assert_eq!(filled("1{{a}}2{{b}}3{{a}}", &values), "1{{b}}<2{{a}}3{{b}}<");
         assert_eq!(filled("none", &values), "none");
+    }
+
+    #[test]
+    fn every_file_of_the_program_is_in_the_page() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/report/page");
+        let mut length = 0;
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let text = std::fs::read_to_string(entry.unwrap().path()).unwrap();
+            assert_eq!(JS.matches(text.as_str()).count(), 1, "{text:.80}");
+            length += text.len();
+        }
+        assert_eq!(length, JS.len());
     }
 
     #[test]
