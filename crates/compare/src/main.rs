@@ -13,10 +13,9 @@ use planish_compare::{
     chain::Standing,
     diff::difference,
     dwell,
-    execution::execution_table,
     report::{figure::figures, page, sparkline, views},
     summary::{Summary, to_json},
-    table::{table, table_of_runs},
+    table::{execution_table, table, table_of_runs},
 };
 use planish_handoff::{Begin, Failure, OutputArgs, Stage, Status, kind, run, stage::say};
 use planish_types::text::visible;

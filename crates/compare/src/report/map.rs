@@ -72,16 +72,16 @@ pub fn block_means(map: ArrayView2<f64>, every: usize) -> Array2<f64> {
     sum / count
 }
 
-/// Shares of the pixels in equal bins of height, the mean removed.
+/// Fractions of the pixels in equal bins of height, the mean removed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
     /// Lower edge of the first bin, nm.
     pub low_nm: f64,
     /// Width of the bins, nm.
     pub width_nm: f64,
-    /// Share of the valid pixels per nm in each bin, 1/nm.
+    /// Fraction of the valid pixels per nm in each bin, 1/nm.
     pub density_per_nm: Vec<f64>,
-    /// Share of the valid pixels beyond the bins.
+    /// Fraction of the valid pixels beyond the bins.
     pub outside: f64,
 }
 

@@ -16,9 +16,13 @@ function drawHistogram() {
 }
 
 function drawSpectrum() {
-  const canvas = byId("spectrum"), ctx = begin(canvas), box = chartBox(canvas), colours = LINES();
-  const series = [["before", A().run.spectrum], [A().label, A().method.spectrum]];
-  if (B()) series.push([B().label, B().method.spectrum]);
+  const canvas = byId("spectrum"), all = [["before", A().run.spectrum], [A().label, A().method.spectrum]];
+  if (B()) all.push([B().label, B().method.spectrum]);
+  // A map whose valid pixels hold no rectangle that is large enough has none.
+  const series = all.filter(([, s]) => s);
+  canvas.parentElement.hidden = !series.length;
+  if (!series.length) return;
+  const ctx = begin(canvas), box = chartBox(canvas), colours = LINES();
   const f = series.flatMap(([, s]) => s.frequency_per_mm), p = series.flatMap(([, s]) => s.psd_nm2_mm2).filter((v) => v > 0);
   const high = p.length ? Math.max(...p) * 2 : 1, low = Math.max(p.length ? Math.min(...p) : 0.1, high * 1e-10);
   const x = logarithmic(Math.min(...f), Math.max(...f) * 1.0001, box.l, box.l + box.w), y = logarithmic(low, high, box.t + box.h, box.t);

@@ -23,7 +23,11 @@ function fillProvenance() {
   for (const r of map ? RUNS : []) {
     const l = r.desired, size = `${l.nx} x ${l.ny}`;
     const how = l.every === 1 ? "every pixel of the arrays" : `means over ${l.every} x ${l.every} pixels of the arrays`;
-    add(`${RUNS.length > 1 ? r.name + ": " : ""}maps of ${size} pixels, ${how}, in steps of ${number(l.step, 2)} nm (desired removal) and ${number(map.step, 2)} nm (residual); RMS, PV, histogram and spectrum are of the whole arrays`);
+    const s = r.spectrum;
+    const spectrum = s
+      ? `the spectrum is of their largest rectangle of valid pixels, ${number(s.size_mm[0])} x ${number(s.size_mm[1])} mm, ${fixed(100 * s.fraction_of_valid_pixels, 1)} % of them`
+      : "there is no spectrum: no rectangle of valid pixels has 8 along both sides";
+    add(`${RUNS.length > 1 ? r.name + ": " : ""}maps of ${size} pixels, ${how}, in steps of ${number(l.step, 2)} nm (desired removal) and ${number(map.step, 2)} nm (residual); RMS, PV and histogram are of the whole arrays; ${spectrum}`);
   }
   for (const e of ENTRIES) {
     const m = e.method, each = (n, what) => (n > 1 ? `every ${n} ${what} together` : `every one of the ${what}`);

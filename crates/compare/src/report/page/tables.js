@@ -88,7 +88,7 @@ function fillBands() {
   if (B()) rows.push([B().label, B().method.spectrum]);
   for (const [name, s] of rows) {
     const row = element("tr");
-    row.append(element("th", name), ...s.band_rms_nm.map((v) => element("td", number(v))));
+    row.append(element("th", name), ...(s ? s.band_rms_nm.map((v) => number(v)) : ["-", "-", "-"]).map((v) => element("td", v)));
     table.append(row);
   }
 }
