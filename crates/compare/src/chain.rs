@@ -35,9 +35,9 @@ impl Record {
     }
 }
 
-/// An artifact.
+/// An artifact and its record.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Part {
+pub struct Recorded {
     /// BLAKE3 of its content.
     pub digest: String,
     /// What it was made from; `None` for arrays without a manifest.
@@ -46,32 +46,32 @@ pub struct Part {
 
 /// What the methods of a run share.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct RunParts {
+pub struct RunRecords {
     /// Desired removal.
-    pub surface: Part,
+    pub surface: Recorded,
     /// Path, where the run has one.
-    pub tool_path: Option<Part>,
+    pub tool_path: Option<Recorded>,
     /// Dwell times, where the run has them.
-    pub dwell: Option<Part>,
+    pub dwell: Option<Recorded>,
 }
 
 /// What a method consists of.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct MethodParts {
+pub struct MethodRecords {
     /// Motion.
-    pub trajectory: Part,
+    pub trajectory: Recorded,
     /// Prediction.
-    pub removal: Part,
+    pub removal: Recorded,
     /// What the verdict was made from.
     pub verdict: Record,
     /// Whether the verdict finds the limits kept, and whether the schedule says so of itself.
     pub limits_kept: (bool, Option<bool>),
     /// Dwell times of its own.
-    pub dwell: Option<Part>,
+    pub dwell: Option<Recorded>,
     /// Removal in the course of the run.
-    pub frames: Option<Part>,
+    pub frames: Option<Recorded>,
     /// Rounds of a refinement.
-    pub iterations: Option<Part>,
+    pub iterations: Option<Recorded>,
 }
 
 /// Whether a method takes part in the comparison.
@@ -98,7 +98,7 @@ pub struct Chain {
 }
 
 /// Checks every method of a run.
-pub fn check(run: &RunParts, methods: &[MethodParts]) -> Vec<Chain> {
+pub fn check(run: &RunRecords, methods: &[MethodRecords]) -> Vec<Chain> {
     // The tool of the run: that of its dwell times, else of its path, else of the first prediction.
     let shared = run.dwell.iter().chain(&run.tool_path);
     let tif = shared.chain(methods.iter().map(|m| &m.removal)).find_map(|p| record_input(p, "tif"));
@@ -108,19 +108,19 @@ pub fn check(run: &RunParts, methods: &[MethodParts]) -> Vec<Chain> {
     methods.iter().map(|method| context.check(method)).collect()
 }
 
-/// What the dwell times of `part` were solved for that this run does not have: `surface`, `tif`,
+/// What the dwell times of `artifact` were solved for that this run does not have: `surface`, `tif`,
 /// `tool-path`.
-pub fn solved_for_another(run: &RunParts, part: &Part) -> Vec<&'static str> {
+pub fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static str> {
     let known = [
         ("surface", Some(run.surface.digest.as_str())),
         ("tool-path", run.tool_path.as_ref().map(|p| p.digest.as_str())),
     ];
-    let other = |(role, digest): &(&str, Option<&str>)| differs(part, role, *digest);
+    let other = |(role, digest): &(&str, Option<&str>)| differs(artifact, role, *digest);
     known.iter().filter(|k| other(k)).map(|(role, _)| *role).collect()
 }
 
 /// What is out of date in what the methods share: sentences.
-pub fn check_run(run: &RunParts) -> Vec<String> {
+pub fn check_run(run: &RunRecords) -> Vec<String> {
     let mut found = Vec::new();
     let path = run.tool_path.as_ref();
     if path.is_some_and(|path| differs(path, "surface", Some(&run.surface.digest))) {
@@ -135,13 +135,13 @@ pub fn check_run(run: &RunParts) -> Vec<String> {
 }
 
 struct Context<'a> {
-    run: &'a RunParts,
+    run: &'a RunRecords,
     tif: Option<&'a str>,
     one_machine: bool,
 }
 
 impl Context<'_> {
-    fn check(&self, m: &MethodParts) -> Chain {
+    fn check(&self, m: &MethodRecords) -> Chain {
         let mut foreign = self.foreign(m);
         let mut stale = self.stale(m);
         let elsewhere = self.elsewhere(m);
@@ -160,7 +160,7 @@ impl Context<'_> {
     }
 
     /// Said of another motion.
-    fn foreign(&self, m: &MethodParts) -> Vec<String> {
+    fn foreign(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let trajectory = m.trajectory.digest.as_str();
         if m.verdict.input("trajectory").is_some_and(|digest| digest != trajectory) {
@@ -173,8 +173,8 @@ impl Context<'_> {
             let remedy = "run planish-simulate --frames again, or remove its frames";
             reasons.push(format!("its frames are of another trajectory: {remedy}"));
         }
-        let key = |part: &Option<Part>| {
-            let record = part.as_ref()?.record.as_ref()?;
+        let key = |artifact: &Option<Recorded>| {
+            let record = artifact.as_ref()?.record.as_ref()?;
             Some((record.tool.clone(), record.key.clone()))
         };
         let (motion, rounds, dwell) =
@@ -185,7 +185,7 @@ impl Context<'_> {
             motion.as_ref().zip(other.as_ref()).is_some_and(|(a, b)| same_tool((a, b)) && a != b)
         };
         if torn(&rounds) || torn(&dwell) {
-            reasons.push("its parts are of two refinements: run planish-refine again".into());
+            reasons.push("its artifacts are of two refinements: run planish-refine again".into());
         }
         if let (Some(made), Some(own)) = (record_input(&m.trajectory, "dwell"), m.dwell.as_ref())
             && dwell.as_ref().map(|d| &d.0) != motion.as_ref().map(|t| &t.0)
@@ -209,15 +209,15 @@ impl Context<'_> {
     }
 
     /// Predicted with another surface or tool.
-    fn elsewhere(&self, m: &MethodParts) -> Vec<String> {
+    fn elsewhere(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let surface = Some(self.run.surface.digest.as_str());
-        for (part, name, how) in [
+        for (artifact, name, how) in [
             (Some(&m.removal), "removal is", "planish-simulate"),
             (m.frames.as_ref(), "frames are", "planish-simulate --frames"),
         ] {
             for (role, digest) in [("surface", surface), ("tif", self.tif)] {
-                if part.is_some_and(|part| differs(part, role, digest)) {
+                if artifact.is_some_and(|artifact| differs(artifact, role, digest)) {
                     let role = spoken(role);
                     reasons.push(format!("its {name} of another {role}: run {how} again"));
                 }
@@ -227,7 +227,7 @@ impl Context<'_> {
     }
 
     /// Planned for something else.
-    fn stale(&self, m: &MethodParts) -> Vec<String> {
+    fn stale(&self, m: &MethodRecords) -> Vec<String> {
         let run = self.run;
         let mut of: Vec<&str> = Vec::new();
         let path = run.tool_path.as_ref().map(|p| p.digest.as_str());
@@ -236,8 +236,8 @@ impl Context<'_> {
             ("tif", self.tif),
             ("tool-path", path),
         ];
-        for part in std::iter::once(&m.trajectory).chain(&m.dwell) {
-            of.extend(known.iter().filter(|(r, d)| differs(part, r, *d)).map(|(r, _)| *r));
+        for artifact in std::iter::once(&m.trajectory).chain(&m.dwell) {
+            of.extend(known.iter().filter(|(r, d)| differs(artifact, r, *d)).map(|(r, _)| *r));
         }
         // The dwell times that the motion, or the refinement, started from.
         let from = record_input(&m.trajectory, "dwell");
@@ -257,9 +257,9 @@ impl Context<'_> {
             .collect()
     }
 
-    fn remarks(&self, m: &MethodParts) -> Vec<String> {
+    fn remarks(&self, m: &MethodRecords) -> Vec<String> {
         let mut unknown: Vec<&str> = Vec::new();
-        let known = |part: &Part, role: &str| record_input(part, role).is_some();
+        let known = |artifact: &Recorded, role: &str| record_input(artifact, role).is_some();
         if !known(&m.trajectory, "tool-path") && !known(&m.trajectory, "dwell") {
             unknown.push("trajectory");
         }
@@ -282,20 +282,20 @@ impl Context<'_> {
         remarks
     }
 
-    fn machine_differs(&self, m: &MethodParts) -> bool {
+    fn machine_differs(&self, m: &MethodRecords) -> bool {
         let (judged, planned) =
             (m.verdict.input("machine"), record_input(&m.trajectory, "machine"));
         judged.zip(planned).is_some_and(|(judged, planned)| judged != planned)
     }
 }
 
-fn record_input<'a>(part: &'a Part, role: &str) -> Option<&'a str> {
-    part.record.as_ref()?.input(role)
+fn record_input<'a>(artifact: &'a Recorded, role: &str) -> Option<&'a str> {
+    artifact.record.as_ref()?.input(role)
 }
 
-/// Whether `part` was made from something else than `digest`; no where either is not known.
-fn differs(part: &Part, role: &str, digest: Option<&str>) -> bool {
-    record_input(part, role).zip(digest).is_some_and(|(recorded, digest)| recorded != digest)
+/// Whether `artifact` was made from something else than `digest`; false where either is not known.
+fn differs(artifact: &Recorded, role: &str, digest: Option<&str>) -> bool {
+    record_input(artifact, role).zip(digest).is_some_and(|(recorded, digest)| recorded != digest)
 }
 
 fn spoken(role: &str) -> &str {
@@ -315,35 +315,36 @@ mod tests {
         Record { tool: tool.into(), key: key.into(), inputs }
     }
 
-    fn part(digest: &str, tool: &str, key: &str, inputs: &[(&str, &str)]) -> Part {
-        Part { digest: digest.into(), record: Some(record(tool, key, inputs)) }
+    fn recorded(digest: &str, tool: &str, key: &str, inputs: &[(&str, &str)]) -> Recorded {
+        Recorded { digest: digest.into(), record: Some(record(tool, key, inputs)) }
     }
 
-    fn run() -> RunParts {
-        let path = part("path", "planish-toolpath", "1", &[("surface", "surface"), ("tif", "tif")]);
+    fn run() -> RunRecords {
+        let path =
+            recorded("path", "planish-toolpath", "1", &[("surface", "surface"), ("tif", "tif")]);
         let from = [("surface", "surface"), ("tif", "tif"), ("tool-path", "path")];
-        RunParts {
-            surface: Part { digest: "surface".into(), record: None },
+        RunRecords {
+            surface: Recorded { digest: "surface".into(), record: None },
             tool_path: Some(path),
-            dwell: Some(part("dwell", "planish-dwell", "2", &from)),
+            dwell: Some(recorded("dwell", "planish-dwell", "2", &from)),
         }
     }
 
-    fn scheduled() -> MethodParts {
+    fn scheduled() -> MethodRecords {
         let predicted = [("trajectory", "motion"), ("tif", "tif"), ("surface", "surface")];
         let planned = [("tool-path", "path"), ("dwell", "dwell"), ("machine", "m")];
-        MethodParts {
-            trajectory: part("motion", "planish-schedule", "3", &planned),
-            removal: part("removal", "planish-simulate", "4", &predicted),
+        MethodRecords {
+            trajectory: recorded("motion", "planish-schedule", "3", &planned),
+            removal: recorded("removal", "planish-simulate", "4", &predicted),
             verdict: record("planish-verify", "5", &[("trajectory", "motion"), ("machine", "m")]),
             limits_kept: (true, Some(true)),
             dwell: None,
-            frames: Some(part("frames", "planish-simulate", "6", &predicted)),
+            frames: Some(recorded("frames", "planish-simulate", "6", &predicted)),
             iterations: None,
         }
     }
 
-    fn refined() -> MethodParts {
+    fn refined() -> MethodRecords {
         let from = [
             ("surface", "surface"),
             ("tif", "tif"),
@@ -351,8 +352,8 @@ mod tests {
             ("machine", "m"),
             ("dwell", "dwell"),
         ];
-        let made = |digest| part(digest, "planish-refine", "7", &from);
-        MethodParts {
+        let made = |digest| recorded(digest, "planish-refine", "7", &from);
+        MethodRecords {
             trajectory: made("motion"),
             dwell: Some(made("better")),
             iterations: Some(made("rounds")),
@@ -360,12 +361,12 @@ mod tests {
         }
     }
 
-    fn set(part: &mut Part, role: &str, digest: &str) {
-        let record = part.record.as_mut().unwrap();
+    fn set(artifact: &mut Recorded, role: &str, digest: &str) {
+        let record = artifact.record.as_mut().unwrap();
         record.inputs.iter_mut().find(|(r, _)| r == role).unwrap().1 = digest.into();
     }
 
-    fn one(run: &RunParts, method: MethodParts) -> (Standing, String) {
+    fn one(run: &RunRecords, method: MethodRecords) -> (Standing, String) {
         let found = check(run, &[method]).remove(0);
         (found.standing, found.reasons.join("; "))
     }
@@ -382,7 +383,7 @@ mod tests {
 
     #[test]
     fn one_changed_hash_is_found_whichever_it_is() {
-        type Change = fn(&mut MethodParts);
+        type Change = fn(&mut MethodRecords);
         let cases: [(Change, Standing, &str); 13] = [
             (
                 |m| m.verdict.inputs[0].1 = "x".into(),
@@ -441,7 +442,7 @@ mod tests {
     #[test]
     fn a_refinement_left_over_from_another_surface_is_out_of_date() {
         // Its prediction is of that surface too; nothing about it is false.
-        let run = RunParts { surface: Part { digest: "new".into(), record: None }, ..run() };
+        let run = RunRecords { surface: Recorded { digest: "new".into(), record: None }, ..run() };
         let (standing, reasons) = one(&run, refined());
         assert_eq!(standing, Standing::OutOfDate, "{reasons}");
         assert!(
@@ -458,7 +459,7 @@ mod tests {
     fn a_method_with_dwell_times_of_its_own_is_scheduled_from_them() {
         let own = |digest: &str| {
             let mut m = scheduled();
-            m.dwell = Some(Part { digest: digest.into(), record: None });
+            m.dwell = Some(Recorded { digest: digest.into(), record: None });
             set(&mut m.trajectory, "dwell", "own");
             m
         };
@@ -469,19 +470,19 @@ mod tests {
 
     #[test]
     fn arrays_without_a_record_are_not_checked_and_that_is_said() {
-        let bare = |digest: &str| Part { digest: digest.into(), record: None };
-        let method = MethodParts {
+        let bare = |digest: &str| Recorded { digest: digest.into(), record: None };
+        let method = MethodRecords {
             trajectory: bare("motion"),
             removal: bare("removal"),
             verdict: Record::default(),
             limits_kept: (true, None),
-            ..MethodParts::default()
+            ..MethodRecords::default()
         };
         let found = check(&run(), &[method]).remove(0);
         assert_eq!(found.standing, Standing::Valid);
         assert!(found.remarks[0].ends_with("trajectory, removal, verdict"), "{found:?}");
         // A script in the place of the dwell solver: everything after it is checked all the same.
-        let run = RunParts { dwell: Some(bare("dwell")), ..run() };
+        let run = RunRecords { dwell: Some(bare("dwell")), ..run() };
         assert!(check(&run, &[scheduled()])[0].remarks.is_empty());
         let mut other = scheduled();
         set(&mut other.trajectory, "dwell", "x");

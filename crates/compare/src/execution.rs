@@ -14,16 +14,8 @@
 //! | c | `coefficient_mm` | (k, 2, 4) | mm/s^order |
 
 use planish_numerics::polynomial::{evaluate, range};
-use planish_types::{
-    DwellTime, Invalid, Trajectory,
-    text::{fixed, visible},
-};
+use planish_types::{DwellTime, Invalid, Trajectory};
 use serde::Serialize;
-
-use crate::{
-    summary::Summary,
-    table::{align, pair},
-};
 
 /// An excursion counts above this, mm: what `planish-verify` takes for the tolerance of a position.
 const OVERSHOOT_MM: f64 = 1e-6;
@@ -96,47 +88,6 @@ fn dwell_errors(trajectory: &Trajectory, dwell: &DwellTime) -> Result<Vec<f64>, 
     let off_s = trajectory.served_s(n, |segment| !segment.tool_on)?;
     let only_lifted = |i: usize| off_s[i] > 0.0 && on_s[i] == 0.0;
     Ok((0..n).filter(|i| !only_lifted(*i)).map(|i| on_s[i] - dwell.dwell_s()[i]).collect())
-}
-
-/// Columns of the table: two lines of heading.
-const HEADINGS: [[&str; 2]; 8] = [
-    ["", "method"],
-    ["dwell error RMS", "ms"],
-    ["worst", "ms"],
-    ["overshoot x, y", "points"],
-    ["largest x, y", "um"],
-    ["a step x, y", "mm/s^2"],
-    ["jerk x, y", "mm/s^3"],
-    ["limits", "kept"],
-];
-
-/// How the methods of one or several runs, each with its name, execute their plans; ends with a
-/// newline.
-pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
-    let ms = |s: Option<f64>| s.map_or("-".into(), |s| fixed(1e3 * s, 4));
-    let mut rows: Vec<Vec<String>> = (0..2)
-        .map(|line| {
-            let first = ["", "run"][line].to_string();
-            std::iter::once(first).chain(HEADINGS.iter().map(|h| h[line].to_string())).collect()
-        })
-        .collect();
-    for (name, summary) in runs {
-        for (scheduler, m) in &summary.methods {
-            let e = &m.execution;
-            rows.push(vec![
-                visible(name).into_owned(),
-                visible(scheduler).into_owned(),
-                ms(e.dwell_error_rms_s),
-                ms(e.dwell_error_worst_s),
-                format!("{}, {}", e.overshoot_points[0], e.overshoot_points[1]),
-                pair(e.max_overshoot_mm.map(|mm| 1e3 * mm), 2),
-                pair(m.max_acceleration_step_mm_per_s2, 1),
-                pair(e.max_jerk_mm_per_s3, 0),
-                if m.limits_respected { "yes" } else { "no" }.into(),
-            ]);
-        }
-    }
-    align(&rows, 2)
 }
 
 #[cfg(test)]

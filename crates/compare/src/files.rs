@@ -1,4 +1,4 @@
-//! Where the parts of a run stand, and the arrays of a directory.
+//! Where the artifacts of a run stand, and the arrays of a directory.
 
 use std::{
     collections::BTreeMap,
@@ -9,7 +9,7 @@ use std::{
 
 use ndarray::Ix3;
 use planish_compare::{
-    chain::{self, Chain, MethodParts, Part, Record, RunParts, Standing},
+    chain::{self, Chain, MethodRecords, Record, Recorded, RunRecords, Standing},
     diff::Elements,
     dwell::{Row, Solver},
     plan::Plan,
@@ -26,9 +26,9 @@ use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, 
 use serde::Deserialize;
 use serde_json::Value;
 
-/// The last part of the path of a run.
+/// The last component of the path of a run.
 pub fn name_of(run: &Path) -> String {
-    // A path such as `.` has no last part of its own.
+    // A path such as `.` has no last component of its own.
     let whole = if run.file_name().is_none() { run.canonicalize().ok() } else { None };
     let whole = whole.as_deref().unwrap_or(run);
     whole.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned()
@@ -43,19 +43,19 @@ pub fn read_run(
 ) -> Result<Run, Failure> {
     let mut provenance = Provenance::default();
     let role = number.to_string();
-    let desired: Known<Surface> = read_part(inputs, &role, run, "surface", &mut provenance)?;
+    let desired: Known<Surface> = read_artifact(inputs, &role, run, "surface", &mut provenance)?;
     let path: Option<Known<ToolPath>> =
-        read_optional_part(inputs, &role, run, "tool_path", &mut provenance)?;
+        read_optional_artifact(inputs, &role, run, "tool_path", &mut provenance)?;
     let plan: Option<Known<DwellTime>> =
-        read_optional_part(inputs, &role, run, "dwell", &mut provenance)?;
+        read_optional_artifact(inputs, &role, run, "dwell", &mut provenance)?;
     let measured = match names.measured {
         Some(dir) => Some(inputs.read("measured", dir)?),
         None => None,
     };
-    let parts = RunParts {
-        surface: desired.part,
-        tool_path: path.as_ref().map(|p| p.part.clone()),
-        dwell: plan.as_ref().map(|p| p.part.clone()),
+    let records = RunRecords {
+        surface: desired.recorded,
+        tool_path: path.as_ref().map(|p| p.recorded.clone()),
+        dwell: plan.as_ref().map(|p| p.recorded.clone()),
     };
 
     let methods_dir = run.join("methods");
@@ -72,16 +72,16 @@ pub fn read_run(
         let message = "holds no method; schedule, simulate and verify at least one";
         return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
     }
-    let method_parts: Vec<MethodParts> = read.iter().map(|m| m.parts.clone()).collect();
-    let chains = chain::check(&parts, &method_parts);
+    let method_records: Vec<MethodRecords> = read.iter().map(|m| m.records.clone()).collect();
+    let chains = chain::check(&records, &method_records);
     let shared = Shared {
         desired: &desired.value,
         plan: plan.as_ref().map(|p| &p.value),
         plan_manifest: manifest_of(&provenance, "dwell"),
-        plan_is_for_another: parts
+        plan_is_for_another: records
             .dwell
             .as_ref()
-            .map_or(vec![], |dwell| chain::solved_for_another(&parts, dwell)),
+            .map_or(vec![], |dwell| chain::solved_for_another(&records, dwell)),
     };
     let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
     for (found, chain) in read.into_iter().zip(chains) {
@@ -97,7 +97,7 @@ pub fn read_run(
     }
     let name = name_of(run);
     let pipeline = names.pipeline.unwrap_or(&name);
-    let remarks = chain::check_run(&parts);
+    let remarks = chain::check_run(&records);
     let summary = Summary::new(pipeline, names.fixture, &desired.value, numbers, left_out, remarks);
     let path = path.map(|p| p.value);
     Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
@@ -124,11 +124,11 @@ fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Value> 
 /// An artifact and what is known of where it comes from.
 struct Known<T> {
     value: T,
-    part: Part,
+    recorded: Recorded,
 }
 
 /// Reads the artifact `name` in `dir` and keeps its manifest.
-fn read_part<T: Artifact>(
+fn read_artifact<T: Artifact>(
     inputs: &mut Inputs,
     role: &str,
     dir: &Path,
@@ -142,7 +142,7 @@ fn read_part<T: Artifact>(
     if let Some(manifest) = manifest {
         provenance.push((name.into(), serde_json::to_value(manifest)?));
     }
-    Ok(Known { value, part: Part { digest, record } })
+    Ok(Known { value, recorded: Recorded { digest, record } })
 }
 
 fn record_of(manifest: &Manifest) -> Record {
@@ -151,7 +151,7 @@ fn record_of(manifest: &Manifest) -> Record {
 }
 
 /// The same, where there is one.
-fn read_optional_part<T: Artifact>(
+fn read_optional_artifact<T: Artifact>(
     inputs: &mut Inputs,
     role: &str,
     dir: &Path,
@@ -159,7 +159,7 @@ fn read_optional_part<T: Artifact>(
     provenance: &mut Provenance,
 ) -> Result<Option<Known<T>>, Failure> {
     let exists = dir.join(name).exists();
-    exists.then(|| read_part(inputs, role, dir, name, provenance)).transpose()
+    exists.then(|| read_artifact(inputs, role, dir, name, provenance)).transpose()
 }
 
 /// What one method left.
@@ -174,7 +174,7 @@ struct Found {
     frames: Option<Frames>,
     rounds: Option<Rounds>,
     wall: WallTimes,
-    parts: MethodParts,
+    records: MethodRecords,
     provenance: Provenance,
 }
 
@@ -187,18 +187,18 @@ fn read_method(
 ) -> Result<Found, Failure> {
     let mut provenance = Provenance::default();
     let trajectory: Known<Trajectory> =
-        read_part(inputs, role, &dir, "trajectory", &mut provenance)?;
-    let removal: Known<Removal> = read_part(inputs, role, &dir, "removal", &mut provenance)?;
+        read_artifact(inputs, role, &dir, "trajectory", &mut provenance)?;
+    let removal: Known<Removal> = read_artifact(inputs, role, &dir, "removal", &mut provenance)?;
     let manifest =
         inputs.read_manifest(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
     let (verdict, judged) = (manifest.outcome.clone(), record_of(&manifest));
     provenance.push(("verdict".into(), serde_json::to_value(manifest)?));
     let own_plan: Option<Known<DwellTime>> =
-        read_optional_part(inputs, role, &dir, "dwell", &mut provenance)?;
+        read_optional_artifact(inputs, role, &dir, "dwell", &mut provenance)?;
     let frames: Option<Known<FramesFile>> =
-        read_optional_part(inputs, role, &dir, "frames", &mut provenance)?;
+        read_optional_artifact(inputs, role, &dir, "frames", &mut provenance)?;
     let rounds: Option<Known<RoundsFile>> =
-        read_optional_part(inputs, role, &dir, "iterations", &mut provenance)?;
+        read_optional_artifact(inputs, role, &dir, "iterations", &mut provenance)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
@@ -211,14 +211,14 @@ fn read_method(
     let outcome = |role: &str| manifest_of(&provenance, role).map(|m| &m["outcome"]);
     let claimed = outcome("trajectory").and_then(|o| o["claim"]["limits_respected"].as_bool());
     let best = outcome("iterations").and_then(|o| o["best_round"].as_u64());
-    let parts = MethodParts {
-        trajectory: trajectory.part,
-        removal: removal.part,
+    let records = MethodRecords {
+        trajectory: trajectory.recorded,
+        removal: removal.recorded,
         verdict: judged,
         limits_kept: (verdict["limits_respected"] == true, claimed),
-        dwell: own_plan.as_ref().map(|p| p.part.clone()),
-        frames: frames.as_ref().map(|f| f.part.clone()),
-        iterations: rounds.as_ref().map(|r| r.part.clone()),
+        dwell: own_plan.as_ref().map(|p| p.recorded.clone()),
+        frames: frames.as_ref().map(|f| f.recorded.clone()),
+        iterations: rounds.as_ref().map(|r| r.recorded.clone()),
     };
     Ok(Found {
         name: name.into(),
@@ -230,7 +230,7 @@ fn read_method(
         frames: frames.map(|f| f.value.0),
         rounds: rounds.map(|r| Rounds { best, ..r.value.0 }),
         wall,
-        parts,
+        records,
         provenance,
     })
 }

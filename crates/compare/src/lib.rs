@@ -1,7 +1,7 @@
 //! What came of a run: numbers for programs, a table for people, the difference of two artifacts.
 //!
 //! * [`summary`]: the numbers of `summary.json`.
-//! * [`table`]: the same numbers as a table, methods side by side.
+//! * [`table`]: the same numbers as tables, methods side by side.
 //! * [`dwell`]: dwell solvers side by side.
 //! * [`execution`]: dwell times kept, overshoot, jerk.
 //! * [`report`]: a page to look at, and its figures.

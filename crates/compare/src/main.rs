@@ -13,10 +13,9 @@ use planish_compare::{
     chain::Standing,
     diff::difference,
     dwell,
-    execution::execution_table,
     report::{figure::figures, page, sparkline, views},
     summary::{Summary, to_json},
-    table::{table, table_of_runs},
+    table::{execution_table, table, table_of_runs},
 };
 use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, run, say, task};
 use planish_types::text::visible;

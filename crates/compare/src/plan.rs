@@ -12,9 +12,10 @@ use planish_types::{End, text::significant};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::summary::IDEAL;
+/// The scheduler whose numbers are the ideal: dwell at the dwell points, no dynamics.
+pub const IDEAL: &str = "position";
 
-/// A part of the objective below which a difference is the rounding of its sum.
+/// A fraction of the objective below which a difference is the rounding of its sum.
 const ROUNDING: f64 = 1e-12;
 
 /// The word for a motion that was read back from a controller's program.

@@ -19,11 +19,8 @@ use serde_json::Value;
 use crate::{
     chain::Standing,
     execution::Execution,
-    plan::{PROGRAM, Plan, State},
+    plan::{IDEAL, PROGRAM, Plan, State},
 };
-
-/// The scheduler whose numbers are the ideal: dwell at the dwell points, no dynamics.
-pub const IDEAL: &str = "position";
 
 /// Order of the methods; others follow by name. A refined method follows its base.
 const ORDER: [&str; 6] =
@@ -39,7 +36,7 @@ const SAME_HEIGHT: f64 = 1e-6;
 /// A motion executes a dwell time to this, s: what a dwell solver takes for no change.
 const SAME_DWELL_S: f64 = 1e-6;
 
-/// Two durations are the same to this part: far above the rounding of a sum of segments.
+/// Two durations are the same to this fraction: far above the rounding of a sum of segments.
 const SAME_TIME: f64 = 1e-9;
 
 /// One run: a surface, and what each method made of it.

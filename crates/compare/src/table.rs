@@ -1,4 +1,5 @@
-//! The summary of one or several runs as a plain aligned table.
+//! The summary of one or several runs as plain aligned tables: the results, and how the motions
+//! execute their plans.
 
 use planish_types::text::{fixed, visible};
 
@@ -110,8 +111,8 @@ fn heading(name: &str, summary: &Summary) -> String {
         .into_iter()
         .enumerate()
         // The name of a run is that of its pipeline unless the user gave another.
-        .filter(|(i, part)| !(part.is_empty() || *i == 1 && *part == name))
-        .map(|(_, part)| part)
+        .filter(|(i, word)| !(word.is_empty() || *i == 1 && *word == name))
+        .map(|(_, word)| word)
         .collect();
     let mut text = format!(
         "{}: initial surface {} nm RMS, {} nm PV",
@@ -162,8 +163,51 @@ fn cells_not_valid(scheduler: &str) -> [String; 14] {
     })
 }
 
+/// Columns of the table of executions: two lines of heading.
+const EXECUTION_HEADINGS: [[&str; 2]; 8] = [
+    ["", "method"],
+    ["dwell error RMS", "ms"],
+    ["worst", "ms"],
+    ["overshoot x, y", "points"],
+    ["largest x, y", "um"],
+    ["a step x, y", "mm/s^2"],
+    ["jerk x, y", "mm/s^3"],
+    ["limits", "kept"],
+];
+
+/// How the methods of one or several runs, each with its name, execute their plans; ends with a
+/// newline.
+pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
+    let ms = |s: Option<f64>| s.map_or("-".into(), |s| fixed(1e3 * s, 4));
+    let mut rows: Vec<Vec<String>> = (0..2)
+        .map(|line| {
+            let first = ["", "run"][line].to_string();
+            std::iter::once(first)
+                .chain(EXECUTION_HEADINGS.iter().map(|h| h[line].to_string()))
+                .collect()
+        })
+        .collect();
+    for (name, summary) in runs {
+        for (scheduler, m) in &summary.methods {
+            let e = &m.execution;
+            rows.push(vec![
+                visible(name).into_owned(),
+                visible(scheduler).into_owned(),
+                ms(e.dwell_error_rms_s),
+                ms(e.dwell_error_worst_s),
+                format!("{}, {}", e.overshoot_points[0], e.overshoot_points[1]),
+                pair(e.max_overshoot_mm.map(|mm| 1e3 * mm), 2),
+                pair(m.max_acceleration_step_mm_per_s2, 1),
+                pair(e.max_jerk_mm_per_s3, 0),
+                if m.limits_respected { "yes" } else { "no" }.into(),
+            ]);
+        }
+    }
+    align(&rows, 2)
+}
+
 /// Two numbers in one cell.
-pub(crate) fn pair([x, y]: [f64; 2], decimals: usize) -> String {
+fn pair([x, y]: [f64; 2], decimals: usize) -> String {
     format!("{}, {}", fixed(x, decimals), fixed(y, decimals))
 }
 

@@ -9,6 +9,7 @@
 //! | [`linear`] | symmetric systems (skyline Cholesky, tridiagonal) and Krylov methods |
 //! | [`qp`] | quadratic programs: bounds, non-negativity, chains of neighbours |
 //! | [`motion`] | motions between states, and motions given by a law of time |
+//! | [`spectrum`] | power spectral densities of a rectangle of samples |
 //! | the others | interpolation, polynomials, quadrature and statistics |
 
 pub mod bspline;
@@ -20,5 +21,5 @@ pub mod orthogonal;
 pub mod polynomial;
 pub mod qp;
 pub mod quadrature;
+pub mod spectrum;
 pub mod statistics;
-pub mod ticks;

@@ -6,16 +6,15 @@
 //! T >= sum_i (z_i - z_min) dA / VRR                                                      (1)
 //! ```
 //!
-//! with the tool never beyond the edge. z_min is the height that [`IGNORED`] of the pixels are
-//! below: a pit of a few pixels would ask for a layer of its depth all over the part.
+//! with the tool never beyond the edge. z_min is the height below which the fraction [`IGNORED`] of the
+//! pixels lies: a pit of a few pixels would ask for a layer of its depth all over the mirror.
 
-use std::fmt::Write;
-
-use planish_types::{End, Limits, Surface, Tif, ToolPath};
+use planish_draw::{Frame, Scale, Svg, frame::range};
+use planish_types::{End, Limits, Surface, Tif, ToolPath, text::fixed};
 
 use crate::{Iterate, RefineError, Settings, refine};
 
-/// Part of the pixels that z_min leaves below.
+/// Fraction of the pixels that are below z_min.
 pub const IGNORED: f64 = 1e-3;
 
 /// One price.
@@ -74,87 +73,73 @@ pub fn trade_off(
     Ok(points)
 }
 
-const WIDTH: f64 = 720.0;
-const HEIGHT: f64 = 440.0;
-/// Left, top, right, bottom.
-const MARGIN: [f64; 4] = [80.0, 40.0, 30.0, 60.0];
+/// Height of the texts, px of the picture.
+const FONT_PX: f64 = 14.0;
+
+/// Width and height of the frame, px.
+const SIZE_PX: [f64; 2] = [610.0, 340.0];
+
+/// Left, top, right and bottom of the frame, px.
+const MARGIN_PX: [f64; 4] = [80.0, 40.0, 30.0, 60.0];
+
+/// Least residual that is drawn, nm: a logarithm needs a positive value.
+const LEAST_RMS_NM: f64 = 1e-12;
+
+const CURVE: &str = "#365c8d";
+const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
 /// The curve as SVG text: total time to the right, residual upwards (logarithmic), the bound (1)
 /// dashed.
 pub fn svg(points: &[Point], least_time_s: f64) -> String {
-    let times = points.iter().map(|p| p.best.total_time_s);
-    let end = 1.08 * times.fold(least_time_s, f64::max);
-    let rms = || points.iter().map(|p| p.best.rms_nm.max(1e-12).log10());
-    let (low, high) = (rms().fold(f64::MAX, f64::min), rms().fold(f64::MIN, f64::max));
-    let (low, high) = (low - 0.1, high + 0.1);
-    let [left, top, right, bottom] = MARGIN;
-    let x = |t: f64| left + (WIDTH - left - right) * t / end;
-    let y = |r: f64| HEIGHT - bottom - (HEIGHT - top - bottom) * (r - low) / (high - low);
+    let curve: Vec<[f64; 2]> =
+        points.iter().map(|p| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)]).collect();
+    let end_s = 1.08 * curve.iter().map(|p| p[0]).fold(least_time_s, f64::max);
+    // A tenth of a decade of room below and above.
+    let [low, high] = range(curve.iter().map(|p| p[1].log10()));
+    let rms = [low - 0.1, high + 0.1].map(|power| 10_f64.powf(power));
+    let scales = [Scale::linear([0.0, end_s]), Scale::logarithmic(rms)];
+    let frame = Frame::new([0.0; 2], SIZE_PX, MARGIN_PX, scales);
 
-    let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" \
-         font-family=\"sans-serif\" font-size=\"14\">\n\
-         <rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"white\"/>\n"
-    );
-    let mut line = |x1: f64, y1: f64, x2: f64, y2: f64, style: &str| {
-        let _ = writeln!(
-            out,
-            "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" {style}/>"
-        );
-    };
-    let (axis_y, grey) = (HEIGHT - bottom, "stroke=\"#dddddd\"");
-    let step = nice_step(end / 6.0);
-    let time_ticks: Vec<f64> =
-        (0..).map(|k: u32| f64::from(k) * step).take_while(|t| *t <= end).collect();
-    let rms_ticks: Vec<f64> = (-6..6)
-        .flat_map(|d| [1.0, 1.5, 2.0, 3.0, 5.0, 7.0].map(|m| m * 10_f64.powi(d)))
-        .filter(|r| (low..=high).contains(&r.log10()))
-        .collect();
-    for t in &time_ticks {
-        line(x(*t), top, x(*t), axis_y, grey);
+    let mut svg = Svg::new(FONT_PX);
+    frame.grid(&mut svg);
+    frame.axes(&mut svg, ["total time (s)", "RMS of the executed residual (nm)"]);
+    frame.upright(&mut svg, least_time_s, BOUND);
+    let label = format!("volume / VRR = {} s", fixed(least_time_s, 1));
+    svg.text([frame.at([least_time_s, 1.0])[0] + 8.0, frame.top + 16.0], "", &label);
+    frame.curve(&mut svg, curve.iter().copied(), CURVE);
+    for point in curve {
+        let [x, y] = frame.at(point);
+        svg.put(format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{CURVE}\"/>"));
     }
-    for r in &rms_ticks {
-        line(left, y(r.log10()), WIDTH - right, y(r.log10()), grey);
-    }
-    line(left, axis_y, WIDTH - right, axis_y, "stroke=\"black\"");
-    line(left, top, left, axis_y, "stroke=\"black\"");
-    let bound = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
-    line(x(least_time_s), top, x(least_time_s), axis_y, bound);
-    let mut text = |x: f64, y: f64, anchor: &str, what: &str| {
-        let _ =
-            writeln!(out, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{what}</text>");
-    };
-    for t in &time_ticks {
-        text(x(*t), axis_y + 20.0, "middle", &format!("{t}"));
-    }
-    for r in &rms_ticks {
-        text(left - 8.0, y(r.log10()) + 5.0, "end", &format!("{}", (r * 1e7).round() / 1e7));
-    }
-    text(0.5 * (left + WIDTH - right), HEIGHT - 15.0, "middle", "total time, s");
-    text(left - 60.0, top - 15.0, "start", "executed residual RMS, nm");
-    let label = format!("volume / VRR = {least_time_s:.1} s");
-    text(x(least_time_s) + 8.0, top + 16.0, "start", &label);
-    let curve: Vec<String> = points
-        .iter()
-        .map(|p| {
-            format!("{:.1},{:.1}", x(p.best.total_time_s), y(p.best.rms_nm.max(1e-12).log10()))
-        })
-        .collect();
-    let _ = writeln!(
-        out,
-        "<polyline points=\"{}\" fill=\"none\" stroke=\"#365c8d\" stroke-width=\"2\"/>",
-        curve.join(" ")
-    );
-    for c in &curve {
-        let (cx, cy) = c.split_once(',').expect("written above");
-        let _ = writeln!(out, "<circle cx=\"{cx}\" cy=\"{cy}\" r=\"4\" fill=\"#365c8d\"/>");
-    }
-    out.push_str("</svg>\n");
-    out
+    let [left, top, right, bottom] = MARGIN_PX;
+    svg.finish([left + SIZE_PX[0] + right, top + SIZE_PX[1] + bottom])
 }
 
-/// 1, 2 or 5 times a power of ten, at least `least`.
-fn nice_step(least: f64) -> f64 {
-    let decade = 10_f64.powf(least.max(f64::MIN_POSITIVE).log10().floor());
-    [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * decade).find(|s| *s >= least).unwrap_or(decade)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_plan_is_a_dot_and_the_bound_is_where_its_time_is() {
+        let point = |total_time_s: f64, rms_nm: f64| Point {
+            time_weight_nm2_per_s: 0.0,
+            best: Iterate {
+                dwell_s: vec![total_time_s],
+                rms_nm,
+                detilted_nm: rms_nm,
+                merit_nm: rms_nm,
+                total_time_s,
+                stretched: 0,
+                limits_respected: true,
+            },
+            end: End::NoImprovement,
+        };
+        let svg = svg(&[point(100.0, 0.5), point(200.0, 0.0)], 54.0);
+        assert_eq!(svg.matches("<circle").count(), 2);
+        // The axis ends 8 % beyond 200 s: a quarter of its 610 px is 54 s, from 80 px.
+        assert!(svg.contains("stroke-dasharray=\"6 4\" d=\"M232.5 40.0v340.0\""), "{svg}");
+        // The longest plan: 80 + 610 / 1.08.
+        assert!(svg.contains("<circle cx=\"644.8\""), "{svg}");
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    }
 }

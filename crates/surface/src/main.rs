@@ -486,7 +486,7 @@ fn psd_stage(args: &PsdArgs) -> Result<Status, Failure> {
          spectrum {:.4} nm",
         r.shape.1,
         r.shape.0,
-        100.0 * r.share_of_valid_pixels,
+        100.0 * r.fraction_of_valid_pixels,
         r.rms_nm,
         r.spectral_rms_nm
     ));

@@ -1,26 +1,15 @@
 //! Power spectral densities of a rectangle of a map: along x, along y, in two dimensions, radial.
 //!
+//! The mathematics is [`planish_numerics::spectrum`], in nm and mm; the plane or the mean of the
+//! rectangle is taken off first.
+//!
 //! ```text
-//! F[k, l] = dx dy sum z w exp(-2 pi i (k r / ny + l c / nx)),   w = w_y(r) w_x(c)
-//! two-dimensional  S[k, l] = |F|^2 / (nx dx ny dy mean(w^2)),    nm^2 mm^2, both signs of f
 //! radial           mean of S over the ring |f| = (k +- 1/2) df,  nm^2 mm^2
-//! along x          mean over the rows of  2 dx |sum z w_x exp(..)|^2 / (nx mean(w_x^2)),
-//!                  nm^2 mm, f >= 0; not doubled at f = 0 and at the Nyquist frequency
 //! band RMS^2 = sum of S df over the bins with f_0 <= f < f_1
 //! ```
 //!
-//! so that the sum of S df over all bins is the variance of the (windowed) map, exactly (Parseval),
-//! and adjoining bands add up. The plane or the mean of the rectangle is taken off first.
-//!
-//! The Hann window keeps what is not periodic in the rectangle (nearly everything) from leaking
-//! over all frequencies; it gives the middle of the map more weight than the edges. Without a
-//! window the band RMS weighs all pixels alike, and high bands hold the leakage of low ones.
-//!
-//! The rectangle has no invalid pixel: a filled-up or zero-padded one would have another spectrum.
-//! On a circular aperture it is the largest inscribed one.
-//!
-//! Source: J. M. Elson, J. M. Bennett, Appl. Opt. 34 (1995) 201; ISO 10110-8 (one-sided along a
-//! line); F. J. Harris, Proc. IEEE 66 (1978) 51 (windows).
+//! The rectangle is the largest one without an invalid pixel; on a circular aperture that is the
+//! inscribed square. A report takes its spectra from the same rectangle.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -28,18 +17,15 @@
 //! | f | `frequency_*_per_mm` | | 1/mm |
 //! | S | `psd_*` | | nm^2 mm^2, nm^2 mm |
 
-use std::f64::consts::PI;
-
 use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::{
-    fft::transform,
-    statistics::{fit_plane, statistics, subtract_plane},
+    spectrum::{
+        Density, MIN_SAMPLES, along_rows, hann, largest_rectangle, without_mean, without_plane,
+    },
+    statistics::statistics,
 };
 use planish_types::{Grid, Invalid, Surface};
 use serde::Serialize;
-
-/// Fewest pixels along an axis of the rectangle.
-const MIN_PIXELS: usize = 8;
 
 /// How the spectrum is taken.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -109,7 +95,7 @@ pub struct PsdReport {
     /// Its pixels (rows, columns).
     pub shape: (usize, usize),
     /// Its pixels over the valid pixels of the map.
-    pub share_of_valid_pixels: f64,
+    pub fraction_of_valid_pixels: f64,
     /// RMS of the detrended rectangle without a window, nm.
     pub rms_nm: f64,
     /// Root of the integral of the two-dimensional PSD: the RMS weighted by the window, nm.
@@ -134,54 +120,39 @@ pub struct BandRms {
 /// The spectra of the largest rectangle of valid pixels of `surface`.
 pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     let (origin, (ny, nx)) = largest_rectangle(&surface.height_nm().mapv(|v| !v.is_nan()));
-    if ny < MIN_PIXELS || nx < MIN_PIXELS {
+    if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
         return Err(Invalid::whole(
             "psd",
             format!("the largest rectangle of valid pixels has {nx} x {ny} px"),
             format!(
-                "give a map with at least {MIN_PIXELS} x {MIN_PIXELS} px without a hole \
+                "give a map with at least {MIN_SAMPLES} x {MIN_SAMPLES} px without a hole \
                  (planish-surface prepare --fill fills them)"
             ),
         ));
     }
-    let part = s![origin.0..origin.0 + ny, origin.1..origin.1 + nx];
+    let rectangle = s![origin.0..origin.0 + ny, origin.1..origin.1 + nx];
     let grid = Grid {
         x: surface.grid().x.crop(origin.1, origin.1 + nx - 1)?,
         y: surface.grid().y.crop(origin.0, origin.0 + ny - 1)?,
     };
-    let z = detrended(surface.height_nm().slice(part), &grid, settings.detrend);
+    let z = detrended(surface.height_nm().slice(rectangle), &grid, settings.detrend);
     let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
-    let (w_x, w_y) = (window(settings.window, nx), window(settings.window, ny));
+    let (w_x, w_y) = (weights(settings.window, nx), weights(settings.window, ny));
 
-    // S = |F|^2 / (nx dx ny dy mean(w^2)), F = dx dy DFT(z w)
-    let weighted = Array2::from_shape_fn((ny, nx), |(r, c)| z[[r, c]] * w_y[r] * w_x[c]);
-    let scale = dx * dy / ((nx * ny) as f64 * mean_square(&w_x) * mean_square(&w_y));
-    let power = transform::forward(weighted.view()).mapv(|v| v.norm_sqr() * scale);
-    let (order_x, order_y) = (ascending(nx), ascending(ny));
-    let at = |k: usize, n: usize, step: f64| transform::frequency(k, n) / step;
-    let frequency_2d_x_per_mm: Vec<f64> = order_x.iter().map(|k| at(*k, nx, dx)).collect();
-    let frequency_2d_y_per_mm: Vec<f64> = order_y.iter().map(|k| at(*k, ny, dy)).collect();
-    let psd_2d_nm2_mm2 = Array2::from_shape_fn((ny, nx), |(r, c)| power[[order_y[r], order_x[c]]]);
-
+    let density = Density::of(z.view(), [dx, dy], [&w_x, &w_y]);
     let (frequency_x_per_mm, psd_x_nm2_mm) = along_rows(z.view(), dx, &w_x);
     let (frequency_y_per_mm, psd_y_nm2_mm) = along_rows(z.t(), dy, &w_y);
-    let frequencies = (&frequency_2d_y_per_mm[..], &frequency_2d_x_per_mm[..]);
-    let (frequency_radial_per_mm, psd_radial_nm2_mm2) = radial(&psd_2d_nm2_mm2, frequencies);
+    let (frequency_radial_per_mm, psd_radial_nm2_mm2) = radial(&density);
 
     // band RMS^2 = sum of S df
-    let df2 = 1.0 / (nx as f64 * dx * ny as f64 * dy);
     let in_band = |band: [f64; 2]| {
-        let of = |f: f64| f >= band[0] && f < band[1];
         let line = |f: &[f64], s: &[f64]| {
-            let sum: f64 = f.iter().zip(s).filter(|(f, _)| of(**f)).map(|(_, s)| s).sum();
-            (sum * f[1]).sqrt()
+            let inside = f.iter().zip(s).filter(|(f, _)| **f >= band[0] && **f < band[1]);
+            (inside.map(|(_, s)| s).sum::<f64>() * f[1]).sqrt()
         };
-        let both = psd_2d_nm2_mm2
-            .indexed_iter()
-            .filter(|((r, c), _)| of(frequency_2d_x_per_mm[*c].hypot(frequency_2d_y_per_mm[*r])));
         BandRms {
             band_per_mm: band,
-            rms_nm: (both.map(|(_, s)| s).sum::<f64>() * df2).sqrt(),
+            rms_nm: density.mean_square(band).sqrt(),
             rms_x_nm: line(&frequency_x_per_mm, &psd_x_nm2_mm),
             rms_y_nm: line(&frequency_y_per_mm, &psd_y_nm2_mm),
         }
@@ -196,15 +167,15 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
         x_mm: [grid.x.start_mm(), grid.x.end_mm()],
         y_mm: [grid.y.start_mm(), grid.y.end_mm()],
         shape: (ny, nx),
-        share_of_valid_pixels: (nx * ny) as f64 / surface.statistics().valid_count as f64,
+        fraction_of_valid_pixels: (nx * ny) as f64 / surface.statistics().valid_count as f64,
         rms_nm: statistics(z.view()).map_or(0.0, |s| s.rms),
-        spectral_rms_nm: (psd_2d_nm2_mm2.sum() * df2).sqrt(),
+        spectral_rms_nm: density.total().sqrt(),
         bands,
     };
     Ok(Psd {
-        frequency_2d_x_per_mm,
-        frequency_2d_y_per_mm,
-        psd_2d_nm2_mm2,
+        frequency_2d_x_per_mm: density.frequency_x,
+        frequency_2d_y_per_mm: density.frequency_y,
+        psd_2d_nm2_mm2: density.density,
         frequency_x_per_mm,
         psd_x_nm2_mm,
         frequency_y_per_mm,
@@ -227,93 +198,30 @@ fn check_band([low, high]: [f64; 2], lowest: f64, highest: f64) -> Result<(), In
 }
 
 fn detrended(z: ArrayView2<f64>, grid: &Grid, detrend: Detrend) -> Array2<f64> {
-    let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-    let flat = match detrend {
-        Detrend::Plane => fit_plane(z, &x, &y).map(|p| subtract_plane(z, &x, &y, p)),
-        Detrend::Mean => None,
-    };
-    let flat = flat.unwrap_or_else(|| z.to_owned());
-    let mean = flat.mean().unwrap_or(0.0);
-    flat - mean
-}
-
-fn window(window: Window, n: usize) -> Vec<f64> {
-    let at = |i: usize| match window {
-        Window::Hann => 0.5 * (1.0 - (2.0 * PI * i as f64 / n as f64).cos()),
-        Window::Rectangular => 1.0,
-    };
-    (0..n).map(at).collect()
-}
-
-fn mean_square(w: &[f64]) -> f64 {
-    w.iter().map(|w| w * w).sum::<f64>() / w.len() as f64
-}
-
-/// Elements of a transform of length `n` by ascending frequency.
-fn ascending(n: usize) -> Vec<usize> {
-    (n / 2 + 1..n).chain(0..=n / 2).collect()
-}
-
-/// Frequencies and the mean one-sided PSD of the rows.
-fn along_rows(z: ArrayView2<f64>, step_mm: f64, w: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let (rows, n) = z.dim();
-    let mut sums = vec![0.0; n / 2 + 1];
-    for row in z.outer_iter() {
-        let line = Array2::from_shape_fn((1, n), |(_, c)| row[c] * w[c]);
-        let spectrum = transform::forward(line.view());
-        sums.iter_mut().zip(&spectrum).for_each(|(s, v)| *s += v.norm_sqr());
+    match detrend {
+        Detrend::Plane => without_plane(z, &grid.x.coordinates(), &grid.y.coordinates()),
+        Detrend::Mean => without_mean(z),
     }
-    let scale = step_mm / (n as f64 * mean_square(w) * rows as f64);
-    let once = |k: usize| k == 0 || 2 * k == n;
-    let psd = sums.iter().enumerate();
-    let psd = psd.map(|(k, s)| s * scale * if once(k) { 1.0 } else { 2.0 }).collect();
-    ((0..=n / 2).map(|k| k as f64 / (n as f64 * step_mm)).collect(), psd)
+}
+
+fn weights(window: Window, n: usize) -> Vec<f64> {
+    match window {
+        Window::Hann => hann(n),
+        Window::Rectangular => vec![1.0; n],
+    }
 }
 
 /// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist
 /// frequency; the ring about 0 holds what is nearer to 0 than half a step.
-fn radial(power: &Array2<f64>, (fy, fx): (&[f64], &[f64])) -> (Vec<f64>, Vec<f64>) {
+fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
+    let (fx, fy) = (&density.frequency_x, &density.frequency_y);
     let df = (fx[1] - fx[0]).max(fy[1] - fy[0]);
     let nyquist = fx[fx.len() - 1].min(fy[fy.len() - 1]);
-    let rings = (nyquist / df + 1e-9).floor() as usize + 1;
-    let (mut sum, mut count) = (vec![0.0; rings], vec![0_usize; rings]);
-    for ((r, c), s) in power.indexed_iter() {
-        let ring = (fx[c].hypot(fy[r]) / df).round() as usize;
-        if ring < rings {
-            sum[ring] += s;
-            count[ring] += 1;
-        }
-    }
-    let mean = sum.iter().zip(&count).map(|(s, n)| s / *n as f64).collect();
-    ((0..rings).map(|k| k as f64 * df).collect(), mean)
-}
-
-/// The largest rectangle of true by area: its first (row, column) and its (rows, columns). Of
-/// equal ones the first.
-fn largest_rectangle(flags: &Array2<bool>) -> ((usize, usize), (usize, usize)) {
-    let (ny, nx) = flags.dim();
-    let mut best = ((0, 0), (0, 0));
-    let mut height = vec![0_usize; nx];
-    for r in 0..ny {
-        for c in 0..nx {
-            height[c] = if flags[[r, c]] { height[c] + 1 } else { 0 };
-        }
-        // Columns of ascending heights whose rectangles are still open: (first column, height).
-        let mut open: Vec<(usize, usize)> = Vec::new();
-        for c in 0..=nx {
-            let h = if c < nx { height[c] } else { 0 };
-            let mut start = c;
-            while let Some(&(first, tall)) = open.last().filter(|o| o.1 >= h) {
-                if tall * (c - first) > best.1.0 * best.1.1 {
-                    best = ((r + 1 - tall, first), (tall, c - first));
-                }
-                start = first;
-                open.pop();
-            }
-            open.push((start, h));
-        }
-    }
-    best
+    let count = (nyquist / df + 1e-9).floor() as usize + 1;
+    let rings = density.rings(count, |f| Some((f / df).round() as usize));
+    // Rings are as wide as the coarser step: each has a bin on an axis.
+    let means = rings.iter().map(|ring| ring.map_or(f64::NAN, |r| r.density)).collect();
+    ((0..count).map(|k| k as f64 * df).collect(), means)
 }
 
 /// The frequency at which `along` is largest, for a message.
@@ -325,10 +233,12 @@ pub fn strongest_per_mm(frequency_per_mm: &[f64], along: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planish_numerics::spectrum::mean_square;
     use planish_types::Axis;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
+    use std::f64::consts::PI;
 
     const WINDOWS: [Window; 2] = [Window::Hann, Window::Rectangular];
 
@@ -375,7 +285,7 @@ mod tests {
             let surface = map(grid(nx, ny), |_| rng.random_range(-3.0..5.0));
             for window in WINDOWS {
                 let p = psd(&surface, &settings(window, vec![[0.0, 99.0]])).unwrap();
-                let (w_x, w_y) = (super::window(window, nx), super::window(window, ny));
+                let (w_x, w_y) = (weights(window, nx), weights(window, ny));
                 let mean = surface.statistics().mean;
                 let z = |r: usize, c: usize| surface.height_nm()[[r, c]] - mean;
                 let (mut both, mut along_x) = (0.0, 0.0);
@@ -465,26 +375,6 @@ mod tests {
         assert!(psd(&surface, &with).unwrap().report.bands[0].rms_nm < 1e-10);
         let without = psd(&surface, &settings(Window::Rectangular, band)).unwrap();
         assert!(without.report.bands[0].rms_nm > 1.0);
-    }
-
-    #[test]
-    fn the_largest_rectangle_is_found_like_by_trying_all() {
-        let mut rng = ChaCha8Rng::seed_from_u64(12);
-        for _ in 0..40 {
-            let (ny, nx) = (rng.random_range(1..8), rng.random_range(1..9));
-            let flags = Array2::from_shape_simple_fn((ny, nx), || rng.random_range(0.0..1.0) < 0.7);
-            let mut want = 0;
-            for (r0, c0) in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
-                for (r1, c1) in (r0..ny).flat_map(|r| (c0..nx).map(move |c| (r, c))) {
-                    if flags.slice(s![r0..=r1, c0..=c1]).iter().all(|f| *f) {
-                        want = want.max((r1 + 1 - r0) * (c1 + 1 - c0));
-                    }
-                }
-            }
-            let ((r, c), (h, w)) = largest_rectangle(&flags);
-            assert_eq!(h * w, want, "{flags:?}");
-            assert!(flags.slice(s![r..r + h, c..c + w]).iter().all(|f| *f));
-        }
     }
 
     #[test]

@@ -72,7 +72,7 @@ pub fn block_means(map: ArrayView2<f64>, every: usize) -> Array2<f64> {
     sum / count
 }
 
-/// Shares of the pixels in equal bins of height, the mean removed.
+/// Fractions of the pixels in equal bins of height, the mean removed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
     /// Lower edge of the first bin, nm.

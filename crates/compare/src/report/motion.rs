@@ -61,7 +61,8 @@ pub fn line(t: &Trajectory, most: usize) -> Line {
     line
 }
 
-/// Smallest and largest value of one quantity on one axis, piece by piece.
+/// Smallest and largest value of one quantity on one axis, piece by piece: what plots call a min-max
+/// envelope.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
     /// Smallest values.
@@ -69,6 +70,13 @@ pub struct Envelope {
     /// Largest values.
     pub high: Vec<f64>,
 }
+
+/// Keys of the quantities of [`Ranges::envelope`] in a verdict, and their names on the page.
+pub const QUANTITIES: [(&str, &str); 3] = [
+    ("velocity_mm_per_s", "velocity"),
+    ("acceleration_mm_per_s2", "acceleration"),
+    ("jerk_mm_per_s3", "jerk"),
+];
 
 /// Ranges of a motion.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -2,7 +2,7 @@
 
 use planish_types::text::{fixed, visible};
 
-use super::{View, map::Histogram, motion::Ranges};
+use super::{map::Histogram, motion::Ranges, view::View};
 
 const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
@@ -24,9 +24,9 @@ pub fn sparkline(values: &[f64]) -> String {
 pub fn plots(views: &[View]) -> String {
     let mut rows: Vec<[String; 3]> = Vec::new();
     for view in views {
-        let name = |part: &str| match views.len() {
-            1 => visible(part).into_owned(),
-            _ => visible(&format!("{} {part}", view.name)).into_owned(),
+        let name = |method: &str| match views.len() {
+            1 => visible(method).into_owned(),
+            _ => visible(&format!("{} {method}", view.name)).into_owned(),
         };
         rows.push([name("before"), heights(&view.before.0), of_heights(&view.before.0)]);
         for m in &view.methods {
@@ -51,17 +51,17 @@ fn of_heights(h: &Histogram) -> String {
     format!("heights, {low} to {high} nm about the mean")
 }
 
-/// Means over equal parts of the bins.
+/// Means over equal numbers of bins.
 fn heights(h: &Histogram) -> String {
     let n = h.density_per_nm.len();
-    let part = |i: usize| {
+    let mean = |i: usize| {
         let bins = &h.density_per_nm[i * n / WIDTH..((i + 1) * n / WIDTH).max(i * n / WIDTH + 1)];
         bins.iter().sum::<f64>() / bins.len() as f64
     };
-    sparkline(&(0..WIDTH).map(part).collect::<Vec<_>>())
+    sparkline(&(0..WIDTH).map(mean).collect::<Vec<_>>())
 }
 
-/// Largest speed in equal parts of the time, from the ranges of both axes, and the largest of all.
+/// Largest speed in equal lengths of time, from the ranges of both axes, and the largest of all.
 fn speed(ranges: &Ranges) -> (String, f64) {
     let total = ranges.end_s.last().copied().unwrap_or(1.0);
     let column = |t: f64| ((t / total * WIDTH as f64) as usize).min(WIDTH - 1);

@@ -1,20 +1,18 @@
-//! Power spectral density of a map, averaged over the directions.
+//! Power spectral density of a map, averaged over the directions, and the RMS of three bands.
+//!
+//! It is that of `planish-surface psd` with its defaults, of the same rectangle: the largest one
+//! without an invalid pixel, its plane taken off, under a Hann window
+//! ([`planish_numerics::spectrum`]). Before and after have their invalid pixels at the same places, so
+//! their spectra are of the same rectangle; how much of the map that is stands beside them.
 //!
 //! ```text
-//! S(f) = |FFT(w (z - plane))|^2 dx dy / sum(w^2)        nm^2 mm^2, two-sided
-//! PSD(|f|) = mean of S over the ring of |f|
-//! RMS of a band = sqrt(sum of S df_x df_y over the band)
+//! PSD(|f|) = mean of S over the ring of |f|             nm^2 mm^2
+//! RMS of a band = sqrt(sum of S df over the band)
 //! ```
-//!
-//! `w` is a separable Hann window over the map, zero on invalid pixels; the sum over all bands is
-//! the variance weighted with w^2. A mask with an edge inside the window spreads some of the low
-//! frequencies over the others.
 
-use ndarray::{Array2, ArrayView2};
-use planish_numerics::{
-    fft::smooth_size,
-    fft::transform::{forward, frequency},
-    statistics::{fit_plane, statistics, subtract_plane},
+use ndarray::{ArrayView2, s};
+use planish_numerics::spectrum::{
+    Density, MIN_SAMPLES, Ring, hann, largest_rectangle, without_plane,
 };
 use planish_types::Grid;
 use serde::Serialize;
@@ -25,71 +23,63 @@ pub const BAND_PERIOD_MM: [f64; 2] = [10.0, 1.0];
 /// Rings per decade of frequency.
 const PER_DECADE: f64 = 20.0;
 
+/// Fraction of a ring by which a frequency may lie below the first one: rounding.
+const SLACK: f64 = 1e-9;
+
 /// A spectrum and the RMS of its bands.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Spectrum {
+    /// Lengths of the rectangle along x and y, mm.
+    pub size_mm: [f64; 2],
+    /// Its pixels over the valid pixels of the map.
+    pub fraction_of_valid_pixels: f64,
     /// Mean frequency of each ring, 1/mm.
     pub frequency_per_mm: Vec<f64>,
     /// Mean of the two-dimensional density over the ring, nm^2 mm^2.
     pub psd_nm2_mm2: Vec<f64>,
-    /// RMS of the periods above 10 mm, between, and below 1 mm; nm.
+    /// RMS of the periods above 10 mm, between, and of 1 mm and below; nm.
     pub band_rms_nm: [f64; 3],
 }
 
-/// The spectrum of `map` (ny, nx), plane removed.
-pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Spectrum {
+/// The spectrum of `map` (ny, nx); `None` where no rectangle of valid pixels is large enough.
+pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
+    let valid = map.mapv(|v| !v.is_nan());
+    let ((row, column), (ny, nx)) = largest_rectangle(&valid);
+    if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
+        return None;
+    }
     let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-    let level = match fit_plane(map, &x, &y) {
-        Some(plane) => subtract_plane(map, &x, &y, plane),
-        None => map.mapv(|v| v - statistics(map).map_or(0.0, |s| s.mean)),
+    let (columns, rows) = (column..column + nx, row..row + ny);
+    let rectangle = map.slice(s![rows.clone(), columns.clone()]);
+    let z = without_plane(rectangle, &x[columns], &y[rows]);
+    let step_mm = [grid.x.step_mm(), grid.y.step_mm()];
+    let density = Density::of(z.view(), step_mm, [&hann(nx), &hann(ny)]);
+
+    let size_mm = [nx as f64 * step_mm[0], ny as f64 * step_mm[1]];
+    // Frequencies below that of the rectangle itself are not resolved.
+    let lowest = 1.0 / size_mm[0].max(size_mm[1]);
+    let highest = 0.5 / step_mm[0].max(step_mm[1]);
+    let count = ((highest / lowest).log10() * PER_DECADE).ceil().max(1.0) as usize;
+    let ring_of = |f: f64| {
+        let ring = ((f / lowest).log10() * PER_DECADE + SLACK).floor();
+        (ring >= 0.0).then_some(ring as usize)
     };
-    let (wx, wy) = (hann(x.len()), hann(y.len()));
-    let mut weight = 0.0;
-    // Padded with zeros to sizes that are fast.
-    let (py, px) = (smooth_size(y.len()), smooth_size(x.len()));
-    let mut windowed = Array2::zeros((py, px));
-    for ((r, c), z) in level.indexed_iter().filter(|(_, z)| !z.is_nan()) {
-        let w = wx[c] * wy[r];
-        weight += w * w;
-        windowed[[r, c]] = w * z;
-    }
-
-    let field = forward(windowed.view());
-    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
-    let (dfx, dfy) = (1.0 / (px as f64 * dx), 1.0 / (py as f64 * dy));
-    // Frequencies below that of the map itself are not resolved.
-    let lowest = 1.0 / (dx * x.len() as f64).max(dy * y.len() as f64);
-    let highest = 0.5 / dx.max(dy);
-    let rings = ((highest / lowest).log10() * PER_DECADE).ceil().max(1.0) as usize;
-    let mut sums = vec![[0.0_f64; 3]; rings]; // S, |f|, count
-    let mut band_power = [0.0; 3];
-    for ((ky, kx), a) in field.indexed_iter() {
-        let f = (frequency(kx, px) / dx).hypot(frequency(ky, py) / dy);
-        let s = a.norm_sqr() * dx * dy / weight.max(f64::MIN_POSITIVE);
-        let band = BAND_PERIOD_MM.iter().filter(|period| f * *period > 1.0).count();
-        band_power[band] += s * dfx * dfy;
-        let ring = ((f / lowest).log10() * PER_DECADE).floor();
-        if ring >= 0.0 && (ring as usize) < rings {
-            let sum = &mut sums[ring as usize];
-            *sum = [sum[0] + s, sum[1] + f, sum[2] + 1.0];
-        }
-    }
-    sums.retain(|s| s[2] > 0.0);
-    Spectrum {
-        frequency_per_mm: sums.iter().map(|s| s[1] / s[2]).collect(),
-        psd_nm2_mm2: sums.iter().map(|s| s[0] / s[2]).collect(),
-        band_rms_nm: band_power.map(f64::sqrt),
-    }
-}
-
-fn hann(n: usize) -> Vec<f64> {
-    let phase = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) / n as f64;
-    (0..n).map(|i| phase(i).sin().powi(2)).collect()
+    let rings: Vec<Ring> = density.rings(count, ring_of).into_iter().flatten().collect();
+    let [long, short] = BAND_PERIOD_MM.map(|period| 1.0 / period);
+    let bands = [[0.0, long], [long, short], [short, f64::INFINITY]];
+    Some(Spectrum {
+        size_mm,
+        fraction_of_valid_pixels: (nx * ny) as f64 / valid.iter().filter(|v| **v).count() as f64,
+        frequency_per_mm: rings.iter().map(|ring| ring.frequency).collect(),
+        psd_nm2_mm2: rings.iter().map(|ring| ring.density).collect(),
+        band_rms_nm: bands.map(|band| density.mean_square(band).sqrt()),
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ndarray::Array2;
     use planish_types::Axis;
     use std::f64::consts::PI;
 
@@ -105,7 +95,7 @@ mod tests {
             let (x, y) = (g.x.at(c), g.y.at(r));
             3.0 * (2.0 * PI * x / 2.5).sin() + 0.5 * (2.0 * PI * y / 0.7).cos() + 40.0 * y - x
         });
-        let s = spectrum(z.view(), &g);
+        let s = spectrum(z.view(), &g).unwrap();
         // Power a^2/2; the window sees 19 and 71 periods, so its leakage is far below 1e-3.
         assert!((s.band_rms_nm[1] - 3.0 / 2.0_f64.sqrt()).abs() < 1e-3, "{:?}", s.band_rms_nm);
         assert!((s.band_rms_nm[2] - 0.5 / 2.0_f64.sqrt()).abs() < 1e-3, "{:?}", s.band_rms_nm);
@@ -128,9 +118,8 @@ mod tests {
             h = (h ^ (h >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
             ((h ^ (h >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
         };
-        let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| noise(r * 160 + c));
-        z[[5, 7]] = f64::NAN;
-        let s = spectrum(z.view(), &g);
+        let z = Array2::from_shape_fn(g.shape(), |(r, c)| noise(r * 160 + c));
+        let s = spectrum(z.view(), &g).unwrap();
         // Variance 1/12 over the band of 1 / (dx dy): 1/12 dx dy.
         let expected = 0.2 * 0.25 / 12.0;
         let last = s.psd_nm2_mm2.len() - 1;
@@ -143,11 +132,45 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_map_and_a_line_have_a_spectrum() {
-        for z in [Array2::zeros((3, 4)), Array2::from_elem((2, 2), 1.0)] {
-            let (ny, nx) = z.dim();
-            let s = spectrum(z.view(), &grid(nx, ny));
-            assert!(s.psd_nm2_mm2.iter().all(|p| *p < 1e-25) && s.band_rms_nm[0] < 1e-12);
-        }
+    fn a_disc_has_the_spectrum_of_its_inscribed_square() {
+        let g = Grid { x: Axis::new(0.0, 0.5, 121).unwrap(), y: Axis::new(0.0, 0.5, 121).unwrap() };
+        // 20 nm of low order, a ripple of 0.1 nm at 2 mm: a mask of zeros would leak from the first
+        // into the second.
+        let height = |r: usize, c: usize| {
+            let (x, y) = (g.x.at(c) - 30.0, g.y.at(r) - 30.0);
+            let ripple = 0.1 * (PI * x).sin();
+            if x.hypot(y) <= 30.0 { 20.0 * (x / 30.0) * (y / 30.0) + ripple } else { f64::NAN }
+        };
+        let z = Array2::from_shape_fn(g.shape(), |(r, c)| height(r, c));
+        let s = spectrum(z.view(), &g).unwrap();
+        // Two over pi of the disc, less the pixels at the corners.
+        assert!((s.fraction_of_valid_pixels - 2.0 / PI).abs() < 0.03, "{s:?}");
+        let [width, height] = s.size_mm;
+        assert!(width.hypot(height) <= 61.0, "{s:?}");
+        // 0.1 / sqrt(2) between 1 and 10 mm, and what the window lets through of the low order.
+        assert!((s.band_rms_nm[1] * 2.0_f64.sqrt() / 0.1 - 1.0).abs() < 0.05, "{s:?}");
+    }
+
+    #[test]
+    fn a_hole_makes_the_rectangle_smaller_and_leaks_nothing() {
+        let g = grid(240, 200);
+        // A slope of low order and a ripple of 0.01 nm at 0.8 mm; a hole near the left edge.
+        let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) - 3.0, g.y.at(r));
+            10.0 * (x / 24.0).powi(2) + 5.0 * (y / 25.0).powi(3) + 0.01 * (2.5 * PI * y).sin()
+        });
+        z[[100, 3]] = f64::NAN;
+        let s = spectrum(z.view(), &g).unwrap();
+        assert!((s.size_mm[0] - 236.0 * 0.2).abs() < 1e-9, "{s:?}");
+        assert!((s.fraction_of_valid_pixels - 236.0 * 200.0 / 47999.0).abs() < 1e-12);
+        // 0.01 / sqrt(2), and what the window lets through of 5 nm: 2 % of the ripple.
+        assert!((s.band_rms_nm[2] * 2.0_f64.sqrt() / 0.01 - 1.0).abs() < 0.02, "{s:?}");
+    }
+
+    #[test]
+    fn a_flat_map_has_a_spectrum_and_a_line_has_none() {
+        let s = spectrum(Array2::from_elem((9, 8), 1.0).view(), &grid(8, 9)).unwrap();
+        assert!(s.psd_nm2_mm2.iter().all(|p| *p < 1e-25) && s.band_rms_nm[0] < 1e-12);
+        assert_eq!(spectrum(Array2::zeros((7, 40)).view(), &grid(40, 7)), None);
     }
 }

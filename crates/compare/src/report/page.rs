@@ -1,0 +1,301 @@
+//! The page: one HTML file with its data, its style and its program.
+
+use planish_draw::colour::{BLUE_TO_BROWN, VIRIDIS_FOR_LINES};
+use planish_types::text::escaped;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use super::{
+    motion::{Dwell, QUANTITIES, Ranges},
+    pack::{Rounding, base64, doubles, floats, pack, pack_between},
+    spectrum::BAND_PERIOD_MM,
+    view::{FrameView, MethodView, View},
+};
+
+/// Skeleton and style of the page.
+const HTML: &str = include_str!("page.html");
+const CSS: &str = include_str!("page.css");
+/// The program of the page, one subject per file; a file uses the constants of those before it.
+const JS: &str = concat!(
+    include_str!("page/data.js"),
+    include_str!("page/runs.js"),
+    include_str!("page/colours.js"),
+    include_str!("page/canvas.js"),
+    include_str!("page/panel.js"),
+    include_str!("page/map.js"),
+    include_str!("page/path.js"),
+    include_str!("page/dwell.js"),
+    include_str!("page/chart.js"),
+    include_str!("page/profiles.js"),
+    include_str!("page/motion.js"),
+    include_str!("page/heights.js"),
+    include_str!("page/rounds.js"),
+    include_str!("page/tables.js"),
+    include_str!("page/provenance.js"),
+    include_str!("page/full_values.js"),
+    include_str!("page/start.js"),
+);
+
+/// The page: one file, the same for the same views.
+pub fn page(views: &[View], summaries: &Value) -> String {
+    let names: Vec<&str> = views.iter().map(|v| v.name.as_str()).collect();
+    let data = json!({
+        "summary": summaries,
+        "runs": views.iter().map(run_json).collect::<Vec<_>>(),
+        "band_period_mm": BAND_PERIOD_MM,
+        "colours": { "height": BLUE_TO_BROWN, "speed": VIRIDIS_FOR_LINES },
+    });
+    filled(
+        HTML,
+        &[
+            ("policy", &policy()),
+            ("title", &escaped(&names.join(", "))),
+            ("css", CSS),
+            ("js", JS),
+            ("data", &in_script(&data)),
+        ],
+    )
+}
+
+/// What the browser may run: the program and the style of this page, known by their hashes, and
+/// nothing else, whatever stands in the names and manifests of a run.
+fn policy() -> String {
+    let hash = |text: &str| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes())));
+    format!(
+        "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data: blob:; \
+         style-src {}; script-src {}",
+        hash(CSS),
+        hash(JS)
+    )
+}
+
+/// JSON inside a script element: nothing in it can end the element or open a comment.
+fn in_script(data: &Value) -> String {
+    let text = data.to_string();
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '<' | '>' | '&' | '\u{2028}' | '\u{2029}' => out += &format!("\\u{:04x}", c as u32),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// `template` with every `{{key}}` replaced by its value, which is not looked at again.
+fn filled(template: &str, values: &[(&str, &str)]) -> String {
+    let mut out = String::new();
+    let mut rest = template;
+    while let Some((before, after)) = rest.split_once("{{") {
+        let (key, after) = after.split_once("}}").expect("a key of the template ends");
+        let value = values.iter().find(|(k, _)| *k == key).expect("every key has its value").1;
+        out += before;
+        out += value;
+        rest = after;
+    }
+    out + rest
+}
+
+fn run_json(view: &View) -> Value {
+    json!({
+        "name": view.name,
+        "pipeline": view.summary.pipeline,
+        "fixture": view.summary.fixture,
+        "best": view.summary.best,
+        "summary": view.summary,
+        "desired": view.desired,
+        "measured": view.measured,
+        "histogram": view.before.0,
+        "spectrum": view.before.1,
+        "methods": view.methods.iter().map(method_json).collect::<Vec<_>>(),
+        "provenance": provenance_json(&view.provenance),
+    })
+}
+
+fn method_json(m: &MethodView) -> Value {
+    let points = &m.line.point_mm;
+    let axis = |a: usize| pack(points.iter().map(move |p| p[a]));
+    json!({
+        "name": m.name,
+        "removal": m.removal,
+        "residual": m.residual,
+        "histogram": m.after.0,
+        "spectrum": m.after.1,
+        "line": {
+            "every": m.line.every,
+            "x_mm": axis(0),
+            "y_mm": axis(1),
+            "time_s": doubles(m.line.time_s.iter().copied()),
+            "speed_mm_per_s": floats(m.line.speed_mm_per_s.iter().copied()),
+        },
+        "ranges": ranges_json(&m.ranges),
+        "limits": limits_json(&m.verdict),
+        "violations": violations_json(&m.verdict),
+        "dwell": m.dwell.as_ref().map(dwell_json),
+        "frames": m.frames.as_ref().map(frames_json),
+        "rounds": m.rounds.as_ref().map(|r| json!({
+            "rms_nm": r.rms_nm, "total_time_s": r.total_time_s, "best": r.best,
+        })),
+        "provenance": provenance_json(&m.provenance),
+    })
+}
+
+/// Keys of the steps in a verdict that a machine cannot do.
+const STEPS: [&str; 2] = ["position_step_mm", "velocity_step_mm_per_s"];
+
+fn ranges_json(ranges: &Ranges) -> Value {
+    let mut json = json!({
+        "every": ranges.every,
+        "end_s": doubles(ranges.end_s.iter().copied()),
+    });
+    for (envelopes, (_, name)) in ranges.envelope.iter().zip(QUANTITIES) {
+        json[name] = envelopes
+            .iter()
+            .map(|e| {
+                let low = e.low.iter().copied().fold(f64::INFINITY, f64::min);
+                let high = e.high.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                json!({
+                    "low": pack_between(e.low.iter().copied(), low, high, Rounding::Down),
+                    "high": pack_between(e.high.iter().copied(), low, high, Rounding::Up),
+                })
+            })
+            .collect();
+    }
+    json
+}
+
+/// The sentences of a verdict about what exceeds a limit.
+fn violations_json(verdict: &Value) -> Value {
+    verdict["violations"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter(|v| v.is_string())
+        .cloned()
+        .collect()
+}
+
+/// Per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
+/// of the worst steps in position and velocity. Only numbers, whatever else a verdict holds.
+fn limits_json(verdict: &Value) -> Value {
+    let mut json = json!({});
+    let worst_of = |check: &Value| -> Vec<[f64; 2]> {
+        let places = check["worst"].as_array().into_iter().flatten();
+        places.filter_map(|p| Some([p["time_s"].as_f64()?, p["value"].as_f64()?])).collect()
+    };
+    for (key, name) in QUANTITIES {
+        let of_axis = |axis: usize| {
+            let check = &verdict["axes"][axis][key];
+            json!({
+                "limit": check["limit"].as_f64().filter(|limit| *limit >= 0.0),
+                "exceeding_count": check["exceeding_count"].as_u64(),
+                "worst": worst_of(check),
+            })
+        };
+        json[name] = json!([of_axis(0), of_axis(1)]);
+    }
+    let checks = [0, 1].into_iter().flat_map(|axis| STEPS.map(|key| &verdict["axes"][axis][key]));
+    json["steps"] = checks.flat_map(worst_of).map(|[time_s, _]| json!(time_s)).collect();
+    json
+}
+
+fn dwell_json(d: &Dwell) -> Value {
+    let axis = |a: usize| pack(d.point_mm.iter().map(move |p| p[a]));
+    json!({
+        "every": d.every,
+        "x_mm": axis(0),
+        "y_mm": axis(1),
+        "planned_s": floats(d.planned_s.iter().copied()),
+        "executed_s": floats(d.executed_s.iter().copied()),
+        "total_error_s": d.total_error_s,
+    })
+}
+
+fn frames_json(f: &FrameView) -> Value {
+    let (x, y) = (&f.grid.x, &f.grid.y);
+    json!({
+        "time_s": f.time_s,
+        "start_mm": [x.start_mm(), y.start_mm()],
+        "step_mm": [x.step_mm(), y.step_mm()],
+        "size": [x.len(), y.len()],
+        "residual_nm": pack(f.residual_nm.iter().copied()),
+    })
+}
+
+/// What the page shows of manifests: all but the arrays.
+fn provenance_json(manifests: &[(String, Value)]) -> Value {
+    manifests
+        .iter()
+        .map(|(role, manifest)| {
+            let mut shown = json!({ "role": role });
+            for key in ["tool", "tool_version", "method", "command", "settings", "inputs"] {
+                shown[key] = manifest[key].clone();
+            }
+            shown["status"] = manifest["outcome"]["status"].clone();
+            shown
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_template_is_filled_in_one_pass() {
+        let values = [("a", "{{b}}<"), ("b", "{{a}}")];
+        assert_eq!(filled("1{{a}}2{{b}}3{{a}}", &values), "1{{b}}<2{{a}}3{{b}}<");
+        assert_eq!(filled("none", &values), "none");
+    }
+
+    #[test]
+    fn every_file_of_the_program_is_in_the_page() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/report/page");
+        let mut length = 0;
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let text = std::fs::read_to_string(entry.unwrap().path()).unwrap();
+            assert_eq!(JS.matches(text.as_str()).count(), 1, "{text:.80}");
+            length += text.len();
+        }
+        assert_eq!(length, JS.len());
+    }
+
+    #[test]
+    fn nothing_in_the_data_ends_its_element() {
+        let data = json!({ "</script><!--": "<img>&\u{2028}\u{2029}" });
+        let text = in_script(&data);
+        assert!(!text.contains(['<', '>', '&', '\u{2028}', '\u{2029}']), "{text}");
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), data);
+    }
+
+    #[test]
+    fn the_policy_names_the_program_of_the_page_by_its_hash() {
+        let page = page(&[], &json!({}));
+        let script = page.rsplit_once("<script>").unwrap().1.split_once("</script>").unwrap().0;
+        // FIPS 180-4 by the crate; that the browser agrees is checked in the browser.
+        let hash = base64(&Sha256::digest(script.as_bytes()));
+        assert!(page.contains(&format!("script-src 'sha256-{hash}'")));
+        assert!(!page.contains("unsafe-inline"));
+        // SHA-256 of the empty text, from the standard's examples.
+        assert_eq!(base64(&Sha256::digest(b"")), "47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=");
+    }
+
+    #[test]
+    fn only_numbers_of_a_verdict_reach_the_page() {
+        let check = json!({
+            "limit": "fast", "exceeding_count": -1,
+            "worst": [{ "time_s": null, "value": 1.0 }, { "time_s": 2.0, "value": 3.0 }, 7],
+        });
+        let axis = json!({ "velocity_mm_per_s": check, "position_step_mm": check });
+        let verdict = json!({ "axes": [axis, axis], "violations": ["x", 7, null] });
+        let found = limits_json(&verdict);
+        assert_eq!(
+            found["velocity"][0],
+            json!({ "limit": null, "exceeding_count": null, "worst": [[2.0, 3.0]] })
+        );
+        assert_eq!(found["steps"], json!([2.0, 2.0]));
+        assert_eq!(found["jerk"][1]["worst"], json!([]));
+        assert_eq!(violations_json(&verdict), json!(["x"]));
+        assert_eq!(violations_json(&json!({ "violations": "text" })), json!([]));
+    }
+}

@@ -1,0 +1,124 @@
+// All of it together: time, methods, redrawing, and the start.
+
+function setTime(t) {
+  state.time = Math.max(0, Math.min(A().total, t));
+  byId("time").value = Math.round((1000 * state.time) / A().total);
+  redraw();
+}
+function showMethod(a, b) {
+  state.a = a;
+  state.b = b === a ? -1 : b;
+  byId("a").value = a;
+  byId("b").value = state.b;
+  state.timeView = [0, A().total];
+  for (const option of byId("b").options) option.disabled = +option.value === a;
+  byId("frame-note").textContent = A().frames
+    ? `The surface is the one simulated at the last of ${A().frames.time.length} times before the slider.`
+    : "No frames for this method: planish-simulate --frames N writes them to methods/<method>/frames; the tool moves all the same.";
+  const d = A().method.dwell;
+  byId("dwell-section").hidden = !d;
+  if (d) byId("dwell-note").textContent = `Time at every dwell point as planned, and what the motion takes there instead; differences add up to ${number(d.total_error_s)} s.`;
+  fillBands();
+  setTime(A().total);
+}
+
+let asked = false;
+function redraw() {
+  if (asked) return;
+  asked = true;
+  requestAnimationFrame(() => {
+    asked = false;
+    drawAll();
+  });
+}
+function drawAll() {
+  for (const p of panels) p.draw();
+  drawProfiles();
+  drawMotion();
+  if (drawAll.key !== [state.a, state.b, theme.paper, innerWidth].join()) {
+    drawAll.key = [state.a, state.b, theme.paper, innerWidth].join();
+    drawHistogram();
+    drawSpectrum();
+    drawRounds();
+  }
+  const tool = toolAt(A(), state.time);
+  byId("now").textContent = `${fixed(state.time, 2)} of ${fixed(A().total, 2)} s, x ${fixed(tool.x, 2)}, y ${fixed(tool.y, 2)} mm`;
+}
+
+let last = 0;
+function tick(now) {
+  if (!state.playing) return;
+  const pace = +byId("pace").value, seconds = Math.min(0.1, (now - last) / 1000);
+  last = now;
+  const t = state.time + seconds * (pace ? A().total / pace : 1);
+  setTime(t);
+  if (t >= A().total) play(false);
+  else requestAnimationFrame(tick);
+}
+function play(on) {
+  state.playing = on;
+  byId("play").textContent = on ? "pause" : "play";
+  if (!on) return;
+  if (state.time >= A().total) setTime(0);
+  last = performance.now();
+  requestAnimationFrame(tick);
+}
+
+function start() {
+  readTheme();
+  fillSummary();
+  fillProvenance();
+  if (!ENTRIES.length) {
+    // Every method is left out, and why is said: there is nothing to draw.
+    byId("bar").hidden = true;
+    for (const section of document.querySelectorAll("section")) section.hidden = !section.querySelector("#summary, #provenance");
+    return;
+  }
+  ENTRIES.forEach((e, i) => {
+    byId("a").append(element("option", e.label, { value: i }));
+    byId("b").append(element("option", e.label, { value: i }));
+  });
+  byId("b").prepend(element("option", "none", { value: -1 }));
+  new Panel("maps", "measured", () => mapContent(A().run.measured, "measured" + A().run.name));
+  new Panel("maps", "desired", () => mapContent(A().run.desired, "desired" + A().run.name));
+  new Panel("maps", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
+  new Panel("maps", "residual", () => mapContent(A().residual, "residual" + state.a, { title: "residual: " + A().label }));
+  new Panel("maps", "residual-b", () => B() && mapContent(B().residual, "residual" + state.b, { title: "residual: " + B().label }));
+  new Panel("maps", "difference", () => B() && mapContent(difference(), "difference" + state.a + "," + state.b, { title: `residual of ${A().label} - residual of ${B().label}` }));
+  new Panel("paths", "frame", () => {
+    const layer = frameAt(A(), state.time);
+    return layer && mapContent(layer, "frame" + layer.key, { title: layer.title });
+  });
+  new Panel("paths", "path", () => pathContent(A()));
+  new Panel("paths", "path-b", () => pathContent(B()));
+  new Panel("dwells", "dwell", () => dwellContent(A(), "planned"));
+  new Panel("dwells", "dwell-error", () => dwellContent(A(), "error"));
+  new Panel("dwells", "dwell-error-b", () => B() && dwellContent(B(), "error"));
+  for (const [name] of CHARTS) listenToChart(byId(name));
+  for (const canvas of document.querySelectorAll("canvas.chart")) {
+    const caption = element("figcaption");
+    caption.append(element("span", ""), saveButton(canvas, canvas.id));
+    canvas.before(caption);
+  }
+  byId("a").addEventListener("change", (event) => showMethod(+event.target.value, state.b));
+  byId("b").addEventListener("change", (event) => showMethod(state.a, +event.target.value));
+  byId("scale").addEventListener("change", (event) => { state.scale = event.target.value; redraw(); });
+  byId("zoom-in").addEventListener("click", () => zoom(0.6, null));
+  byId("zoom-out").addEventListener("click", () => zoom(1 / 0.6, null));
+  byId("zoom-all").addEventListener("click", showAll);
+  byId("time").addEventListener("input", (event) => setTime((A().total * event.target.value) / 1000));
+  byId("play").addEventListener("click", () => play(!state.playing));
+  byId("npy").addEventListener("change", (event) => event.target.files[0] && loadFull(event.target.files[0]));
+  const themed = () => { readTheme(); redraw(); };
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", themed);
+  window.addEventListener("beforeprint", () => { document.documentElement.classList.add("paper"); readTheme(); drawAll(); });
+  window.addEventListener("afterprint", () => { document.documentElement.classList.remove("paper"); themed(); });
+  new ResizeObserver(redraw).observe(document.body);
+  const best = ENTRIES.findIndex((e) => e.method.name === e.run.best);
+  showMethod(best < 0 ? ENTRIES.length - 1 : best, -1);
+  drawAll();
+}
+start();
+
+// For tests.
+window.planish = { DATA, ENTRIES, RUNS, state, valueAt, panels, drawAll, zoom, toolAt };

@@ -1,0 +1,94 @@
+// The tables of numbers, and the sentences about the methods.
+
+function element(name, text, attributes = {}) {
+  const e = document.createElement(name);
+  if (text !== undefined) e.textContent = text;
+  for (const [key, value] of Object.entries(attributes)) e.setAttribute(key, value);
+  return e;
+}
+
+const ROWS = [
+  ["RMS (nm)", "rms_nm", 4], ["RMS, plane removed (nm)", "rms_detilted_nm", 4], ["PV (nm)", "pv_nm", 3],
+  ["time (s)", "total_time_s", 2],
+  ["largest velocity x, y (mm/s)", "max_velocity_mm_per_s", 2],
+  ["largest acceleration x, y (mm/s²)", "max_acceleration_mm_per_s2", 1],
+  ["largest velocity step x, y (mm/s)", "max_velocity_step_mm_per_s", 3],
+  ["largest acceleration step x, y (mm/s²)", "max_acceleration_step_mm_per_s2", 1],
+  ["largest jerk x, y (mm/s³)", "max_jerk_mm_per_s3", 0],
+  ["dwell error, RMS (s)", "dwell_error_rms_s", 6], ["dwell error, worst (s)", "dwell_error_worst_s", 6],
+  ["points with overshoot x, y", "overshoot_points", 0], ["largest overshoot x, y (mm)", "max_overshoot_mm", 6],
+  ["limits of the machine", "limits_respected"],
+  ["plan", "plan"],
+  ["schedule (s of computing)", "schedule_wall_s", 3], ["simulate (s of computing)", "simulate_wall_s", 3],
+];
+
+function fillSummary() {
+  const table = byId("summary"), head = element("tr");
+  head.append(element("th", "", { scope: "col" }));
+  for (const e of ENTRIES) head.append(element("th", e.label, { scope: "col" }));
+  table.append(element("thead"), element("tbody"));
+  table.tHead.append(head);
+  const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]).map((m) => ({ ...m, ...m.execution }));
+  const kept = numbers.map((m) => m.limits_respected && m.plan.state !== "ideal");
+  const rated = kept.some(Boolean) ? kept : kept.map(() => true);
+  for (const [title, key, decimals] of ROWS) {
+    const row = element("tr"), values = numbers.map((m) => m[key]);
+    row.append(element("th", title, { scope: "row" }));
+    const inWords = { limits_respected: (v) => (v ? "kept" : "exceeded"), plan: (v) => v.word }[key];
+    // Equal where the digits shown are: a step of 1e-13 is none.
+    const size = (v) => +Math.max(...[v].flat().map(Math.abs)).toFixed(decimals);
+    const counts = (i) => values[i] !== null && (key.endsWith("wall_s") || rated[i]);
+    const best = inWords ? null : Math.min(...values.filter((_, i) => counts(i)).map(size));
+    values.forEach((v, i) => {
+      const one = (u) => (u === null ? "-" : fixed(u, decimals));
+      const text = inWords ? inWords(v) : [v].flat().map(one).join(", ");
+      const exact = inWords ? v.text || text : [v].flat().map((u) => (u === null ? "-" : +u.toPrecision(9))).join(", ");
+      const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: exact });
+      if (key === "limits_respected" ? !v : key === "plan" && v.state === "unconverged") cell.className = "bad";
+      else if (!inWords && ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
+      row.append(cell);
+    });
+    table.tBodies[0].append(row);
+  }
+  byId("heading").textContent = RUNS.map((r) => {
+    const s = r.summary, ideal = s.ideal ? `; dwell at the dwell points alone would leave ${number(s.ideal.rms_nm)} nm RMS in ${fixed(s.ideal.total_time_s, 1)} s` : "";
+    const name = [r.name, s.pipeline, s.fixture].filter((n, i, all) => n && all.indexOf(n) === i).join(", ");
+    return `${name}: ${number(s.initial.rms_nm)} nm RMS, ${number(s.initial.pv_nm)} nm PV before${ideal}; best within the limits: ${r.best || "none"}`;
+  }).join(". ") + ".";
+  for (const r of RUNS) {
+    const whose = (name) => (RUNS.length > 1 ? r.name + " / " + name : name);
+    const note = (text, bad) => byId("notes").append(element("p", text, { class: bad ? "violation" : "note" }));
+    for (const left of r.summary.left_out) {
+      const bad = left.standing === "not-valid";
+      note(`${whose(left.name)}: ${bad ? "not valid" : "out of date, left out"}: ${left.reasons.join("; ")}`, bad);
+    }
+    for (const text of r.summary.remarks) note(RUNS.length > 1 ? `${r.name}: ${text}` : text, true);
+    // Methods of which the same is said share a line.
+    const said = new Map();
+    for (const [name, m] of Object.entries(r.summary.methods))
+      for (const text of [`${m.plan.word}: ${m.plan.text}`, ...m.remarks]) {
+        const bad = m.plan.state === "unconverged" && text.startsWith(m.plan.word);
+        if (!said.has(text)) said.set(text, { names: [], bad });
+        said.get(text).names.push(whose(name));
+      }
+    for (const [text, { names, bad }] of said) note(`${names.join(", ")}: ${text}`, bad);
+  }
+  for (const e of ENTRIES) for (const text of e.method.violations)
+    byId("violations").append(element("p", `${e.label}: ${text}`, { class: "violation" }));
+}
+
+function fillBands() {
+  const table = byId("bands");
+  table.replaceChildren();
+  const [long, short_] = DATA.band_period_mm;
+  const head = element("tr"), names = ["RMS by period", `above ${long} mm (nm)`, `${short_} to ${long} mm (nm)`, `below ${short_} mm (nm)`];
+  names.forEach((n) => head.append(element("th", n)));
+  table.append(head);
+  const rows = [["before", A().run.spectrum], [A().label, A().method.spectrum]];
+  if (B()) rows.push([B().label, B().method.spectrum]);
+  for (const [name, s] of rows) {
+    const row = element("tr");
+    row.append(element("th", name), ...(s ? s.band_rms_nm.map((v) => number(v)) : ["-", "-", "-"]).map((v) => element("td", v)));
+    table.append(row);
+  }
+}

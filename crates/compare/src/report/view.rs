@@ -1,0 +1,211 @@
+//! What the screen needs of a run, down-sampled where there is more.
+
+use ndarray::Array3;
+use planish_types::{Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
+use rayon::prelude::*;
+use serde_json::Value;
+
+use super::{
+    map::{Histogram, ScreenMap, block_side, histogram, screen_map},
+    motion::{self, Dwell, Line, Ranges},
+    spectrum::{Spectrum, spectrum},
+};
+use crate::summary::Summary;
+
+/// Most pixels of a map, and of all maps together (2 bytes each, 2.7 in base64).
+const MAX_MAP_PIXELS: usize = 400_000;
+const MAX_ALL_PIXELS: usize = 2_000_000;
+
+/// Most points of the lines of all motions (16 bytes each, 22 in base64).
+const MAX_ALL_POINTS: usize = 75_000;
+
+/// Most pieces with ranges of all motions (32 bytes each, 43 in base64).
+const MAX_ALL_PIECES: usize = 21_000;
+
+/// Most dwell points of all plans (12 bytes each, 16 in base64).
+const MAX_ALL_DWELL: usize = 40_000;
+
+/// Most pixels of all frames (2 bytes each, 2.7 in base64).
+const MAX_ALL_FRAME_PIXELS: usize = 450_000;
+
+/// Everything of one run.
+#[derive(Debug)]
+pub struct Run {
+    /// Name.
+    pub name: String,
+    /// Numbers; its methods are those of `methods`, maybe in another order.
+    pub summary: Summary,
+    /// Desired removal.
+    pub desired: Surface,
+    /// The map as it was measured, where it is known.
+    pub measured: Option<Surface>,
+    /// Path, where the run has one.
+    pub path: Option<ToolPath>,
+    /// What each method made of it.
+    pub methods: Vec<RunMethod>,
+    /// Manifests of the artifacts that the methods share: role and manifest.
+    pub provenance: Vec<(String, Value)>,
+}
+
+/// Everything of one method.
+#[derive(Debug)]
+pub struct RunMethod {
+    /// Scheduler.
+    pub name: String,
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// Prediction.
+    pub removal: Removal,
+    /// Outcome of the verdict.
+    pub verdict: Value,
+    /// Planned dwell times, where they are known.
+    pub dwell: Option<DwellTime>,
+    /// Removal in the course of the run, where it was simulated.
+    pub frames: Option<Frames>,
+    /// Rounds of the refinement, where there was one.
+    pub rounds: Option<Rounds>,
+    /// Manifests of its artifacts: role and manifest.
+    pub provenance: Vec<(String, Value)>,
+}
+
+/// The removal at several times.
+#[derive(Clone, Debug)]
+pub struct Frames {
+    /// Times (m), s.
+    pub time_s: Vec<f64>,
+    /// Removal until then (m, ny, nx), nm.
+    pub removal_nm: Array3<f64>,
+    /// Pixel centres.
+    pub grid: Grid,
+}
+
+/// The rounds of a refinement.
+#[derive(Clone, Debug)]
+pub struct Rounds {
+    /// RMS of the executed residual (m), nm.
+    pub rms_nm: Vec<f64>,
+    /// Time of the motion (m), s.
+    pub total_time_s: Vec<f64>,
+    /// Round that was kept.
+    pub best: Option<u64>,
+}
+
+/// What the screen needs of a run.
+#[derive(Debug)]
+pub struct View {
+    pub(super) name: String,
+    pub(super) summary: Summary,
+    pub(super) desired: ScreenMap,
+    pub(super) measured: Option<ScreenMap>,
+    pub(super) before: (Histogram, Option<Spectrum>),
+    pub(super) methods: Vec<MethodView>,
+    pub(super) provenance: Vec<(String, Value)>,
+}
+
+/// What the screen needs of a method.
+#[derive(Debug)]
+pub(super) struct MethodView {
+    pub(super) name: String,
+    pub(super) removal: ScreenMap,
+    pub(super) residual: ScreenMap,
+    pub(super) after: (Histogram, Option<Spectrum>),
+    pub(super) line: Line,
+    pub(super) ranges: Ranges,
+    pub(super) verdict: Value,
+    pub(super) dwell: Option<Dwell>,
+    pub(super) frames: Option<FrameView>,
+    pub(super) rounds: Option<Rounds>,
+    pub(super) provenance: Vec<(String, Value)>,
+}
+
+/// The surface in the course of the run.
+#[derive(Debug)]
+pub(super) struct FrameView {
+    pub(super) time_s: Vec<f64>,
+    /// Residual at these times, (m) maps of (ny, nx), nm.
+    pub(super) residual_nm: Array3<f64>,
+    pub(super) grid: Grid,
+}
+
+/// What the screen needs of `runs`, the methods in the order of their summaries.
+pub fn views(runs: Vec<Run>) -> Vec<View> {
+    let methods: usize = runs.iter().map(|r| r.methods.len()).sum::<usize>().max(1);
+    let maps = 2 * methods + runs.len() + runs.iter().filter(|r| r.measured.is_some()).count();
+    let allotment = Allotment {
+        pixels: MAX_MAP_PIXELS.min(MAX_ALL_PIXELS / maps),
+        points: MAX_ALL_POINTS / methods,
+        pieces: MAX_ALL_PIECES / methods,
+        dwell: MAX_ALL_DWELL / methods,
+        frame_pixels: MAX_ALL_FRAME_PIXELS
+            / runs.iter().flat_map(|r| &r.methods).filter(|m| m.frames.is_some()).count().max(1),
+    };
+    runs.into_iter().map(|run| view(run, &allotment)).collect()
+}
+
+/// How much of each thing a method may take.
+struct Allotment {
+    pixels: usize,
+    points: usize,
+    pieces: usize,
+    dwell: usize,
+    frame_pixels: usize,
+}
+
+fn view(run: Run, allotment: &Allotment) -> View {
+    let grid = *run.desired.grid();
+    let every = block_side(&grid, allotment.pixels);
+    let on_screen = |s: &Surface, every| screen_map(s.height_nm().view(), s.grid(), every);
+    let analysed =
+        |s: &Surface| (histogram(s.height_nm().view()), spectrum(s.height_nm().view(), s.grid()));
+    let rank = |name: &str| run.summary.methods.iter().position(|(n, _)| n == name);
+    let mut methods = run.methods;
+    methods.sort_by_key(|m| rank(&m.name));
+    let methods = methods.into_par_iter().map(|m| MethodView {
+        removal: screen_map(m.removal.removal_nm().view(), &grid, every),
+        residual: on_screen(m.removal.residual(), every),
+        after: analysed(m.removal.residual()),
+        line: motion::line(&m.trajectory, allotment.points),
+        ranges: motion::ranges(&m.trajectory, allotment.pieces),
+        dwell: run
+            .path
+            .as_ref()
+            .zip(m.dwell.as_ref())
+            .and_then(|(path, plan)| motion::dwell(path, plan, &m.trajectory, allotment.dwell)),
+        frames: m.frames.map(|f| frame_view(f, &run.desired, allotment.frame_pixels)),
+        name: m.name,
+        verdict: m.verdict,
+        rounds: m.rounds,
+        provenance: m.provenance,
+    });
+    let methods = methods.collect();
+    View {
+        name: run.name,
+        summary: run.summary,
+        desired: on_screen(&run.desired, every),
+        measured: run.measured.map(|s| on_screen(&s, block_side(s.grid(), allotment.pixels))),
+        before: analysed(&run.desired),
+        methods,
+        provenance: run.provenance,
+    }
+}
+
+/// residual(t) = desired - removal(t) on the pixels of the frames; every k-th frame, the last in
+/// any case, where there are too many.
+fn frame_view(frames: Frames, desired: &Surface, most_pixels: usize) -> FrameView {
+    let (m, ny, nx) = frames.removal_nm.dim();
+    let every = m.div_ceil((most_pixels / (ny * nx)).max(1));
+    let kept: Vec<usize> =
+        (0..m).rev().step_by(every).collect::<Vec<_>>().into_iter().rev().collect();
+    let full = desired.grid();
+    let nearest = |axis: &Axis, mm: f64| {
+        let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+        (i.max(0.0) as usize).min(axis.len() - 1)
+    };
+    let columns: Vec<usize> = (0..nx).map(|c| nearest(&full.x, frames.grid.x.at(c))).collect();
+    let rows: Vec<usize> = (0..ny).map(|r| nearest(&full.y, frames.grid.y.at(r))).collect();
+    let residual_nm = Array3::from_shape_fn((kept.len(), ny, nx), |(i, r, c)| {
+        desired.height_nm()[[rows[r], columns[c]]] - frames.removal_nm[[kept[i], r, c]]
+    });
+    let time_s = kept.iter().map(|i| frames.time_s[*i]).collect();
+    FrameView { time_s, residual_nm, grid: frames.grid }
+}

@@ -1,0 +1,112 @@
+//! Colours that people who see fewer of them can tell apart, on white paper.
+
+/// Areas from the smallest value to the largest: viridis, ascending in lightness (S. van der Walt,
+/// N. Smith, 2015).
+pub const VIRIDIS: [&str; 9] = [
+    "#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30",
+    "#fde725",
+];
+
+/// Lines and small marks from the smallest value to the largest: viridis, its light end darkened so
+/// that a thin line stands out from the paper.
+pub const VIRIDIS_FOR_LINES: [&str; 8] =
+    ["#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0b020", "#d8a010"];
+
+/// Values below and above a middle one, which is white: from blue to brown.
+pub const BLUE_TO_BROWN: [&str; 7] =
+    ["#053061", "#3a7db8", "#a6cde3", "#f7f7f7", "#f0b573", "#bd6a11", "#5c2f04"];
+
+/// Lines beside each other: the palette of M. Okabe and K. Ito (2008), its yellow darkened.
+pub const LINES: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b"];
+
+/// The line that others are compared with, and the axes.
+pub const INK: &str = "#000000";
+
+/// The colour of the `k`-th of several lines.
+pub fn of_line(k: usize) -> &'static str {
+    LINES[k % LINES.len()]
+}
+
+/// Red, green and blue at `fraction` (0 to 1) of the way through `stops`, each written `#rrggbb`.
+pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
+    let position = fraction.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
+    let i = (position as usize).min(stops.len() - 2);
+    let channel = |stop: &str, k: usize| {
+        f64::from(u8::from_str_radix(&stop[1 + 2 * k..3 + 2 * k], 16).unwrap_or(0))
+    };
+    [0, 1, 2].map(|k| {
+        let (a, b) = (channel(stops[i], k), channel(stops[i + 1], k));
+        (a + (b - a) * (position - i as f64)).round() as u8
+    })
+}
+
+/// The same, written `#rrggbb`.
+pub fn at(stops: &[&str], fraction: f64) -> String {
+    let [r, g, b] = rgb_at(stops, fraction);
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
+/// A range of values in bands of equal width, each of one colour.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bands {
+    range: [f64; 2],
+    colours: Vec<String>,
+}
+
+impl Bands {
+    /// `count` bands from the low to the high end of `range` through `stops`.
+    pub fn new(stops: &[&str], count: usize, range: [f64; 2]) -> Self {
+        let middle = |k: usize| at(stops, (k as f64 + 0.5) / count as f64);
+        Self { range, colours: (0..count).map(middle).collect() }
+    }
+
+    /// The band of `value`: the first or the last one where it is beyond the range, the middle one
+    /// where the range is a single value.
+    pub fn of(&self, value: f64) -> usize {
+        let [low, high] = self.range;
+        let fraction = if high > low { (value - low) / (high - low) } else { 0.5 };
+        ((fraction * self.colours.len() as f64).max(0.0) as usize).min(self.colours.len() - 1)
+    }
+
+    /// Colours of the bands, the lowest first.
+    pub fn colours(&self) -> &[String] {
+        &self.colours
+    }
+
+    /// The smallest and the largest value.
+    pub fn range(&self) -> [f64; 2] {
+        self.range
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_begin_and_end_as_given() {
+        assert_eq!(at(&BLUE_TO_BROWN, 0.0), BLUE_TO_BROWN[0]);
+        assert_eq!(at(&BLUE_TO_BROWN, 0.5), BLUE_TO_BROWN[3]);
+        assert_eq!(at(&VIRIDIS_FOR_LINES, 7.0), VIRIDIS_FOR_LINES[7]);
+        assert_eq!(at(&["#000000", "#ff8000"], 0.5), "#804000");
+    }
+
+    #[test]
+    fn viridis_gets_lighter() {
+        // Luma of Rec. 601, roughly: 3 red, 6 green, 1 blue.
+        let light = |k: usize| {
+            let [r, g, b] = rgb_at(&VIRIDIS, k as f64 / 47.0).map(u32::from);
+            3 * r + 6 * g + b
+        };
+        assert!((1..48).all(|k| light(k) > light(k - 1)));
+    }
+
+    #[test]
+    fn every_value_has_a_band() {
+        let bands = Bands::new(&VIRIDIS, 4, [-1.0, 1.0]);
+        let found = [-9.0, -1.0, -0.51, -0.49, 0.0, 0.99, 1.0, 9.0].map(|v| bands.of(v));
+        assert_eq!(found, [0, 0, 0, 1, 2, 3, 3, 3]);
+        assert_eq!(Bands::new(&VIRIDIS, 5, [3.0, 3.0]).of(3.0), 2);
+        assert_eq!(bands.colours().len(), 4);
+    }
+}

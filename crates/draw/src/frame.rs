@@ -1,0 +1,309 @@
+//! A plot: a rectangle of the picture with an axis along x and one along y.
+
+use planish_types::text::significant;
+
+use crate::{
+    colour::{Bands, INK},
+    svg::{END, MIDDLE, Svg, put},
+    ticks::{round_logarithms, round_numbers},
+};
+
+/// Length that a number along x, which is wide, and along y, which is a line high, has for itself, px.
+const PX_PER_NUMBER: [f64; 2] = [80.0, 45.0];
+
+/// Digits of a number at an axis: round numbers have fewer, rounding has more.
+const AXIS_DIGITS: usize = 10;
+
+/// Digits of the ends of a bar of colours.
+const BAR_DIGITS: usize = 4;
+
+/// Length of the mark of a number, px.
+const MARK_PX: f64 = 5.0;
+
+/// Least height of a bar of colours, px: its two numbers and its unit stay apart.
+const LEAST_BAR_PX: f64 = 100.0;
+
+/// Distance of a bar of colours from its frame, and its width, px.
+const BAR_PX: [f64; 2] = [14.0, 12.0];
+
+/// What an axis shows, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scale {
+    /// From the first value to the second, equal steps equally long.
+    Linear([f64; 2]),
+    /// From the first value to the second, equal ratios equally long.
+    Logarithmic([f64; 2]),
+}
+
+impl Scale {
+    /// From `low` to `high`; about the value where they are the same, 0 to 1 where there is none.
+    pub fn linear([low, high]: [f64; 2]) -> Self {
+        if low < high {
+            Self::Linear([low, high])
+        } else if low == high && low.is_finite() {
+            Self::Linear([low - 0.5, high + 0.5])
+        } else {
+            Self::Linear([0.0, 1.0])
+        }
+    }
+
+    /// From `low` to `high`, which are positive; about the value where they are the same, 0.1 to 1
+    /// where there is none.
+    pub fn logarithmic([low, high]: [f64; 2]) -> Self {
+        if 0.0 < low && low < high && high.is_finite() {
+            Self::Logarithmic([low, high])
+        } else if low == high && 0.0 < low && low.is_finite() {
+            Self::Logarithmic([0.5 * low, 2.0 * high])
+        } else {
+            Self::Logarithmic([0.1, 1.0])
+        }
+    }
+
+    /// The ends.
+    pub fn ends(&self) -> [f64; 2] {
+        let (Self::Linear(ends) | Self::Logarithmic(ends)) = self;
+        *ends
+    }
+
+    /// Fraction of the way from the low to the high end.
+    fn fraction(&self, value: f64) -> f64 {
+        match self {
+            Self::Linear([low, high]) => (value - low) / (high - low),
+            Self::Logarithmic([low, high]) => (value / low).ln() / (high / low).ln(),
+        }
+    }
+
+    /// The round numbers of an axis of this length.
+    fn numbers(&self, length_px: f64, px_per_number: f64) -> Vec<f64> {
+        let most = (length_px / px_per_number).max(2.0);
+        match self {
+            Self::Linear([low, high]) => round_numbers(*low, *high, most),
+            Self::Logarithmic([low, high]) => round_logarithms(*low, *high, most),
+        }
+    }
+}
+
+/// The smallest and the largest of the finite `values`; nothing (infinity, -infinity) where there
+/// are none.
+pub fn range(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
+    let finite = values.into_iter().filter(|v| v.is_finite());
+    finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
+}
+
+/// A plot and its place in the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Left edge, px.
+    pub left: f64,
+    /// Upper edge, px.
+    pub top: f64,
+    /// Width, px.
+    pub width: f64,
+    /// Height, px.
+    pub height: f64,
+    /// The axis to the right.
+    pub x: Scale,
+    /// The axis upwards.
+    pub y: Scale,
+    /// Room for the numbers and titles to the left, above, to the right and below, px.
+    pub margin_px: [f64; 4],
+}
+
+impl Frame {
+    /// A frame of `size_px` whose margin begins at `corner`.
+    pub fn new(
+        corner: [f64; 2],
+        size_px: [f64; 2],
+        margin_px: [f64; 4],
+        [x, y]: [Scale; 2],
+    ) -> Self {
+        let [left, top, ..] = margin_px;
+        let [width, height] = size_px;
+        Self { left: corner[0] + left, top: corner[1] + top, width, height, x, y, margin_px }
+    }
+
+    /// From the units of the axes to pixels of the picture.
+    pub fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [
+            self.left + self.x.fraction(x) * self.width,
+            self.top + (1.0 - self.y.fraction(y)) * self.height,
+        ]
+    }
+
+    /// The lower edge, px.
+    pub fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+
+    /// The right edge, px.
+    pub fn right(&self) -> f64 {
+        self.left + self.width
+    }
+
+    /// The rectangle, numbers along it, and the titles of both axes.
+    pub fn axes(&self, svg: &mut Svg, [x_title, y_title]: [&str; 2]) {
+        let (left, bottom, font) = (self.left, self.bottom(), svg.font_px());
+        let edge = format!("fill=\"none\" stroke=\"{INK}\"");
+        let mark = format!("stroke=\"{INK}\"");
+        svg.rectangle([left, self.top], [self.width, self.height], &edge);
+        for v in self.x.numbers(self.width, PX_PER_NUMBER[0]) {
+            let x = self.at([v, self.y.ends()[0]])[0];
+            svg.path(&mark, &format!("M{x:.1} {bottom:.1}v{MARK_PX}"));
+            svg.text([x, bottom + MARK_PX + font], MIDDLE, &significant(v, AXIS_DIGITS));
+        }
+        for v in self.y.numbers(self.height, PX_PER_NUMBER[1]) {
+            let y = self.at([self.x.ends()[0], v])[1];
+            svg.path(&mark, &format!("M{left:.1} {y:.1}h-{MARK_PX}"));
+            let beside = [left - MARK_PX - 3.0, y + 0.36 * font];
+            svg.text(beside, END, &significant(v, AXIS_DIGITS));
+        }
+        let [margin_left, _, _, margin_below] = self.margin_px;
+        svg.text([left + 0.5 * self.width, bottom + margin_below - 12.0], MIDDLE, x_title);
+        let beside = [left - margin_left + font + 4.0, self.top + 0.5 * self.height];
+        svg.upward_text(beside, y_title);
+    }
+
+    /// Grey lines across the frame at the numbers of its axes.
+    pub fn grid(&self, svg: &mut Svg) {
+        let mut d = String::new();
+        for v in self.x.numbers(self.width, PX_PER_NUMBER[0]) {
+            let x = self.at([v, self.y.ends()[0]])[0];
+            put(&mut d, format_args!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
+        }
+        for v in self.y.numbers(self.height, PX_PER_NUMBER[1]) {
+            let y = self.at([self.x.ends()[0], v])[1];
+            put(&mut d, format_args!("M{:.1} {y:.1}h{:.1}", self.left, self.width));
+        }
+        svg.path("stroke=\"#dddddd\"", &d);
+    }
+
+    /// What the frame shows, above it.
+    pub fn title(&self, svg: &mut Svg, words: &str) {
+        if !words.is_empty() {
+            svg.text([self.left, self.top - 10.0], "", words);
+        }
+    }
+
+    /// Small print below the frame, at the right.
+    pub fn note(&self, svg: &mut Svg, words: &str) {
+        if !words.is_empty() {
+            let [_, _, margin_right, margin_below] = self.margin_px;
+            let at = [self.right() + margin_right - 6.0, self.bottom() + margin_below - 12.0];
+            svg.text(at, &format!("{END} font-size=\"11\" fill=\"#444444\""), words);
+        }
+    }
+
+    /// A line through `points`, cut where one is NaN.
+    pub fn curve(&self, svg: &mut Svg, points: impl IntoIterator<Item = [f64; 2]>, colour: &str) {
+        let mut d = String::new();
+        let mut letter = 'M';
+        for point in points {
+            let [x, y] = self.at(point);
+            if x.is_nan() || y.is_nan() {
+                letter = 'M';
+                continue;
+            }
+            put(&mut d, format_args!("{letter}{x:.1} {y:.1}"));
+            letter = 'L';
+        }
+        svg.path(&format!("fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\""), &d);
+    }
+
+    /// A dashed line across the frame where x is `x`.
+    pub fn upright(&self, svg: &mut Svg, x: f64, style: &str) {
+        let x = self.at([x, self.y.ends()[0]])[0];
+        svg.path(style, &format!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
+    }
+
+    /// The names of curves and their colours, in the upper right corner.
+    pub fn legend(&self, svg: &mut Svg, entries: &[(&str, &str)]) {
+        let widest = entries.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+        let x = self.right() - 40.0 - 7.5 * widest as f64;
+        for (k, (name, colour)) in entries.iter().enumerate() {
+            let y = self.top + 16.0 + 17.0 * k as f64;
+            let sample = format!("stroke=\"{colour}\" stroke-width=\"3\"");
+            svg.path(&sample, &format!("M{x:.1} {:.1}h22", y - 4.0));
+            svg.text([x + 27.0, y], "font-size=\"12\"", name);
+        }
+    }
+
+    /// The colours of `bands` right of the frame, with the ends of their range and their unit.
+    pub fn colour_bar(&self, svg: &mut Svg, bands: &Bands, unit: &str) {
+        let height = self.height.max(LEAST_BAR_PX);
+        let (left, bottom) = (self.right() + BAR_PX[0], self.top + height);
+        let step = height / bands.colours().len() as f64;
+        for (k, colour) in bands.colours().iter().enumerate() {
+            // A little higher than its step: no paper shines through between two of them.
+            let corner = [left, bottom - (k + 1) as f64 * step];
+            svg.rectangle(corner, [BAR_PX[1], step + 0.3], &format!("fill=\"{colour}\""));
+        }
+        let beside = left + BAR_PX[1] + 4.0;
+        let ends = bands.range().into_iter().zip([bottom, self.top + 11.0]);
+        for (value, y) in ends.filter(|(value, _)| value.is_finite()) {
+            svg.text([beside, y], "", &significant(value, BAR_DIGITS));
+        }
+        svg.upward_text([beside + 12.0, 0.5 * (self.top + bottom)], unit);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::colour::VIRIDIS;
+
+    fn frame(x: Scale, y: Scale) -> Frame {
+        Frame::new([0.0, 0.0], [400.0, 200.0], [60.0, 30.0, 90.0, 50.0], [x, y])
+    }
+
+    #[test]
+    fn y_goes_up_and_equal_ratios_are_equally_long() {
+        let f = frame(Scale::linear([0.0, 10.0]), Scale::logarithmic([0.01, 100.0]));
+        assert_eq!(f.at([0.0, 0.01]), [60.0, 230.0]);
+        assert_eq!(f.at([10.0, 100.0]), [460.0, 30.0]);
+        // Four decades over 200 px.
+        let [x, y] = f.at([5.0, 0.1]);
+        assert!((x - 260.0).abs() < 1e-12 && (y - 180.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_scale_of_one_value_or_none_has_a_length() {
+        assert_eq!(Scale::linear([2.0, 2.0]), Scale::Linear([1.5, 2.5]));
+        assert_eq!(Scale::linear(range([f64::NAN])), Scale::Linear([0.0, 1.0]));
+        assert_eq!(Scale::logarithmic([2.0, 2.0]), Scale::Logarithmic([1.0, 4.0]));
+        assert_eq!(Scale::logarithmic([0.0, 2.0]), Scale::Logarithmic([0.1, 1.0]));
+        assert_eq!(range([1.0, f64::NAN, -3.0]), [-3.0, 1.0]);
+    }
+
+    #[test]
+    fn axes_have_round_numbers_at_their_places() {
+        let mut svg = Svg::new(14.0);
+        frame(Scale::linear([0.0, 92.3]), Scale::logarithmic([0.02, 30.0]))
+            .axes(&mut svg, ["x (mm)", "a < b"]);
+        let text = svg.finish([550.0, 280.0]);
+        // 20 of 92.3 over 400 px from 60.
+        assert!(text.contains("d=\"M146.7 230.0v5\"/>\n<text x=\"146.7\" y=\"249.0\""), "{text}");
+        for number in [">0<", ">20<", ">80<", ">0.1<", ">1<", ">10<", ">a &lt; b<"] {
+            assert_eq!(text.matches(number).count(), 1, "{number} {text}");
+        }
+    }
+
+    #[test]
+    fn a_curve_is_cut_where_it_is_nan() {
+        let mut svg = Svg::new(14.0);
+        let f = frame(Scale::linear([0.0, 4.0]), Scale::linear([0.0, 1.0]));
+        f.curve(&mut svg, [0.0, 1.0, f64::NAN, 0.5, 1.0].map(|y| [y, y]), INK);
+        f.curve(&mut svg, [], INK);
+        let text = svg.finish([550.0, 280.0]);
+        assert_eq!((text.matches('M').count(), text.matches("<path").count()), (2, 1), "{text}");
+    }
+
+    #[test]
+    fn a_bar_of_colours_has_all_bands_and_the_ends_of_the_range() {
+        let mut svg = Svg::new(14.0);
+        let f = frame(Scale::linear([0.0, 1.0]), Scale::linear([0.0, 1.0]));
+        f.colour_bar(&mut svg, &Bands::new(&VIRIDIS, 24, [-1.23456, 2.0]), "nm");
+        let text = svg.finish([550.0, 280.0]);
+        assert_eq!(text.matches("width=\"12.00\"").count(), 24);
+        assert!(text.contains(">-1.235<") && text.contains(">2<") && text.contains(">nm<"));
+    }
+}

@@ -1,0 +1,108 @@
+//! An SVG document and its elements. Coordinates are pixels of the picture, y downwards.
+
+use std::fmt::{Arguments, Write};
+
+use planish_types::text::escaped;
+
+/// Attribute of a text whose middle is at its point.
+pub const MIDDLE: &str = "text-anchor=\"middle\"";
+
+/// Attribute of a text that ends at its point.
+pub const END: &str = "text-anchor=\"end\"";
+
+/// A picture while it is drawn.
+#[derive(Clone, Debug)]
+pub struct Svg {
+    font_px: f64,
+    elements: String,
+}
+
+impl Svg {
+    /// An empty picture on white whose texts are `font_px` high unless they say otherwise.
+    pub fn new(font_px: f64) -> Self {
+        Self { font_px, elements: String::new() }
+    }
+
+    /// Height of the font, px.
+    pub fn font_px(&self) -> f64 {
+        self.font_px
+    }
+
+    /// One line of markup as it is: the caller has escaped what a user gave.
+    pub fn put(&mut self, markup: Arguments<'_>) {
+        put(&mut self.elements, markup);
+        self.elements.push('\n');
+    }
+
+    /// A rectangle of `size` px whose upper left corner is at `corner`.
+    pub fn rectangle(&mut self, corner: [f64; 2], size: [f64; 2], attributes: &str) {
+        let ([x, y], [width, height]) = (corner, size);
+        self.put(format_args!(
+            "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {attributes}/>"
+        ));
+    }
+
+    /// A path with the data `d`; none where there is nothing to draw.
+    pub fn path(&mut self, attributes: &str, d: &str) {
+        if !d.is_empty() {
+            self.put(format_args!("<path {attributes} d=\"{d}\"/>"));
+        }
+    }
+
+    /// A text, escaped.
+    pub fn text(&mut self, [x, y]: [f64; 2], attributes: &str, words: &str) {
+        let space = if attributes.is_empty() { "" } else { " " };
+        let words = escaped(words);
+        self.put(format_args!("<text x=\"{x:.1}\" y=\"{y:.1}\"{space}{attributes}>{words}</text>"));
+    }
+
+    /// A text that is read upwards, its middle at a point, escaped.
+    pub fn upward_text(&mut self, [x, y]: [f64; 2], words: &str) {
+        let words = escaped(words);
+        self.put(format_args!(
+            "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" {MIDDLE}>{words}</text>"
+        ));
+    }
+
+    /// The document, of [width, height] px rounded up to whole ones.
+    pub fn finish(self, size_px: [f64; 2]) -> String {
+        let [width, height] = size_px.map(f64::ceil);
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"{}\">\n\
+             <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n{}</svg>\n",
+            self.font_px, self.elements
+        )
+    }
+}
+
+/// Appends to the data of a path: writing to a string does not fail.
+pub fn put(out: &mut String, words: Arguments<'_>) {
+    let _ = out.write_fmt(words);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_document_holds_what_was_put_and_no_markup_of_a_user() {
+        let mut svg = Svg::new(14.0);
+        svg.text([1.0, 2.0], "", "a < b & \u{1b}");
+        svg.text([1.0, 2.0], END, "end");
+        svg.upward_text([3.0, 4.0], "<y>");
+        svg.path("stroke=\"#000000\"", "");
+        svg.rectangle([0.0, 0.5], [2.0, 1.0], "fill=\"#dddddd\"");
+        let text = svg.finish([10.2, 20.0]);
+        assert_eq!(
+            text,
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"11\" height=\"20\" viewBox=\"0 0 11 20\" \
+             font-family=\"sans-serif\" font-size=\"14\">\n\
+             <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
+             <text x=\"1.0\" y=\"2.0\">a &lt; b &amp; \\u{1b}</text>\n\
+             <text x=\"1.0\" y=\"2.0\" text-anchor=\"end\">end</text>\n\
+             <text transform=\"translate(3.0 4.0) rotate(-90)\" text-anchor=\"middle\">&lt;y&gt;</text>\n\
+             <rect x=\"0.00\" y=\"0.50\" width=\"2.00\" height=\"1.00\" fill=\"#dddddd\"/>\n</svg>\n"
+        );
+    }
+}

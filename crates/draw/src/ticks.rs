@@ -1,0 +1,70 @@
+//! Round numbers for the axis of a picture.
+
+/// Fraction of a step by which a number may lie outside: the rounding of an end of the interval.
+const SLACK: f64 = 1e-9;
+
+/// The multiples of 1, 2 or 5 times a power of ten from `low` to `high` (both finite, `low` <
+/// `high`), ascending, at most about `most` + 1 of them.
+pub fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
+    let least = (high - low) / most;
+    let power = least.log10().floor() as i32;
+    let ten = 10.0_f64.powi(power);
+    let step = [1.0, 2.0, 5.0].map(|f| f * ten).into_iter().find(|s| *s >= least);
+    let step = step.unwrap_or(10.0 * ten);
+    // Without the digits of rounding: 0.3, not 0.30000000000000004.
+    let decimals = usize::try_from(-power).unwrap_or(0);
+    let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
+    let first = (low / step - SLACK).ceil() as i64;
+    let last = (high / step + SLACK).floor() as i64;
+    // -0 is written as 0.
+    (first..=last).map(|k| round(k as f64 * step) + 0.0).collect()
+}
+
+/// Fewest numbers from which a logarithmic axis can be read.
+const FEWEST: usize = 3;
+
+/// The powers of ten from `low` to `high` (0 < `low` < `high`), every second, third ... of them where
+/// there are more than `most`; where there are fewer than three, numbers between them too.
+pub fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
+    let inside = |mantissas: &[f64]| -> Vec<f64> {
+        let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
+        (first..=last)
+            .flat_map(|power| mantissas.iter().map(move |m| m * 10.0_f64.powi(power)))
+            .filter(|v| (low * (1.0 - SLACK)..=high * (1.0 + SLACK)).contains(v))
+            .collect()
+    };
+    let powers = inside(&[1.0]);
+    if powers.len() >= FEWEST {
+        let every = (powers.len() as f64 / most).ceil().max(1.0) as usize;
+        return powers.into_iter().step_by(every).collect();
+    }
+    let few = inside(&[1.0, 2.0, 5.0]);
+    if few.len() >= FEWEST { few } else { inside(&[1.0, 1.5, 2.0, 3.0, 5.0, 7.0]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_round_and_an_end_counts() {
+        assert_eq!(
+            round_numbers(-0.05, 0.35, 10.0),
+            [-0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35]
+        );
+        assert_eq!(round_numbers(-0.05, 0.35, 4.0), [0.0, 0.1, 0.2, 0.3]);
+        assert_eq!(round_numbers(-3.0, 13.0, 8.0), [-2.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]);
+        assert_eq!(round_numbers(0.0, 1e4, 10.0).len(), 11);
+        assert_eq!(round_numbers(0.0, 92.3, 5.0), [0.0, 20.0, 40.0, 60.0, 80.0]);
+        assert_eq!(round_numbers(-0.3, 0.3, 2.0), [0.0]);
+        assert!(round_numbers(-0.3, 0.3, 2.0)[0].is_sign_positive());
+    }
+
+    #[test]
+    fn a_logarithmic_axis_has_powers_of_ten_and_more_where_they_are_few() {
+        assert_eq!(round_logarithms(0.02, 30.0, 10.0), [0.1, 1.0, 10.0]);
+        assert_eq!(round_logarithms(1.0, 1e8, 5.0), [1.0, 100.0, 1e4, 1e6, 1e8]);
+        assert_eq!(round_logarithms(0.3, 5.0, 10.0), [0.5, 1.0, 2.0, 5.0]);
+        assert_eq!(round_logarithms(0.19, 0.6, 10.0), [0.2, 0.3, 0.5]);
+    }
+}

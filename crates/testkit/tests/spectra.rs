@@ -1,0 +1,44 @@
+//! A report and `planish-surface psd` take the same spectrum of a map, whatever of it is invalid.
+
+use ndarray::Array2;
+use planish_compare::report::spectrum::{BAND_PERIOD_MM, spectrum};
+use planish_surface::psd::{Detrend, PsdSettings, Window, psd};
+use planish_types::{Axis, Grid, Surface};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+#[test]
+fn a_report_has_the_bands_of_the_spectrum_of_a_surface() {
+    let mut rng = ChaCha8Rng::seed_from_u64(21);
+    let axis = |n| Axis::new(-3.0, 0.25, n).unwrap();
+    let grid = Grid { x: axis(150), y: axis(131) };
+    let noise = Array2::from_shape_simple_fn(grid.shape(), || rng.random_range(-1.0..1.0));
+    let whole = |_: f64, _: f64| true;
+    let disc = |x: f64, y: f64| x.hypot(y) < 1.0;
+    let pit = |x: f64, y: f64| (x - 0.3).hypot(y + 0.2) > 0.05;
+    let apertures: [(&str, &dyn Fn(f64, f64) -> bool); 3] =
+        [("whole", &whole), ("disc", &disc), ("pit", &pit)];
+    for (name, inside) in apertures {
+        let height_nm = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (u, v) = (c as f64 / 74.5 - 1.0, r as f64 / 65.0 - 1.0);
+            let z = 30.0 * u * v + 8.0 * (3.0 * u).cos() + noise[[r, c]];
+            if inside(u, v) { z } else { f64::NAN }
+        });
+        let surface = Surface::new(grid, height_nm).unwrap();
+        let [long, short] = BAND_PERIOD_MM.map(|period| 1.0 / period);
+        let settings = PsdSettings {
+            window: Window::Hann,
+            detrend: Detrend::Plane,
+            band_per_mm: vec![[0.0, long], [long, short], [short, 99.0]],
+        };
+        let of_surface = psd(&surface, &settings).unwrap().report;
+        let of_report = spectrum(surface.height_nm().view(), surface.grid()).unwrap();
+        let bands: Vec<f64> = of_surface.bands.iter().map(|band| band.rms_nm).collect();
+        // The same sums of the same bins.
+        assert_eq!(of_report.band_rms_nm.to_vec(), bands, "{name}");
+        assert_eq!(
+            of_report.fraction_of_valid_pixels, of_surface.fraction_of_valid_pixels,
+            "{name}"
+        );
+    }
+}
