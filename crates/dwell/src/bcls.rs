@@ -33,8 +33,8 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    bounded_least_squares::{self, Program, Solution},
-    columns::Columns,
+    bounded_least_squares::{self, BoundedSolution, Program},
+    model::columns::Columns,
     problem::check,
 };
 
@@ -74,7 +74,7 @@ pub struct Report {
 #[derive(Clone, Debug)]
 pub struct Bcls {
     /// Dwell times and certificate.
-    pub solution: Solution,
+    pub solution: BoundedSolution,
     /// The bounds.
     pub report: Report,
 }

@@ -12,7 +12,10 @@
 //! lost: the pitch must be fine against the TIF.
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
-use planish_numerics::fft::{Complex64, convolution::Convolution};
+use planish_numerics::{
+    counting::Grouped,
+    fft::{Complex64, convolution::Convolution},
+};
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
 
@@ -177,8 +180,9 @@ struct Buckets {
     start: [f64; 2],
     side: f64,
     shape: [usize; 2],
-    /// First of the points of every square, and their number at the end.
-    first: Vec<usize>,
+    /// Points by square.
+    grouped: Grouped,
+    /// In that order.
     points: Vec<(u32, [f64; 2])>,
 }
 
@@ -199,14 +203,10 @@ impl Buckets {
             let [bx, by] = [0, 1].map(|a| (((p[a] - start[a]) / side) as usize).min(shape[a] - 1));
             by * shape[0] + bx
         };
-        let mut points = points.to_vec();
-        points.sort_by_key(|(_, p)| square(p));
-        let mut first = vec![0; shape[0] * shape[1] + 1];
-        points.iter().for_each(|(_, p)| first[square(p) + 1] += 1);
-        for b in 1..first.len() {
-            first[b] += first[b - 1];
-        }
-        Self { start, side, shape, first, points }
+        let squares = points.iter().map(|(_, p)| Some(square(p)));
+        let grouped = Grouped::new(shape[0] * shape[1], squares);
+        let points = grouped.items().iter().map(|i| points[*i as usize]).collect();
+        Self { start, side, shape, grouped, points }
     }
 
     /// The nearest point of every node that has one within `reach`, the lowest number of equals.
@@ -229,7 +229,7 @@ impl Buckets {
                 (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
             });
             let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
-            let line = |by: usize| self.first[by * self.shape[0]];
+            let line = |by: usize| self.grouped.first(by * self.shape[0]);
             for (j, p) in &self.points[line(lines.start)..line(lines.end.max(lines.start))] {
                 let of = near(y, p[1], reach);
                 for r in of.start.max(rows.start)..of.end.min(rows.end) {
@@ -285,7 +285,7 @@ impl Buckets {
                     return;
                 }
                 let square = by as usize * self.shape[0] + bx as usize;
-                for k in self.first[square]..self.first[square + 1] {
+                for k in self.grouped.first(square)..self.grouped.first(square + 1) {
                     let (j, q) = self.points[k];
                     let (x, y) = (q[0] - p[0], q[1] - p[1]);
                     if x * x + y * y > above {

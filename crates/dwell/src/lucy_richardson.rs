@@ -52,7 +52,7 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    coarse::{self, CoarseMap, MAX_SIZE},
+    coarse::{self, CoarseMap, MAX_SQUARE_PIXELS},
     dwell_map::Cells,
     problem::{Model, Problem, Solution, check, check_steps},
 };
@@ -160,13 +160,14 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
 
 fn check_size(settings: &Settings) -> Result<(), DwellError> {
     let problem = match settings.pixels_per_cell {
-        Some(size) if !(1..=MAX_SIZE).contains(&size) => format!("is {size}"),
+        Some(size) if !(1..=MAX_SQUARE_PIXELS).contains(&size) => format!("is {size}"),
         Some(size) if size > 1 && settings.unknowns == Unknowns::Path => {
             format!("is {size}, but the unknowns are those of the path")
         }
         _ => return Ok(()),
     };
-    let remedy = format!("give a number from 1 to {MAX_SIZE} with --unknowns map, or none");
+    let remedy =
+        format!("give a number from 1 to {MAX_SQUARE_PIXELS} with --unknowns map, or none");
     Err(planish_types::Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 

@@ -31,7 +31,7 @@ use serde::Serialize;
 use crate::{
     DwellError,
     extension::Extension,
-    operator::Operator,
+    model::operator::Operator,
     problem::{Model, Problem, Solution, check, check_steps},
     rifta::refuse_a_tif_larger_than_the_map,
 };

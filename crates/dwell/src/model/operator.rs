@@ -1,25 +1,44 @@
-//! B as an operator: by its columns where they fit, by FFT where they do not.
+//! B as an operator: by its columns, or by FFT.
 //!
-//! The columns are exact, and so is the FFT where the TIF has the pitch of the map
-//! ([`crate::fft_operator`]), in memory proportional to the map.
+//! The columns are exact, but there may be too many of them to be stored. The FFT takes memory
+//! proportional to the map ([`crate::model::fft_operator`]), and is exact where the TIF has the pitch of the
+//! map.
 
 use ndarray::{Array2, Axis, s};
 use planish_types::{Grid, Invalid, Tif};
 use rayon::prelude::*;
 
-use crate::{
-    columns::{self, Patch, Place},
+use crate::model::{
+    ROWS_PER_TASK,
+    columns::{self, Patch, Place, Stored},
     fft_operator::FftOperator,
 };
 
-/// Most elements of B that are stored (400 MB).
+/// Most elements of B that [`Operator`] stores (400 MB).
 const MAX_STORED_ELEMENTS: f64 = 5e7;
+
+/// Most elements of B that are held while something else is made of it, or where they are more exact
+/// than the FFT (2 GB).
+const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 
 /// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
 const MAX_TIF_PIXELS: f64 = 2.7e8;
 
-/// Rows of the map that a thread fills at a time.
-const BAND: usize = 16;
+/// Most dwell points of a normal matrix (288 MB).
+pub const MAX_MATRIX_POINTS: usize = 6000;
+
+/// Pixels of the map that the TIF covers; refuses so many that the units must be wrong.
+fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
+    let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+    if pixels <= MAX_TIF_PIXELS {
+        return Ok(pixels);
+    }
+    Err(Invalid::whole(
+        "rate_nm_per_s",
+        format!("covers {pixels:.0} pixels of the map"),
+        "check that the TIF and the map are both in mm",
+    ))
+}
 
 /// B.
 pub enum Operator {
@@ -37,16 +56,8 @@ pub enum Operator {
 impl Operator {
     /// B for the places of the tool in each column.
     pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
-        let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
-        if pixels > MAX_TIF_PIXELS {
-            return Err(Invalid::whole(
-                "rate_nm_per_s",
-                format!("covers {pixels:.0} pixels of the map"),
-                "check that the TIF and the map are both in mm",
-            ));
-        }
         // A column has at most the pixels of the map.
-        let pixels = pixels.min((grid.x.len() * grid.y.len()) as f64);
+        let pixels = covered_pixels(tif, grid)?.min((grid.x.len() * grid.y.len()) as f64);
         Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
             Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
         } else {
@@ -69,9 +80,9 @@ impl Operator {
             Self::Fft(operator) => return operator.apply(t),
         };
         let mut map = Array2::zeros(shape);
-        map.axis_chunks_iter_mut(Axis(0), BAND).into_par_iter().enumerate().for_each(
+        map.axis_chunks_iter_mut(Axis(0), ROWS_PER_TASK).into_par_iter().enumerate().for_each(
             |(band, mut rows)| {
-                let first = band * BAND;
+                let first = band * ROWS_PER_TASK;
                 for (p, t) in patches.iter().zip(t) {
                     let (r, c) = p.origin;
                     let (ny, nx) = p.rate_nm_per_s.dim();
@@ -109,6 +120,52 @@ impl Operator {
     }
 }
 
+/// B for a certificate: by the FFT where that is exact, by its columns where it is not and they fit.
+///
+/// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
+pub enum Removal {
+    /// By columns.
+    Stored(Stored),
+    /// By spreading and FFT.
+    Convolved(Box<FftOperator>),
+}
+
+impl Removal {
+    /// B for the places of the tool in each column; more than `max_stored` of them are not stored.
+    pub fn new(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        grid: &Grid,
+        max_stored: usize,
+    ) -> Result<Self, Invalid> {
+        let pixels = covered_pixels(tif, grid)?;
+        let stored = !FftOperator::is_exact(tif, grid)
+            && places.len() <= max_stored
+            && places.len() as f64 * pixels <= MAX_COLUMN_ELEMENTS;
+        Ok(if stored {
+            Self::Stored(Stored::new(places, tif, grid))
+        } else {
+            Self::Convolved(Box::new(FftOperator::new(places, tif, grid)))
+        })
+    }
+
+    /// `B t`: (ny, nx), nm.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        match self {
+            Self::Stored(b) => b.apply(t),
+            Self::Convolved(b) => b.apply(t),
+        }
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        match self {
+            Self::Stored(b) => b.adjoint(map),
+            Self::Convolved(b) => b.adjoint(map),
+        }
+    }
+}
+
 /// `B' W B - b b' / sum(w)`, b = B' w: the normal matrix (n, n) with a free piston, for solvers that
 /// need a matrix. Refuses one that does not fit.
 pub fn normal_matrix(
@@ -119,7 +176,7 @@ pub fn normal_matrix(
 ) -> Result<Array2<f64>, Invalid> {
     let n = places.len();
     let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
-    if n > MAX_MATRIX_POINTS || n as f64 * pixels > MAX_MATRIX_ELEMENTS {
+    if n > MAX_MATRIX_POINTS || n as f64 * pixels > MAX_COLUMN_ELEMENTS {
         return Err(Invalid::whole(
             "dwell_point_mm",
             format!("has {n} points, each of {pixels:.0} pixels of the map"),
@@ -153,9 +210,3 @@ pub fn normal_matrix(
     }
     Ok(h)
 }
-
-/// Most dwell points of a normal matrix (288 MB).
-pub const MAX_MATRIX_POINTS: usize = 6000;
-
-/// Most elements of B while it is made (2 GB).
-const MAX_MATRIX_ELEMENTS: f64 = 2.5e8;
