@@ -80,10 +80,11 @@ pub(crate) struct Cells {
     nearest: Array2<u32>,
 }
 
-const NOBODY: u32 = u32::MAX;
+/// In place of a dwell point: none is near enough.
+const NO_POINT: u32 = u32::MAX;
 
 /// Rows of nodes that one thread takes at a time.
-const BAND: usize = 64;
+const NODE_ROWS_PER_TASK: usize = 64;
 
 impl Cells {
     /// Nodes belong to the nearest dwell point with the tool on, unless it is further away than twice
@@ -113,10 +114,10 @@ impl Cells {
                     if !aperture(p) {
                         continue;
                     }
-                    if *n == NOBODY {
+                    if *n == NO_POINT {
                         (guess, (*n, _)) = points.nearest(p, guess, f64::INFINITY);
                     }
-                    if *n != NOBODY {
+                    if *n != NO_POINT {
                         distances.push(distance(*n, p) as f32);
                     }
                 }
@@ -133,11 +134,11 @@ impl Cells {
             let mut guess = 0;
             for (c, n) in row.iter_mut().enumerate() {
                 let p = [grid.x.at(c), grid.y.at(r)];
-                if *n == NOBODY && far > reach {
+                if *n == NO_POINT && far > reach {
                     (guess, (*n, _)) = points.nearest(p, guess, far);
                 }
-                if *n != NOBODY && distance(*n, p) > far {
-                    *n = NOBODY;
+                if *n != NO_POINT && distance(*n, p) > far {
+                    *n = NO_POINT;
                 }
             }
         });
@@ -146,7 +147,7 @@ impl Cells {
 
     /// Whether somebody is near enough.
     pub fn owned(&self) -> Array2<bool> {
-        self.nearest.mapv(|j| j != NOBODY)
+        self.nearest.mapv(|j| j != NO_POINT)
     }
 
     /// (2) for `n` dwell points, s. Time on a node that nobody is near enough to goes to the nearest
@@ -159,7 +160,7 @@ impl Cells {
                 return;
             }
             let mut j = *j;
-            if j == NOBODY {
+            if j == NO_POINT {
                 // The same guesses whatever came before in other rows.
                 if row != r {
                     (row, guess) = (r, 0);
@@ -211,7 +212,7 @@ impl Buckets {
 
     /// The nearest point of every node that has one within `reach`, the lowest number of equals.
     fn within(&self, reach: f64, grid: &Grid) -> Array2<u32> {
-        let mut nearest = Array2::from_elem(grid.shape(), NOBODY);
+        let mut nearest = Array2::from_elem(grid.shape(), NO_POINT);
         let (x, y) = (&grid.x, &grid.y);
         // Nodes of an axis within a distance of p.
         let near = |axis: &Axis, p: f64, distance: f64| {
@@ -220,9 +221,10 @@ impl Buckets {
             let to = ((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len());
             from.min(to)..to
         };
-        let bands = nearest.axis_chunks_iter_mut(NdAxis(0), BAND).into_par_iter().enumerate();
+        let bands =
+            nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK).into_par_iter().enumerate();
         bands.for_each(|(band, mut nearest)| {
-            let rows = band * BAND..band * BAND + nearest.nrows();
+            let rows = band * NODE_ROWS_PER_TASK..band * NODE_ROWS_PER_TASK + nearest.nrows();
             let mut squares = Array2::from_elem(nearest.dim(), f64::INFINITY);
             let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
                 let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
@@ -257,7 +259,7 @@ impl Buckets {
             let b = ((p[a] - self.start[a]) / self.side).floor();
             b.clamp(-1e9, 1e9) as isize
         });
-        let Some((j, q)) = self.points.get(guess) else { return (0, (NOBODY, f64::INFINITY)) };
+        let Some((j, q)) = self.points.get(guess) else { return (0, (NO_POINT, f64::INFINITY)) };
         let mut place = guess;
         let mut best = (*j, (q[0] - p[0]).hypot(q[1] - p[1]));
         // Squared distances above this are larger than the best by more than rounding.

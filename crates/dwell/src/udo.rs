@@ -51,7 +51,7 @@ pub enum Floor {
 pub struct Settings {
     /// How the floor is kept.
     pub floor: Floor,
-    /// beta: part of the best step that is taken from the second round on; in (0, 1].
+    /// beta: fraction of the best step that is taken from the second round on; in (0, 1].
     pub step: f64,
     /// RMS at which it ends, nm; >= 0.
     pub threshold_nm: f64,

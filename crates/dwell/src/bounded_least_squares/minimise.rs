@@ -40,9 +40,9 @@ const STEP_ROUNDING: f64 = 1e-15;
 /// surrogate has at their bounds on them.
 const WHOLE_STEP_FROM: f64 = 0.6;
 
-/// Two directions are parallel when the determinant of their products is below this fraction of that of
-/// orthogonal ones.
-const PARALLEL: f64 = 1e-9;
+/// Two directions are as good as parallel when the determinant of their products is below this fraction of
+/// that of orthogonal ones.
+const MIN_DETERMINANT_FRACTION: f64 = 1e-9;
 
 /// A dwell time nearer to its bound than this fraction of itself differs from it by rounding.
 const BOUND_ROUNDING: f64 = 1e-13;
@@ -270,7 +270,7 @@ impl Along<'_> {
         let (dp, pp) = (self.between((d, d_nm), (p, p_nm)), self.value(p, p_nm));
         let (qd, qp) = (dot(q, d), dot(q, p));
         let determinant = dd * pp - dp * dp;
-        if determinant <= PARALLEL * dd * pp {
+        if determinant <= MIN_DETERMINANT_FRACTION * dd * pp {
             return [-qd / dd, 0.0];
         }
         [(dp * qp - pp * qd) / determinant, (dp * qd - dd * qp) / determinant]

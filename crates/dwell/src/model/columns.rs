@@ -118,10 +118,10 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
                 combine(&samples.slice(s![run.node + k..run.node + k + 4, ..]), &run.w, &mut row);
                 let mut out = rate_nm_per_s.row_mut(run.pixel + k);
                 let out = out.as_slice_mut().expect("in C order");
-                for (part, along_x) in &along_x {
+                for (fraction, along_x) in &along_x {
                     for Run { pixel, len, node, w } in along_x {
                         let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[node + t..node + t + len]);
-                        let w = w.map(|w| w * part);
+                        let w = w.map(|w| w * fraction);
                         for (i, out) in out[*pixel..pixel + len].iter_mut().enumerate() {
                             *out += w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i];
                         }

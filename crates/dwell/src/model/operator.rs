@@ -210,3 +210,98 @@ pub fn normal_matrix(
     }
     Ok(h)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Axis;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// A product with B and one with its adjoint.
+    type Pair<'a> = (&'a str, Array2<f64>, Vec<f64>);
+
+    /// `<B t, m> = <t, B' m>` for every form of B, on a random map, tool and path; the pitch of the tool is
+    /// that of the map or another one.
+    fn adjoint_is_adjoint(seed: u64) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut axis = |step: f64, from: usize, to: usize| {
+            Axis::new(rng.random_range(-2.0..2.0), step, rng.random_range(from..to)).unwrap()
+        };
+        let grid = Grid { x: axis(0.1, 3, 70), y: axis(0.13, 3, 50) };
+        let same_pitch = seed.is_multiple_of(2);
+        let pitch = if same_pitch { [0.1, 0.13] } else { [0.07, 0.16] };
+        let own = Grid { x: axis(pitch[0], 4, 40), y: axis(pitch[1], 4, 40) };
+        // Rough up to its border.
+        let rate = Array2::from_shape_simple_fn(own.shape(), || rng.random_range(0.0..1.0));
+        let tif = Tif::new(own, rate).unwrap();
+        // Up to three places in a column, over the map, around it, and far away.
+        let reach = |a: &Axis, t: &Axis| {
+            (a.start_mm() - t.end_mm() - 1.0)..(a.end_mm() - t.start_mm() + 1.0)
+        };
+        let (x, y) = (reach(&grid.x, &own.x), reach(&grid.y, &own.y));
+        let n = rng.random_range(1..80);
+        let places: Vec<Vec<Place>> = (0..n)
+            .map(|_| {
+                let count = rng.random_range(0..4);
+                let fraction = 1.0 / f64::from(count.max(1));
+                let mut place = || Place {
+                    position_mm: [rng.random_range(x.clone()), rng.random_range(y.clone())],
+                    fraction,
+                };
+                (0..count).map(|_| place()).collect()
+            })
+            .collect();
+        let t: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let m = Array2::from_shape_simple_fn(grid.shape(), || rng.random_range(-1.0..1.0));
+
+        let stored = Operator::Stored {
+            patches: columns::patches(&places, &tif, &grid),
+            shape: grid.shape(),
+        };
+        let fft = Operator::Fft(Box::new(FftOperator::new(&places, &tif, &grid)));
+        let removal = Removal::Stored(Stored::new(&places, &tif, &grid));
+        let without_border = FftOperator::without_border(&places, &tif, &grid);
+        let pairs: [Pair<'_>; 4] = [
+            ("stored", stored.apply(&t), stored.adjoint(&m)),
+            ("FFT", fft.apply(&t), fft.adjoint(&m)),
+            ("stored for a certificate", removal.apply(&t), removal.adjoint(&m)),
+            ("without a border", without_border.apply(&t), without_border.adjoint(&m)),
+        ];
+        // The error of a convolution by FFT is at each pixel at most some log2(N) roundings of |R| |S t| (both
+        // Euclidean), for three transforms and two axes; Keys' weights sum to at most 1.25 per axis in
+        // magnitude, and what spills is removed by four such convolutions more. Sums of columns are better.
+        let length = |v: &mut dyn Iterator<Item = f64>| v.map(|v| v * v).sum::<f64>().sqrt();
+        let transform = ((grid.x.len() + 45) * (grid.y.len() + 45)) as f64;
+        let rate = length(&mut tif.with_ghosts().iter().copied());
+        let total = |v: &mut dyn Iterator<Item = f64>| v.map(f64::abs).sum::<f64>();
+        let size =
+            rate * 1.25 * 1.25 * total(&mut t.iter().copied()) * total(&mut m.iter().copied());
+        let allowed = 5.0 * 3.0 * 2.0 * transform.log2() * f64::EPSILON * size;
+        for (name, b_t, b_m) in &pairs {
+            let left = (b_t * &m).sum();
+            let right: f64 = t.iter().zip(b_m).map(|(t, b)| t * b).sum();
+            assert!(
+                (left - right).abs() <= allowed,
+                "{name}, seed {seed}: {left} {right} {allowed}"
+            );
+            // The tolerance is far below what the products are made of.
+            let sizes = length(&mut b_t.iter().copied()) * length(&mut m.iter().copied());
+            assert!(
+                sizes == 0.0 || allowed < 1e-6 * sizes,
+                "{name}, seed {seed}: {allowed} {sizes}"
+            );
+        }
+        // Both are the same B, where the FFT is exact.
+        if same_pitch {
+            let apart = (&pairs[0].1 - &pairs[1].1).iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+            assert!(apart <= allowed, "seed {seed}: {apart} {allowed}");
+        }
+        assert_eq!(FftOperator::is_exact(&tif, &grid), same_pitch);
+    }
+
+    #[test]
+    fn every_form_of_b_has_its_adjoint_on_random_problems() {
+        (0..40).for_each(adjoint_is_adjoint);
+    }
+}

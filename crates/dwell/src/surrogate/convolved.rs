@@ -1,7 +1,7 @@
 //! The surrogate as an operator: too many dwell points for a matrix.
 
 use ndarray::{Array2, Zip};
-use planish_numerics::qp::bounded::{self, GradientSettings, ProductSettings};
+use planish_numerics::qp::bounded::{self, DESCENT_STEPS, GradientSettings, ProductSettings};
 use planish_types::{Axis, Grid, Invalid, Tif};
 
 use super::{
@@ -21,9 +21,6 @@ const MAX_ACTIVE_SETS: usize = 30;
 
 /// Conjugate gradients end when they would gain this fraction of what they have gained, in the norm of H~.
 const LINEAR_SOLVE_ERROR: f64 = 0.03;
-
-/// Gradient steps where no active set is better than the start.
-const DESCENT_STEPS: usize = 300;
 
 /// H~ as an operator on the cells, with the TIF averaged over a cell.
 pub struct Convolved {

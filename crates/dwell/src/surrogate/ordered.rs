@@ -2,7 +2,7 @@
 
 use planish_numerics::{
     linear::skyline::Skyline,
-    qp::bounded::{self, End, GradientSettings, Quadratic},
+    qp::bounded::{self, DESCENT_STEPS, End, GradientSettings, Quadratic},
 };
 
 use crate::{model::columns::Patch, objective::Penalty};
@@ -18,9 +18,6 @@ const MAX_FACTORISATIONS: usize = 30;
 /// The same from where gradient steps have found most of the active set, so that another attempt is worth
 /// more.
 const MAX_FACTORISATIONS_AFTER_DESCENT: usize = 100;
-
-/// Gradient steps where the active set method cycles.
-const DESCENT_STEPS: usize = 300;
 
 /// The columns in an order in which H~ has a small skyline.
 pub struct Ordered {

@@ -29,6 +29,9 @@ const EIGENVALUE_MARGIN: f64 = 1.02;
 /// Steps after which [`projected_gradient`] looks whether it has ended: a look costs a product.
 const STEPS_BETWEEN_LOOKS: usize = 50;
 
+/// Gradient steps that make progress where an active set method has failed.
+pub const DESCENT_STEPS: usize = 300;
+
 /// Factorisations without a smaller natural residual after which [`active_set`] is cycling.
 const CYCLING_AFTER: usize = 10;
 
