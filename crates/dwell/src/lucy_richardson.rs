@@ -6,9 +6,9 @@
 //! ```
 //!
 //! `low` is the lowest height but for a given fraction of the pixels: otherwise one pit would decide how
-//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson
-//! process, which here is a device to keep T positive. Without smoothing the likelihood never falls,
-//! and after every step the removed volume is the desired one. `B' w` in place of the volume of the
+//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`,
+//! m = B T, of a Poisson process, which here is a device to keep T positive. Without smoothing the
+//! likelihood never falls, and after every step the removed volume is the desired one. `B' w` in place of the volume of the
 //! TIF is the whole treatment of the boundary: a dwell point near it is judged by the pixels that it
 //! reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the best
 //! one reaches stay at the floor.

@@ -86,8 +86,8 @@ pub struct Report {
     pub clipped: usize,
 }
 
-/// Relative dampings of the search, smallest, largest and number: ten per decade would move the residual by less than a percent
-/// from one to the next; eight do.
+/// Relative dampings of the search: smallest, largest and number. With eight per decade the residual moves
+/// by less than a percent from one to the next.
 const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
 
 /// Solves (1).

@@ -1,4 +1,6 @@
-//! The certificate: how far a feasible point can be from the minimum.
+//! The certificate: how far the objective (1) of [`crate::bounded_least_squares`] can be above its minimum.
+//!
+//! It is proven by the exact gradient alone, so whatever the surrogate does, the claim in the report holds.
 
 /// By how much (1) can still fall, at most. H is at least `alpha D`, so
 ///

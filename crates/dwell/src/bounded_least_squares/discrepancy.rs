@@ -1,4 +1,7 @@
 //! Morozov's discrepancy principle: the noise of the map chooses the smoothness.
+//!
+//! A residual smaller than the noise of the measurement means that dwell times were spent on the noise. Source:
+//! V. A. Morozov, Soviet Math. Dokl. 7 (1966) 414.
 
 use ndarray::Zip;
 

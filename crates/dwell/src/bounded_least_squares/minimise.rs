@@ -1,4 +1,5 @@
-//! The steps to the minimum, each found on the surrogate and corrected by the exact gradient.
+//! The steps to the minimum of (1) of [`crate::bounded_least_squares`]. The exact H is too large to be solved
+//! with, its surrogate H~ is not exact: so each step is found with H~ and corrected with the exact gradient.
 
 use ndarray::{Array2, Zip};
 use planish_numerics::{

@@ -1,5 +1,5 @@
-//! The problem with everything that is computed once: the free part, the diagonal of H, what is unreached,
-//! and the surrogate.
+//! The problem (1) of [`crate::bounded_least_squares`] with everything that is computed once: the diagonal of
+//! H, what the tool does not reach, and the surrogate.
 
 use ndarray::{Array2, Zip};
 use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
@@ -44,17 +44,20 @@ pub struct BoundedProblem<'a> {
     pub diagonal: Vec<f64>,
     /// D.
     pub strongest: f64,
+    /// U of (2): what is free.
     u: Vec<Vec<f64>>,
     pub surrogate: Surrogate,
     /// Pixels along the side of a cell of `surrogate`.
     pub cell: usize,
     /// Pitch of its splines, mm.
     pub splines_mm: Option<f64>,
+    /// Where the steps begin (n), s.
     pub start: Vec<f64>,
 }
 
-/// Sum of `w B^2` of every column. By FFT the mean of R^2 stands for the square of the mean, and
-/// what spills counts: not where that decides whether a column reaches the map at all.
+/// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: the mean of R^2 along a segment in place
+/// of the square of the mean, with the kernel spill. Where a column is so weak that the estimate would decide
+/// whether it reaches the map at all, it is computed from the column itself.
 fn energies(
     b: &Removal,
     places: &[Vec<Place>],

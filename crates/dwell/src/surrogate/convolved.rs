@@ -1,4 +1,5 @@
-//! The surrogate as an operator: too many dwell points for a matrix.
+//! The surrogate as an operator: too many dwell points for a matrix, which grows with their square over the width
+//! of the TIF, while a product by FFT grows with the number of cells.
 
 use ndarray::{Array2, Zip};
 use planish_numerics::qp::bounded::{self, DESCENT_STEPS, GradientSettings, ProductSettings};

@@ -1,4 +1,8 @@
 //! The surrogate as a matrix: few enough dwell points for skyline Cholesky factorisations.
+//!
+//! Columns are coupled only where their TIFs overlap. In the order of their positions along one axis of the map
+//! each row of H~ begins near its diagonal, and the factor fills nothing outside of that; of the two axes the one
+//! with the smaller skyline is taken.
 
 use planish_numerics::{
     linear::skyline::Skyline,

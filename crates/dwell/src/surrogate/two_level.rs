@@ -3,7 +3,7 @@
 //!
 //! With `L = alpha D I + beta D G' G` the matrix of the free dwell times is `H = B' W B - U U' + L`. B is a
 //! low pass: what it sees of dwell times is what smooth functions of the position can say, and on
-//! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth part is taken
+//! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth component is taken
 //! out exactly,
 //!
 //! ```text
