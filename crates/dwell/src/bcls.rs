@@ -33,8 +33,8 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    bounded_least_squares::{self, Program, Solution},
-    columns::Columns,
+    bounded_least_squares::{self, BoundedSolution, Program},
+    model::columns::Columns,
     problem::check,
 };
 
@@ -74,7 +74,7 @@ pub struct Report {
 #[derive(Clone, Debug)]
 pub struct Bcls {
     /// Dwell times and certificate.
-    pub solution: Solution,
+    pub solution: BoundedSolution,
     /// The bounds.
     pub report: Report,
 }
@@ -121,7 +121,12 @@ pub struct Bounds {
 
 /// (1) and (2); refuses a path whose lengths differ too much for the least feed.
 pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bounds, Invalid> {
-    check("least_feed", least_feed, |e| (0.0..1.0).contains(&e), "give a part from 0 to below 1")?;
+    check(
+        "least_feed",
+        least_feed,
+        |e| (0.0..1.0).contains(&e),
+        "give a fraction from 0 to below 1",
+    )?;
     let n = path.len();
     let along = |j: usize, limit: [f64; 2]| {
         let (d, length) = (path.displacement_mm(j), path.segment_length_mm(j));

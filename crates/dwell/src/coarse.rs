@@ -26,21 +26,21 @@ use rayon::prelude::*;
 
 use crate::dwell_map::lattice;
 
-/// Maps with fewer pixels are solved as they are.
-const LARGE: usize = 1_000_000;
+/// Maps with fewer pixels are solved on the pixels.
+const MIN_PIXELS_FOR_SQUARES: usize = 1_000_000;
 
 /// Squares on which the TIF rises from nothing to its peak, at its steepest slope. A Gaussian rises
 /// on 0.70 of its full width at half maximum: this is ten squares in that width. By the residuals
 /// found with others (docs/dwell.md).
-const SQUARES: f64 = 7.0;
+const SQUARES_ON_RISE: f64 = 7.0;
 
-/// Largest K.
-pub(crate) const MAX_SIZE: usize = 64;
+/// Largest K, pixels along the side of a square.
+pub(crate) const MAX_SQUARE_PIXELS: usize = 64;
 
 /// K for a map: the largest that the TIF allows, 1 for one that is not large.
 pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     let grid = desired.grid();
-    if grid.x.len() * grid.y.len() < LARGE {
+    if grid.x.len() * grid.y.len() < MIN_PIXELS_FOR_SQUARES {
         return 1;
     }
     let rate = tif.rate_nm_per_s();
@@ -61,7 +61,7 @@ pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     let rise = |slope: f64, tif: f64, map: f64| peak / slope * tif / map;
     let x = rise(steepest[0], tif.grid().x.step_mm(), grid.x.step_mm());
     let y = rise(steepest[1], tif.grid().y.step_mm(), grid.y.step_mm());
-    ((x.min(y) / SQUARES) as usize).clamp(1, MAX_SIZE)
+    ((x.min(y) / SQUARES_ON_RISE) as usize).clamp(1, MAX_SQUARE_PIXELS)
 }
 
 /// (1) and (2).

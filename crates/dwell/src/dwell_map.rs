@@ -12,7 +12,10 @@
 //! lost: the pitch must be fine against the TIF.
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
-use planish_numerics::fft::{Complex64, convolution::Convolution};
+use planish_numerics::{
+    counting::Grouped,
+    fft::{Complex64, convolution::Convolution},
+};
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
 
@@ -77,10 +80,11 @@ pub(crate) struct Cells {
     nearest: Array2<u32>,
 }
 
-const NOBODY: u32 = u32::MAX;
+/// In place of a dwell point: none is near enough.
+const NO_POINT: u32 = u32::MAX;
 
 /// Rows of nodes that one thread takes at a time.
-const BAND: usize = 64;
+const NODE_ROWS_PER_TASK: usize = 64;
 
 impl Cells {
     /// Nodes belong to the nearest dwell point with the tool on, unless it is further away than twice
@@ -110,10 +114,10 @@ impl Cells {
                     if !aperture(p) {
                         continue;
                     }
-                    if *n == NOBODY {
+                    if *n == NO_POINT {
                         (guess, (*n, _)) = points.nearest(p, guess, f64::INFINITY);
                     }
-                    if *n != NOBODY {
+                    if *n != NO_POINT {
                         distances.push(distance(*n, p) as f32);
                     }
                 }
@@ -130,11 +134,11 @@ impl Cells {
             let mut guess = 0;
             for (c, n) in row.iter_mut().enumerate() {
                 let p = [grid.x.at(c), grid.y.at(r)];
-                if *n == NOBODY && far > reach {
+                if *n == NO_POINT && far > reach {
                     (guess, (*n, _)) = points.nearest(p, guess, far);
                 }
-                if *n != NOBODY && distance(*n, p) > far {
-                    *n = NOBODY;
+                if *n != NO_POINT && distance(*n, p) > far {
+                    *n = NO_POINT;
                 }
             }
         });
@@ -143,7 +147,7 @@ impl Cells {
 
     /// Whether somebody is near enough.
     pub fn owned(&self) -> Array2<bool> {
-        self.nearest.mapv(|j| j != NOBODY)
+        self.nearest.mapv(|j| j != NO_POINT)
     }
 
     /// (2) for `n` dwell points, s. Time on a node that nobody is near enough to goes to the nearest
@@ -156,7 +160,7 @@ impl Cells {
                 return;
             }
             let mut j = *j;
-            if j == NOBODY {
+            if j == NO_POINT {
                 // The same guesses whatever came before in other rows.
                 if row != r {
                     (row, guess) = (r, 0);
@@ -177,8 +181,9 @@ struct Buckets {
     start: [f64; 2],
     side: f64,
     shape: [usize; 2],
-    /// First of the points of every square, and their number at the end.
-    first: Vec<usize>,
+    /// Points by square.
+    grouped: Grouped,
+    /// In that order.
     points: Vec<(u32, [f64; 2])>,
 }
 
@@ -199,19 +204,15 @@ impl Buckets {
             let [bx, by] = [0, 1].map(|a| (((p[a] - start[a]) / side) as usize).min(shape[a] - 1));
             by * shape[0] + bx
         };
-        let mut points = points.to_vec();
-        points.sort_by_key(|(_, p)| square(p));
-        let mut first = vec![0; shape[0] * shape[1] + 1];
-        points.iter().for_each(|(_, p)| first[square(p) + 1] += 1);
-        for b in 1..first.len() {
-            first[b] += first[b - 1];
-        }
-        Self { start, side, shape, first, points }
+        let squares = points.iter().map(|(_, p)| Some(square(p)));
+        let grouped = Grouped::new(shape[0] * shape[1], squares);
+        let points = grouped.items().iter().map(|i| points[*i as usize]).collect();
+        Self { start, side, shape, grouped, points }
     }
 
     /// The nearest point of every node that has one within `reach`, the lowest number of equals.
     fn within(&self, reach: f64, grid: &Grid) -> Array2<u32> {
-        let mut nearest = Array2::from_elem(grid.shape(), NOBODY);
+        let mut nearest = Array2::from_elem(grid.shape(), NO_POINT);
         let (x, y) = (&grid.x, &grid.y);
         // Nodes of an axis within a distance of p.
         let near = |axis: &Axis, p: f64, distance: f64| {
@@ -220,16 +221,17 @@ impl Buckets {
             let to = ((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len());
             from.min(to)..to
         };
-        let bands = nearest.axis_chunks_iter_mut(NdAxis(0), BAND).into_par_iter().enumerate();
+        let bands =
+            nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK).into_par_iter().enumerate();
         bands.for_each(|(band, mut nearest)| {
-            let rows = band * BAND..band * BAND + nearest.nrows();
+            let rows = band * NODE_ROWS_PER_TASK..band * NODE_ROWS_PER_TASK + nearest.nrows();
             let mut squares = Array2::from_elem(nearest.dim(), f64::INFINITY);
             let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
                 let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
                 (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
             });
             let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
-            let line = |by: usize| self.first[by * self.shape[0]];
+            let line = |by: usize| self.grouped.first(by * self.shape[0]);
             for (j, p) in &self.points[line(lines.start)..line(lines.end.max(lines.start))] {
                 let of = near(y, p[1], reach);
                 for r in of.start.max(rows.start)..of.end.min(rows.end) {
@@ -257,7 +259,7 @@ impl Buckets {
             let b = ((p[a] - self.start[a]) / self.side).floor();
             b.clamp(-1e9, 1e9) as isize
         });
-        let Some((j, q)) = self.points.get(guess) else { return (0, (NOBODY, f64::INFINITY)) };
+        let Some((j, q)) = self.points.get(guess) else { return (0, (NO_POINT, f64::INFINITY)) };
         let mut place = guess;
         let mut best = (*j, (q[0] - p[0]).hypot(q[1] - p[1]));
         // Squared distances above this are larger than the best by more than rounding.
@@ -285,7 +287,7 @@ impl Buckets {
                     return;
                 }
                 let square = by as usize * self.shape[0] + bx as usize;
-                for k in self.first[square]..self.first[square + 1] {
+                for k in self.grouped.first(square)..self.grouped.first(square + 1) {
                     let (j, q) = self.points[k];
                     let (x, y) = (q[0] - p[0], q[1] - p[1]);
                     if x * x + y * y > above {

@@ -18,7 +18,7 @@ use planish_types::{Axis, Grid, Invalid};
 use rayon::prelude::*;
 
 /// Chebyshev polynomials along y and x, those of the source.
-const POLYNOMIALS: (usize, usize) = (6, 9);
+const POLYNOMIALS_Y_X: (usize, usize) = (6, 9);
 
 /// A map with a border on every side, and the pixels that are known.
 pub(crate) struct Extension {
@@ -61,8 +61,8 @@ impl Extension {
             nearest,
             ring: Array2::from_elem(extended.shape(), false),
             basis: (
-                chebyshev(extended.y.len(), POLYNOMIALS.0),
-                chebyshev(extended.x.len(), POLYNOMIALS.1),
+                chebyshev(extended.y.len(), POLYNOMIALS_Y_X.0),
+                chebyshev(extended.x.len(), POLYNOMIALS_Y_X.1),
             ),
             factor: None,
         };
@@ -99,7 +99,7 @@ impl Extension {
         let known = Array2::from_shape_fn(z.dim(), |p| if self.fitted(p) { odd[p] } else { 0.0 });
         let mut c: Vec<f64> = ty.t().dot(&known).dot(tx).iter().copied().collect();
         factor.solve(&mut c);
-        let c = Array2::from_shape_vec(POLYNOMIALS, c).expect("one per product");
+        let c = Array2::from_shape_vec(POLYNOMIALS_Y_X, c).expect("one per product");
         let polynomial = ty.dot(&c).dot(&tx.t());
         Array2::from_shape_fn(z.dim(), |p| if self.fitted(p) { odd[p] } else { polynomial[p] })
     }
@@ -122,7 +122,7 @@ impl Extension {
     /// Phi' Phi over the fitted pixels; `None` when it is singular (all valid pixels on a line).
     fn normal_equations(&self) -> Option<Factor> {
         let (ty, tx) = &self.basis;
-        let (a, b) = POLYNOMIALS;
+        let (a, b) = POLYNOMIALS_Y_X;
         let fitted = Array2::from_shape_fn(self.valid.dim(), |p| f64::from(self.fitted(p)));
         // sum over pixels of T_a T_a' T_b T_b': products along one axis, then along the other.
         let products = |t: &Array2<f64>| {
@@ -160,23 +160,23 @@ fn chebyshev(n: usize, count: usize) -> Array2<f64> {
 /// `(c - k)^2 dx^2 + d_k^2` along each row. Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory of
 /// Computing 8 (2012) 415.
 fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize)> {
-    const NONE: usize = usize::MAX;
+    const NO_PIXEL: usize = usize::MAX;
     let (ny, nx) = valid.dim();
-    let mut row_of = Array2::from_elem((ny, nx), NONE);
+    let mut row_of = Array2::from_elem((ny, nx), NO_PIXEL);
     row_of.axis_iter_mut(ArrayAxis(1)).into_par_iter().enumerate().for_each(|(c, mut column)| {
-        let mut last = NONE;
+        let mut last = NO_PIXEL;
         for r in 0..ny {
             if valid[[r, c]] {
                 last = r;
             }
             column[r] = last;
         }
-        let mut next = NONE;
+        let mut next = NO_PIXEL;
         for r in (0..ny).rev() {
             if valid[[r, c]] {
                 next = r;
             }
-            if next != NONE && (column[r] == NONE || next - r < r - column[r]) {
+            if next != NO_PIXEL && (column[r] == NO_PIXEL || next - r < r - column[r]) {
                 column[r] = next;
             }
         }
@@ -186,7 +186,7 @@ fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize
         let f = |k: usize| ((r as f64 - row_of[[r, k]] as f64) * dy).powi(2);
         let at = |k: usize| k as f64 * dx;
         let (mut parabolas, mut from): (Vec<usize>, Vec<f64>) = (Vec::new(), Vec::new());
-        for q in (0..nx).filter(|q| row_of[[r, *q]] != NONE) {
+        for q in (0..nx).filter(|q| row_of[[r, *q]] != NO_PIXEL) {
             loop {
                 let Some(&v) = parabolas.last() else {
                     from.push(f64::NEG_INFINITY);

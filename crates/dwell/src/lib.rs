@@ -20,22 +20,22 @@
 
 pub mod bcls;
 pub mod bounded_least_squares;
+mod bounds;
 mod coarse;
-pub mod columns;
 mod dwell_map;
 mod extension;
-mod fft_operator;
 pub mod lucy_richardson;
+mod model;
 pub mod non_negative_least_squares;
-mod operator;
+mod objective;
 pub mod problem;
 pub mod rifta;
 mod surrogate;
 pub mod tikhonov_lsqr;
 pub mod truncated_svd;
-mod two_level;
 pub mod udo;
 
+pub use model::columns;
 use planish_types::Invalid;
 
 /// Why no dwell time could be found.

@@ -5,10 +5,10 @@
 //! T <- T / (1 - mu kappa) * (B' (w E / B T)) / (B' w)      kappa = div(grad T / |grad T|)      (2)
 //! ```
 //!
-//! `low` is the lowest height but for a given part of the pixels: otherwise one pit would decide how
-//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson
-//! process, which here is a device to keep T positive. Without smoothing the likelihood never falls,
-//! and after every step the removed volume is the desired one. `B' w` in place of the volume of the
+//! `low` is the lowest height but for a given fraction of the pixels: otherwise one pit would decide how
+//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`,
+//! m = B T, of a Poisson process, which here is a device to keep T positive. Without smoothing the
+//! likelihood never falls, and after every step the removed volume is the desired one. `B' w` in place of the volume of the
 //! TIF is the whole treatment of the boundary: a dwell point near it is judged by the pixels that it
 //! reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the best
 //! one reaches stay at the floor.
@@ -31,7 +31,7 @@
 //! which has the same fixed points, reaches the same likelihood in several times fewer steps, and
 //! need not raise it in every one (D. Biggs and M. Andrews, Appl. Opt. 36 (1997) 1766, Eqs 4-9).
 //!
-//! It ends when ten steps lower the RMS of the residual by less than a given part.
+//! It ends when ten steps lower the RMS of the residual by less than a given fraction.
 //!
 //! Source: trigonometric-spline scheduling, Opt. Express 32 (2024) 9255, Eq. 2, with the curvature in
 //! place of the printed Laplacian over gradient (N. Dey et al., Microsc. Res. Tech. 69 (2006) 260),
@@ -52,7 +52,7 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    coarse::{self, CoarseMap, MAX_SIZE},
+    coarse::{self, CoarseMap, MAX_SQUARE_PIXELS},
     dwell_map::Cells,
     problem::{Model, Problem, Solution, check, check_steps},
 };
@@ -77,9 +77,9 @@ pub struct Settings {
     pub total_variation: f64,
     /// c: what is removed at the lowest pixel, as a fraction of the largest minus the smallest E; > 0.
     pub margin: f64,
-    /// Part of the pixels, the lowest ones, that may be cut off; in [0, 1).
+    /// Fraction of the pixels, the lowest ones, that may be cut off; in [0, 1).
     pub pits: f64,
-    /// It ends when ten steps lower the RMS by less than this part.
+    /// It ends when ten steps lower the RMS by less than this fraction.
     pub tolerance: f64,
     /// Most steps.
     pub max_iterations: usize,
@@ -131,16 +131,16 @@ pub struct Report {
 }
 
 /// A dwell point below this fraction of the largest `B' w` stays at the floor.
-const ACTIVE: f64 = 0.02;
+const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 
 /// No dwell time exceeds this multiple of the mean: at the edge of the reach T may run away.
-const RUNAWAY: f64 = 20.0;
+const MAX_TIME_OVER_MEAN: f64 = 20.0;
 
 /// Solves by (2).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("total_variation", settings.total_variation, |m| m >= 0.0, "give a number >= 0")?;
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
-    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
+    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
     check("tolerance", settings.tolerance, |t| t >= 0.0, "give a number >= 0")?;
     check_steps(settings.max_iterations)?;
     check_size(settings)?;
@@ -161,13 +161,14 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
 
 fn check_size(settings: &Settings) -> Result<(), DwellError> {
     let problem = match settings.pixels_per_cell {
-        Some(size) if !(1..=MAX_SIZE).contains(&size) => format!("is {size}"),
+        Some(size) if !(1..=MAX_SQUARE_PIXELS).contains(&size) => format!("is {size}"),
         Some(size) if size > 1 && settings.unknowns == Unknowns::Path => {
             format!("is {size}, but the unknowns are those of the path")
         }
         _ => return Ok(()),
     };
-    let remedy = format!("give a number from 1 to {MAX_SIZE} with --unknowns map, or none");
+    let remedy =
+        format!("give a number from 1 to {MAX_SQUARE_PIXELS} with --unknowns map, or none");
     Err(planish_types::Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 
@@ -205,7 +206,8 @@ struct Unknown<'a> {
 
 fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>, Report) {
     let largest = model.sensitivity.iter().copied().fold(0.0, f64::max);
-    let active: Vec<bool> = model.sensitivity.iter().map(|s| *s > ACTIVE * largest).collect();
+    let active: Vec<bool> =
+        model.sensitivity.iter().map(|s| *s > MIN_SENSITIVITY_FRACTION * largest).collect();
     // Density q = t / (l_j / l); p_j = (q_{j+1} - q_j) / sqrt(|..|^2 + eps^2), kappa_j = p_j - p_{j-1}
     let curvature = |t: &[f64], mean: f64| -> Vec<f64> {
         let slope = |j: usize| {
@@ -250,7 +252,7 @@ fn on_map(
     let sensitivity = map.adjoint(&weight);
     let largest = sensitivity.iter().copied().fold(0.0, f64::max);
     let active: Vec<bool> = (sensitivity.iter().zip(&map.at_nodes(&cells.owned())))
-        .map(|(s, owned)| *owned && *s > ACTIVE * largest)
+        .map(|(s, owned)| *owned && *s > MIN_SENSITIVITY_FRACTION * largest)
         .collect();
     if !active.iter().any(|a| *a) {
         return Err(DwellError::OutOfReach { points: path.len() });
@@ -264,7 +266,7 @@ fn on_map(
     let curvature = |t: &[f64], mean: f64| {
         let mut kappa = curvature_2d(t, &active, shape, 1e-3 * step * mean);
         if size > 1 {
-            kappa.par_iter_mut().with_min_len(PART).for_each(|k| *k /= step);
+            kappa.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).for_each(|k| *k /= step);
         }
         kappa
     };
@@ -317,11 +319,12 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
         let below = if k >= nx { normal[k - nx][1] } else { 0.0 };
         normal[k][0] - left + normal[k][1] - below
     };
-    (0..t.len()).into_par_iter().with_min_len(PART).map(divergence).collect()
+    (0..t.len()).into_par_iter().with_min_len(ELEMENTS_PER_TASK).map(divergence).collect()
 }
 
-/// Elements that one thread takes at a time.
-const PART: usize = 1 << 13;
+/// Elements that one thread takes at a time. Sums are sums over such pieces, so that they do not depend on
+/// the number of threads.
+const ELEMENTS_PER_TASK: usize = 1 << 13;
 
 /// (2) until it settles.
 fn iterate(
@@ -362,9 +365,9 @@ fn iterate(
         }
         // x = T (B' rho) / (B' w) / (1 - mu kappa)
         let mut x = adjoint(&rho);
-        let mean = sum(t.par_chunks(PART).map(|t| t.iter().sum())) / count as f64;
+        let mean = sum(t.par_chunks(ELEMENTS_PER_TASK).map(|t| t.iter().sum())) / count as f64;
         let kappa = if settings.total_variation > 0.0 { curvature(&t, mean) } else { Vec::new() };
-        x.par_iter_mut().with_min_len(PART).enumerate().for_each(|(j, x)| {
+        x.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).enumerate().for_each(|(j, x)| {
             if !active[j] {
                 *x = t[j];
                 return;
@@ -374,20 +377,20 @@ fn iterate(
             if let Some(kappa) = kappa.get(j) {
                 next /= (1.0 - settings.total_variation * kappa).clamp(0.5, 2.0);
             }
-            *x = next.min(RUNAWAY * mean);
+            *x = next.min(MAX_TIME_OVER_MEAN * mean);
         });
         if settings.accelerated {
             // t becomes g, then the point to go on from.
-            t.par_iter_mut().with_min_len(PART).zip(&x).for_each(|(t, x)| *t = x - *t);
+            t.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(&x).for_each(|(t, x)| *t = x - *t);
             let a = extrapolated.as_ref().map_or(0.0, |(_, g)| {
-                let parts = || t.par_chunks(PART).zip(g.par_chunks(PART));
-                let own = sum(g.par_chunks(PART).map(|g| dot(g, g)));
+                let parts = || t.par_chunks(ELEMENTS_PER_TASK).zip(g.par_chunks(ELEMENTS_PER_TASK));
+                let own = sum(g.par_chunks(ELEMENTS_PER_TASK).map(|g| dot(g, g)));
                 let a = sum(parts().map(|(t, g)| dot(t, g))) / own;
                 if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 }
             });
             let mut y = x.clone();
             if let Some((before, _)) = &extrapolated {
-                let parts = y.par_iter_mut().with_min_len(PART).zip(before);
+                let parts = y.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(before);
                 parts.for_each(|(y, before)| *y = (*y + a * (*y - before)).max(0.0));
             }
             extrapolated = Some((x, std::mem::replace(&mut t, y)));

@@ -22,7 +22,7 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    operator::normal_matrix,
+    model::operator::normal_matrix,
     problem::{Model, Problem, Solution, check},
 };
 

@@ -30,9 +30,13 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    bounded_least_squares::{self, Bound, pixel_weights},
-    columns::{Columns, Place},
-    operator::Operator,
+    bounds::{self, Bound, pixel_weights},
+    model::{
+        FFT_ROUNDING, ROWS_PER_TASK, UNREACHED_FRACTION,
+        columns::{Columns, Place},
+        operator::Operator,
+    },
+    objective::{REST_FRACTION, median_length_mm},
 };
 
 /// A desired removal, a tool, a path, and the least dwell times.
@@ -97,27 +101,21 @@ pub(crate) struct Model<'a> {
     /// B' w.
     pub sensitivity: Vec<f64>,
     unreached_below: f64,
-    /// l_j / l, at least 0.01.
+    /// l_j / l, at least [`REST_FRACTION`].
     pub shape: Vec<f64>,
 }
 
 /// Most steps of the solvers that end after a number of them; no plan needs a thousandth of it.
-const MOST_STEPS: usize = 1_000_000;
+const MAX_STEPS: usize = 1_000_000;
 
 /// Refuses a number of steps that no machine would do.
 pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
-    if steps <= MOST_STEPS {
+    if steps <= MAX_STEPS {
         return Ok(());
     }
-    let remedy = format!("give at most {MOST_STEPS}");
+    let remedy = format!("give at most {MAX_STEPS}");
     Err(Invalid::whole("max_iterations", format!("is {steps}"), remedy))
 }
-
-/// Rows of the map that one thread takes at a time.
-const BAND: usize = 16;
-
-/// A dwell point below this fraction of the largest sensitivity does not reach the map.
-const UNREACHED_FRACTION: f64 = 1e-9;
 
 impl<'a> Model<'a> {
     pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
@@ -136,15 +134,12 @@ impl<'a> Model<'a> {
     ) -> Result<Self, DwellError> {
         let Problem { desired, tif, path, weight, columns, min_dwell } = *problem;
         let weight = pixel_weights(desired, weight)?;
-        let defaults = bounded_least_squares::Settings::default();
-        let bounds = bounded_least_squares::Settings { min_dwell, max_dwell: None, ..defaults };
-        let (lo, _) = bounded_least_squares::bounds(path, &bounds)?;
+        let lo = bounds::lower(path, min_dwell)?;
         let places = columns.places(path);
         let operator = Operator::new(&places, tif, desired.grid())?;
         let sensitivity = adjoint(&operator, &weight);
-        // An FFT leaves rounding where nothing is reached.
         let largest = sensitivity.iter().copied().fold(0.0, f64::max);
-        if largest <= 1e-12 * tif.peak_nm_per_s() {
+        if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
             return Err(DwellError::OutOfReach { points: path.len() });
         }
         let floor_removal = if lo.iter().any(|t| *t > 0.0) {
@@ -185,45 +180,48 @@ impl<'a> Model<'a> {
         Err(Invalid::at("min_dwell", j, problem, remedy))
     }
 
-    /// What `of` makes of parts of `map` and their weights, in order.
-    fn parts<T: Send>(
+    /// What `of` makes of bands of `map` and their weights, in order.
+    fn by_bands<T: Send>(
         &self,
         map: &Array2<f64>,
         of: impl Fn(ArrayView2<f64>, ArrayView2<f64>) -> T + Sync,
     ) -> Vec<T> {
-        let parts = map.axis_chunks_iter(Axis(0), BAND).into_par_iter();
-        parts.zip(self.weight.axis_chunks_iter(Axis(0), BAND)).map(|(z, w)| of(z, w)).collect()
+        let bands = map.axis_chunks_iter(Axis(0), ROWS_PER_TASK).into_par_iter();
+        bands
+            .zip(self.weight.axis_chunks_iter(Axis(0), ROWS_PER_TASK))
+            .map(|(z, w)| of(z, w))
+            .collect()
     }
 
     /// Smallest and largest of `map` where the weight is not zero.
     pub fn range(&self, map: &Array2<f64>) -> (f64, f64) {
         let none = (f64::INFINITY, f64::NEG_INFINITY);
-        let parts = self.parts(map, |z, w| {
+        let bands = self.by_bands(map, |z, w| {
             Zip::from(z).and(w).fold(none, |(low, high), z, w| {
                 if *w > 0.0 { (low.min(*z), high.max(*z)) } else { (low, high) }
             })
         });
-        parts.into_iter().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
+        bands.into_iter().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
     /// Weighted mean.
     pub fn mean(&self, map: &Array2<f64>) -> f64 {
-        let parts = self.parts(map, |z, w| {
+        let bands = self.by_bands(map, |z, w| {
             Zip::from(z).and(w).fold((0.0, 0.0), |(sum, weight), z, w| {
                 if *w > 0.0 { (sum + w * z, weight + w) } else { (sum, weight) }
             })
         });
-        let (sum, weight) = parts.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let (sum, weight) = bands.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         sum / weight
     }
 
     /// Lowest value where the weight is not zero, but for this fraction of the pixels.
-    pub fn lowest(&self, map: &Array2<f64>, part: f64) -> f64 {
+    pub fn lowest(&self, map: &Array2<f64>, fraction: f64) -> f64 {
         let counted: usize =
-            self.parts(map, |_, w| w.iter().filter(|w| **w > 0.0).count()).iter().sum();
-        let rank = ((part * counted as f64) as usize).min(counted - 1);
-        // The lowest of all are among the lowest of every part.
-        let lowest = self.parts(map, |z, w| {
+            self.by_bands(map, |_, w| w.iter().filter(|w| **w > 0.0).count()).iter().sum();
+        let rank = ((fraction * counted as f64) as usize).min(counted - 1);
+        // The lowest of all are among the lowest of every band.
+        let lowest = self.by_bands(map, |z, w| {
             let counted = z.iter().zip(w).filter(|(_, w)| **w > 0.0);
             let mut values: Vec<f64> = counted.map(|(z, _)| *z).collect();
             if rank + 1 < values.len() {
@@ -319,20 +317,23 @@ impl<'a> Model<'a> {
         let rate = self.problem.tif.rate_nm_per_s();
         let longest = dwell_s.iter().copied().fold(0.0, f64::max);
         let most = self.range(removal).1.max(0.0);
-        let enough = (2e-12 * dwell_s.len() as f64 * self.problem.tif.peak_nm_per_s() * longest)
+        let enough = (2.0
+            * FFT_ROUNDING
+            * dwell_s.len() as f64
+            * self.problem.tif.peak_nm_per_s()
+            * longest)
             .max(1e-9 * most);
         let counted = |map: &Array2<f64>, floor: f64| -> usize {
             let of = |r: ArrayView2<f64>, w: ArrayView2<f64>| {
                 r.iter().zip(w).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
             };
-            self.parts(map, of).iter().sum()
+            self.by_bands(map, of).iter().sum()
         };
         if rate.iter().all(|r| *r >= 0.0) && counted(removal, enough) == 0 {
             return 0;
         }
         let ones = self.operator.apply(&vec![1.0; dwell_s.len()]);
-        // An FFT leaves rounding where nothing is reached.
-        counted(&ones, 1e-12 * ones.iter().copied().fold(0.0, f64::max))
+        counted(&ones, FFT_ROUNDING * ones.iter().copied().fold(0.0, f64::max))
     }
 
     /// What the dwell times do.
@@ -369,13 +370,12 @@ pub(crate) struct Levelled {
     pub clipped: usize,
 }
 
-/// l_j / l; a segment shorter than 1 % of the median is a rest, whose length says nothing.
+/// l_j / l; a rest gets [`REST_FRACTION`].
 fn shape(path: &ToolPath) -> Vec<f64> {
-    let lengths: Vec<f64> = (0..path.len()).map(|j| path.segment_length_mm(j)).collect();
-    let mut sorted: Vec<f64> = lengths.iter().copied().filter(|l| *l > 0.0).collect();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.get(sorted.len() / 2) {
-        Some(median) => lengths.iter().map(|l| (l / median).max(0.01)).collect(),
+    match median_length_mm(path) {
+        Some(median) => (0..path.len())
+            .map(|j| (path.segment_length_mm(j) / median).max(REST_FRACTION))
+            .collect(),
         None => vec![1.0; path.len()],
     }
 }

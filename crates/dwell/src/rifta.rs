@@ -87,7 +87,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let Settings { margin_tolerance_nm, piston_tolerance_nm, .. } = *settings;
     check("margin_tolerance", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
     check("piston_tolerance", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
-    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a part from 0 to below 1")?;
+    check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::for_map(problem)?;
     let fourier = Fourier::new(&model, settings.pits)?;
@@ -103,9 +103,9 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     // Reference: the margin of the TIF; then smaller ones, from a third of it.
     let reference = fourier.solve(fourier.radius_mm, settings);
     let mut tried = vec![reference];
-    for k in 0..MARGINS {
-        let part = 1.0 / 3.0 + 2.0 / 3.0 * k as f64 / MARGINS as f64;
-        tried.push(fourier.solve(part * fourier.radius_mm, settings));
+    for k in 0..MARGINS_TRIED {
+        let fraction = 1.0 / 3.0 + 2.0 / 3.0 * k as f64 / MARGINS_TRIED as f64;
+        tried.push(fourier.solve(fraction * fourier.radius_mm, settings));
         let (first, last) = (&tried[0], &tried[tried.len() - 1]);
         if last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm {
             break;
@@ -128,8 +128,8 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
 }
 
-/// Margins below that of the TIF.
-const MARGINS: usize = 8;
+/// Margins that are tried, all smaller than that of the TIF.
+const MARGINS_TRIED: usize = 8;
 
 /// An extended map whose border is wider than the map says nothing about the mirror.
 pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<(), Invalid> {
@@ -260,10 +260,10 @@ impl<'a> Fourier<'a> {
     fn gamma(&self, margin_mm: f64) -> f64 {
         let unit = 1.0 / self.map.rate_sum;
         let rms = |ln: f64| self.apply(0.0, unit * ln.exp(), margin_mm).2;
-        let ln_of = |k: usize| 1e3_f64.ln() * k as f64 / SCAN as f64;
-        let scan: Vec<f64> = (0..=SCAN).map(|k| rms(ln_of(k))).collect();
-        let k = (0..=SCAN).min_by(|a, b| scan[*a].total_cmp(&scan[*b])).unwrap_or(0);
-        let (mut low, mut high) = (ln_of(k.saturating_sub(1)), ln_of((k + 1).min(SCAN)));
+        let ln_of = |k: usize| 1e3_f64.ln() * k as f64 / CAPS_SCANNED as f64;
+        let scan: Vec<f64> = (0..=CAPS_SCANNED).map(|k| rms(ln_of(k))).collect();
+        let k = (0..=CAPS_SCANNED).min_by(|a, b| scan[*a].total_cmp(&scan[*b])).unwrap_or(0);
+        let (mut low, mut high) = (ln_of(k.saturating_sub(1)), ln_of((k + 1).min(CAPS_SCANNED)));
         let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
         let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
         let (mut at_a, mut at_b) = (rms(a), rms(b));
@@ -284,5 +284,5 @@ impl<'a> Fourier<'a> {
     }
 }
 
-/// Steps of the scan: factors of about 2.4 in the cap.
-const SCAN: usize = 8;
+/// Caps that are tried before the best is narrowed down: they differ by factors of about 2.4.
+const CAPS_SCANNED: usize = 8;

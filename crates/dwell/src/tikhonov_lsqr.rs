@@ -30,7 +30,7 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// How delta is chosen. Relative dampings are parts of the largest singular value of `M W^1/2 B`.
+/// How delta is chosen. Relative dampings are fractions of the largest singular value of `M W^1/2 B`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Damping {
@@ -86,9 +86,9 @@ pub struct Report {
     pub clipped: usize,
 }
 
-/// Relative dampings of the search: ten per decade would move the residual by less than a percent
-/// from one to the next; eight do.
-const SEARCH: (f64, f64, usize) = (1e-3, 1e-1, 17);
+/// Relative dampings of the search: smallest, largest and number. With eight per decade the residual moves
+/// by less than a percent from one to the next.
+const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
 
 /// Solves (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
@@ -106,7 +106,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     if largest <= 0.0 {
         return Err(DwellError::OutOfReach { points: problem.path.len() });
     }
-    let (from, to, count) = SEARCH;
+    let (from, to, count) = SEARCHED_DAMPINGS;
     let relative: Vec<f64> = match settings.damping {
         Damping::Relative(d) => vec![d],
         _ => (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect(),
@@ -189,10 +189,27 @@ mod tests {
             .collect();
         let (r, n): (Vec<f64>, Vec<f64>) = points.iter().map(|(r, n)| (r.exp(), n.exp())).unzip();
         assert_eq!(corner(&r, &n), 4);
-        // A curve that turns the other way has no corner there.
+        // The circle through three neighbours is smallest where a parabola is most curved, at its vertex.
         let points: Vec<(f64, f64)> =
             (0..9).map(f64::from).map(|s: f64| (-s, 0.02 * s * s)).collect();
         let (r, n): (Vec<f64>, Vec<f64>) = points.iter().map(|(r, n)| (r.exp(), n.exp())).unzip();
-        assert!(corner(&r, &n) < 9);
+        assert_eq!(corner(&r, &n), 1);
+    }
+
+    #[test]
+    fn a_turn_away_from_the_origin_is_no_corner() {
+        // A sharp turn to the left at 2, a slight one to the right at 4.
+        let points = [
+            (0.0, 0.0),
+            (-1.0, 0.0),
+            (-2.0, 0.0),
+            (-2.0, -1.0),
+            (-2.0, -2.0),
+            (-2.2, -3.0),
+            (-2.4, -4.0),
+        ];
+        let (r, n): (Vec<f64>, Vec<f64>) =
+            points.iter().map(|(r, n): &(f64, f64)| (r.exp(), n.exp())).unzip();
+        assert_eq!(corner(&r, &n), 4);
     }
 }

@@ -26,7 +26,7 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    operator::{MAX_MATRIX_POINTS, normal_matrix},
+    model::operator::{MAX_MATRIX_POINTS, normal_matrix},
     problem::{Model, Problem, Solution, check},
 };
 

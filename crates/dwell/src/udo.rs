@@ -31,7 +31,7 @@ use serde::Serialize;
 use crate::{
     DwellError,
     extension::Extension,
-    operator::Operator,
+    model::operator::Operator,
     problem::{Model, Problem, Solution, check, check_steps},
     rifta::refuse_a_tif_larger_than_the_map,
 };
@@ -52,7 +52,7 @@ pub enum Floor {
 pub struct Settings {
     /// How the floor is kept.
     pub floor: Floor,
-    /// beta: part of the best step that is taken from the second round on; in (0, 1].
+    /// beta: fraction of the best step that is taken from the second round on; in (0, 1].
     pub step: f64,
     /// RMS at which it ends, nm; >= 0.
     pub threshold_nm: f64,

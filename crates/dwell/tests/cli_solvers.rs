@@ -157,7 +157,11 @@ fn bad_flags_and_verdicts() {
         (&["lucy-richardson", "--unknowns=map", "--pixels-per-cell=0"], 2, "pixels_per_cell: is 0"),
         (&["tikhonov-lsqr", "--l-curve", "--damping=0.1"], 2, "cannot be used with"),
         (&["bcls", "--machine=nowhere.json"], 2, "nowhere.json: cannot read"),
-        (&["bcls", "--machine=machine.json", "--least-feed=1"], 2, "least_feed: is 1; give a part"),
+        (
+            &["bcls", "--machine=machine.json", "--least-feed=1"],
+            2,
+            "least_feed: is 1; give a fraction",
+        ),
         // Done, but not what was asked for.
         (&["tikhonov-lsqr", "--noise-rms-nm=1e-9"], 1, "above the noise"),
         (&["truncated-svd", "--cut=0.001", "--max-iterations=3"], 1, "not converged after 3 steps"),

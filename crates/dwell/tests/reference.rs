@@ -142,7 +142,7 @@ fn lucy_richardson_needs_no_extension() {
     let settings = lucy_richardson::Settings { max_iterations: 60, ..Default::default() };
     let found = lucy_richardson::solve(&mirror.problem(&path), &settings).unwrap();
     println!("{:?}", found.outcome);
-    // A prototype of the same iteration had 0.1581 nm after 50 steps, without a floor; here the floor
+    // A regression bound: a prototype of the same iteration had 0.1581 nm after 50 steps, without a floor; here the floor
     // of 0.1 s, which the published dwell times keep too, costs some.
     assert!(found.outcome.model_rms_detilted_nm < 0.18, "{:?}", found.outcome);
 }

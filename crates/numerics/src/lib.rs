@@ -6,13 +6,14 @@
 //! | module | what it solves |
 //! |---|---|
 //! | [`fft`] | transforms and convolutions of lines and maps |
-//! | [`linear`] | symmetric systems (skyline Cholesky, tridiagonal) and Krylov methods |
+//! | [`linear`] | symmetric systems (skyline Cholesky, Woodbury), tridiagonal ones, Krylov methods |
 //! | [`qp`] | quadratic programs: bounds, non-negativity, chains of neighbours |
 //! | [`motion`] | motions between states, and motions given by a law of time |
 //! | [`spectrum`] | power spectral densities of a rectangle of samples |
-//! | the others | interpolation, polynomials, quadrature and statistics |
+//! | the others | interpolation, polynomials, quadrature, statistics, sorting by counting |
 
 pub mod bspline;
+pub mod counting;
 pub mod fft;
 pub mod keys;
 pub mod linear;

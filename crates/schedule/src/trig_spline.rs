@@ -54,7 +54,10 @@
 
 use std::f64::consts::PI;
 
-use planish_numerics::motion::timing_law;
+use planish_numerics::{
+    linear::tridiagonal::{self, Row},
+    motion::timing_law,
+};
 use planish_types::{
     DensityNodes, DwellDensity, DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder,
 };
@@ -624,7 +627,11 @@ impl Pass {
         let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
         let mut held = vec![false; n];
         loop {
-            let d = tridiagonal(&rows, times, &least, &held);
+            // Every row is diagonally dominant, at least weakly.
+            let d = tridiagonal::solve(n, |k| match held[k] {
+                true => Row::held(least[k]),
+                false => Row { elements: rows[k], right: times[k] },
+            });
             let low: Vec<usize> =
                 (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
             if low.is_empty() {
@@ -700,25 +707,6 @@ impl Pass {
             + plateaus
             + self.pieces().map(|p| p.shape.duration_s()).sum::<f64>()
     }
-}
-
-/// Solves `rows d = right` by elimination, with `d = fixed` where `held`. Every row is diagonally
-/// dominant, at least weakly.
-fn tridiagonal(rows: &[[f64; 3]], right: &[f64], fixed: &[f64], held: &[bool]) -> Vec<f64> {
-    let n = rows.len();
-    let (mut upper, mut d) = (vec![0.0; n], vec![0.0; n]);
-    for k in 0..n {
-        let ([below, own, above], value) =
-            if held[k] { ([0.0, 1.0, 0.0], fixed[k]) } else { (rows[k], right[k]) };
-        let (left, past) = if k == 0 { (0.0, 0.0) } else { (upper[k - 1], d[k - 1]) };
-        let pivot = own - below * left;
-        upper[k] = above / pivot;
-        d[k] = (value - below * past) / pivot;
-    }
-    for k in (0..n - 1).rev() {
-        d[k] -= upper[k] * d[k + 1];
-    }
-    d
 }
 
 /// Weights of the dwell points before and after it in the density of a corner: the nearer has more.

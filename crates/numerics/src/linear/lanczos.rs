@@ -17,6 +17,13 @@
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, s};
 
+/// Steps before the first look at x; a look costs the eigenvalues of a small matrix, so the next one comes
+/// after half as many steps again.
+const FIRST_LOOK: usize = 20;
+
+/// A new vector below this fraction of the largest diagonal element is rounding.
+const SPANNED: f64 = 1e-13;
+
 /// What (1) gave.
 #[derive(Clone, Debug)]
 pub struct Truncated {
@@ -62,7 +69,7 @@ pub fn truncated(
     let mut v = Array2::<f64>::zeros((max_steps, n));
     v.row_mut(0).assign(&(&start / length));
     let (mut alpha, mut beta): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-    let mut next_look = 20;
+    let mut next_look = FIRST_LOOK;
     for k in 0..max_steps {
         let row = v.row(k).to_vec();
         let mut w = Array1::from(apply(&row));
@@ -75,7 +82,7 @@ pub fn truncated(
         let b = w.dot(&w).sqrt();
         // All of g is spanned when what is new is rounding.
         let scale = alpha.iter().copied().fold(0.0, f64::max);
-        let spanned = b <= 1e-13 * scale;
+        let spanned = b <= SPANNED * scale;
         let last = spanned || k + 1 == max_steps;
         if last || k + 1 == next_look {
             let before = Array1::from(result.value);

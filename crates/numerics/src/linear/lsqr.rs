@@ -11,6 +11,8 @@
 //! Source: C. C. Paige, M. A. Saunders, ACM Trans. Math. Softw. 8 (1982) 43, section 4 (the
 //! rotations), 5.3 (damping), 5.4 (stopping).
 
+use crate::linear::power::power_method;
+
 /// The solution of (1) for one damping.
 #[derive(Clone, Debug)]
 pub struct Damped {
@@ -126,17 +128,18 @@ fn normalise(x: &mut [f64]) -> f64 {
     length
 }
 
-/// Largest singular value of a matrix known by `x -> A' A x`, to about 1e-3: the power method from a
-/// vector without structure, until it changes by less than 1e-4.
+/// Most steps of the power method in [`largest_singular_value`], and the relative change of the value at
+/// which it ends.
+const POWER_STEPS: usize = 100;
+const POWER_CHANGE: f64 = 1e-4;
+
+/// Largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3.
 pub fn largest_singular_value(normal: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
-    let mut x: Vec<f64> = (0..n).map(|j| 0.5 + (0.618_034 * j as f64).fract()).collect();
-    normalise(&mut x);
     let mut value = 0.0_f64;
-    for _ in 0..100 {
-        x = normal(&x);
+    for eigenvalue in power_method(normal, &vec![1.0; n]).take(POWER_STEPS) {
         let before = value;
-        value = normalise(&mut x).sqrt();
-        if (value - before).abs() <= 1e-4 * value {
+        value = eigenvalue.sqrt();
+        if (value - before).abs() <= POWER_CHANGE * value {
             break;
         }
     }

@@ -13,7 +13,27 @@
 //!
 //! is zero there, and says by how much a component would still move.
 
-use crate::linear::skyline::{Skyline, dot};
+use crate::linear::{
+    power::power_method,
+    skyline::{Skyline, dot},
+    woodbury::Woodbury,
+};
+
+/// Steps of the power method for the largest eigenvalue that bounds the steps of
+/// [`projected_gradient`].
+const POWER_STEPS: usize = 40;
+
+/// By how much that estimate, which is a lower bound, is raised to be an upper one.
+const EIGENVALUE_MARGIN: f64 = 1.02;
+
+/// Steps after which [`projected_gradient`] looks whether it has ended: a look costs a product.
+const STEPS_BETWEEN_LOOKS: usize = 50;
+
+/// Gradient steps that make progress where an active set method has failed.
+pub const DESCENT_STEPS: usize = 300;
+
+/// Factorisations without a smaller natural residual after which [`active_set`] is cycling.
+const CYCLING_AFTER: usize = 10;
 
 /// `H = K - U U'`: a skyline matrix less a few outer products.
 #[derive(Clone, Debug)]
@@ -41,37 +61,11 @@ impl Quadratic {
         (0..self.k.len()).map(of).collect()
     }
 
-    /// `H_II x = r` with I = `keep`: with `y = K^-1 r` and `V = K^-1 U` (Woodbury)
-    ///
-    /// ```text
-    /// x = y + V (1 - U' V)^-1 U' y
-    /// ```
-    ///
-    /// `None` when H_II is not positive definite.
+    /// x of `H_II x = r` with I = `keep`; `None` when H_II is not positive definite.
     fn solve(&self, keep: &[usize], mut r: Vec<f64>) -> Option<Vec<f64>> {
         let factor = self.k.principal(keep).factorise()?;
-        factor.solve(&mut r);
-        let u: Vec<Vec<f64>> =
-            self.u.iter().map(|u| keep.iter().map(|j| u[*j]).collect()).collect();
-        let v: Vec<Vec<f64>> = u
-            .iter()
-            .map(|u| {
-                let mut v = u.clone();
-                factor.solve(&mut v);
-                v
-            })
-            .collect();
-        let mut small = Skyline::zeros(vec![0; u.len()]);
-        small.fill(|i, row| {
-            for (j, s) in row.iter_mut().enumerate() {
-                *s = f64::from(i == j) - dot(&u[i], &v[j]);
-            }
-        });
-        let mut c: Vec<f64> = u.iter().map(|u| dot(u, &r)).collect();
-        small.factorise()?.solve(&mut c);
-        for (v, c) in v.iter().zip(&c) {
-            r.iter_mut().zip(v).for_each(|(r, v)| *r += c * v);
-        }
+        let u = self.u.iter().map(|u| keep.iter().map(|j| u[*j]).collect()).collect();
+        Woodbury::new(factor, u)?.solve(&mut r);
         Some(r)
     }
 }
@@ -173,7 +167,7 @@ pub fn active_set(
         if done {
             break;
         }
-        if without_progress >= 10 {
+        if without_progress >= CYCLING_AFTER {
             // Cycling: change only the last component that wants to.
             if let Some(j) = (0..n).rev().find(|j| wanted[*j] != state[*j]) {
                 state[j] = wanted[j];
@@ -423,7 +417,8 @@ pub struct GradientSettings {
     pub tolerance: f64,
     /// Most steps.
     pub max_iterations: usize,
-    /// Ends when the objective plus `offset` falls by less than this fraction in 50 steps.
+    /// Ends when the objective plus `offset` falls by less than this fraction between two
+    /// looks, 50 steps apart.
     pub stagnation: f64,
     /// What makes the objective of (1) the sum of squares that it stands for.
     pub offset: f64,
@@ -454,7 +449,7 @@ pub fn projected_gradient(
 ) -> Solution {
     let n = g.len();
     let moves: Vec<bool> = diagonal.iter().map(|d| *d > 0.0).collect();
-    let bound = 1.02 * largest_eigenvalue(&apply, diagonal);
+    let bound = EIGENVALUE_MARGIN * largest_eigenvalue(&apply, diagonal);
     let step: Vec<f64> =
         (0..n).map(|j| if moves[j] { 1.0 / (diagonal[j] * bound) } else { 0.0 }).collect();
 
@@ -481,7 +476,7 @@ pub fn projected_gradient(
             theta = theta_next;
         }
         t = next;
-        if iterations % 50 == 0 || iterations >= settings.max_iterations {
+        if iterations % STEPS_BETWEEN_LOOKS == 0 || iterations >= settings.max_iterations {
             let h_t = apply(&t);
             let q: Vec<f64> = h_t.iter().zip(g).map(|(h, g)| h - g).collect();
             let natural_residual = natural_residual(&t, &q, diagonal, lo, hi);
@@ -504,26 +499,12 @@ pub fn projected_gradient(
     }
 }
 
-/// Largest eigenvalue of S H S, S = diag(H)^-1/2, by 40 steps of the power method from a vector
-/// without structure (so that it meets every eigenvector).
+/// Largest eigenvalue of S H S, S = diag(H)^-1/2; 1 where there is nothing.
 fn largest_eigenvalue(apply: &impl Fn(&[f64]) -> Vec<f64>, diagonal: &[f64]) -> f64 {
-    let n = diagonal.len();
-    let s: Vec<f64> =
+    let scale: Vec<f64> =
         diagonal.iter().map(|d| if *d > 0.0 { d.sqrt().recip() } else { 0.0 }).collect();
-    let mut x: Vec<f64> =
-        (0..n).map(|j| s[j].signum() * (0.5 + (0.618_034 * j as f64).fract())).collect();
-    let mut eigenvalue = 1.0;
-    for _ in 0..40 {
-        let length = x.iter().map(|v| v * v).sum::<f64>().sqrt();
-        if length == 0.0 {
-            return 1.0;
-        }
-        let scaled: Vec<f64> = (0..n).map(|j| s[j] * x[j] / length).collect();
-        let h_x = apply(&scaled);
-        x = (0..n).map(|j| s[j] * h_x[j]).collect();
-        eigenvalue = x.iter().map(|v| v * v).sum::<f64>().sqrt();
-    }
-    eigenvalue
+    let estimates = power_method(apply, &scale).take(POWER_STEPS);
+    estimates.last().filter(|eigenvalue| *eigenvalue > 0.0).unwrap_or(1.0)
 }
 
 #[cfg(test)]

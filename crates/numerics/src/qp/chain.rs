@@ -125,13 +125,13 @@ const TOLERANCE: f64 = 1e-14;
 const DUAL_TOLERANCE: f64 = 1e-9;
 
 /// What r_p and the complementarity may be where rounding ends the iteration early.
-const ACCEPTED: f64 = 1e-9;
+const EARLY_END_TOLERANCE: f64 = 1e-9;
 
 /// Most iterations. Programs of 1e6 links take 7 to 40.
 const MAX_ITERATIONS: usize = 150;
 
 /// Links below which a second thread costs more than it saves.
-const WORTH_A_THREAD: usize = 2048;
+const MIN_LINKS_PER_THREAD: usize = 2048;
 
 /// x of (1), where `rows` adds the rows of a link, in any order, but always the same. The program
 /// is scaled in place: a copy of a long one would take as long as an iteration.
@@ -163,7 +163,7 @@ impl Program {
             (c * *w).abs()
         };
         let unit = (w.par_iter_mut().zip(&self.free).zip(&self.linear))
-            .with_min_len(WORTH_A_THREAD)
+            .with_min_len(MIN_LINKS_PER_THREAD)
             .map(root)
             .reduce(|| 0.0, f64::max);
         let unit = if unit > 0.0 { unit } else { 1.0 };
@@ -327,7 +327,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         let (n, diagonal) = (w.len(), self.diagonal);
         let middle = n / 2;
         let half = |up| Half::<ELASTIC>::new(self.program, diagonal, up, &w, &rows);
-        let (mut low, mut high) = if n < WORTH_A_THREAD {
+        let (mut low, mut high) = if n < MIN_LINKS_PER_THREAD {
             (half(false), half(true))
         } else {
             rayon::join(|| half(false), || half(true))
@@ -340,7 +340,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         /// Both halves, by two threads where that is worth it.
         macro_rules! both {
             ($method:ident($($argument:expr),*)) => {
-                if n < WORTH_A_THREAD {
+                if n < MIN_LINKS_PER_THREAD {
                     (low.$method($($argument),*), high.$method($($argument),*))
                 } else {
                     rayon::join(|| low.$method($($argument),*), || high.$method($($argument),*))
@@ -371,7 +371,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
                 solved = true;
                 break;
             }
-            if r.is_within(ACCEPTED) {
+            if r.is_within(EARLY_END_TOLERANCE) {
                 let values = accepted.get_or_insert_default();
                 values.clear();
                 values.extend(low.node.iter().map(|node| node.y));
@@ -527,7 +527,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         }
     }
 
-    /// Goes the part `length` of the step; the residuals there; (2) of the predictor towards the
+    /// Goes the fraction `length` of the step; the residuals there; (2) of the predictor towards the
     /// middle.
     fn advance_and_eliminate(&mut self, length: f64, middle: f64) -> (Carry, Residual) {
         let (mut carry, mut r) = (Carry::default(), Residual::default());
@@ -921,7 +921,7 @@ mod tests {
     fn a_long_chain_is_the_same_on_one_thread_and_two() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for elastic in [false, true] {
-            let long = random(2 * WORTH_A_THREAD, elastic, &mut rng);
+            let long = random(2 * MIN_LINKS_PER_THREAD, elastic, &mut rng);
             let [one, two] = [1, 2].map(|threads| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 pool.install(|| long.solve().unwrap())

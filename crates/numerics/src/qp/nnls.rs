@@ -64,12 +64,12 @@ pub fn nnls(h: &Array2<f64>, g: &[f64], tolerance: f64, max_iterations: usize) -
         barred.fill(false);
         // Go towards the free solution until the first component reaches zero.
         while wanted.iter().any(|v| *v <= 0.0) {
-            let part = (free.members.iter().zip(&wanted))
+            let fraction = (free.members.iter().zip(&wanted))
                 .filter(|(_, w)| **w <= 0.0)
                 .map(|(j, w)| x[*j] / (x[*j] - w))
                 .fold(1.0, f64::min);
             for (j, w) in free.members.iter().zip(&wanted) {
-                x[*j] += part * (w - x[*j]);
+                x[*j] += fraction * (w - x[*j]);
             }
             for at in (0..free.members.len()).rev() {
                 let j = free.members[at];

@@ -3,7 +3,7 @@
 //!
 //! With `L = alpha D I + beta D G' G` the matrix of the free dwell times is `H = B' W B - U U' + L`. B is a
 //! low pass: what it sees of dwell times is what smooth functions of the position can say, and on
-//! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth part is taken
+//! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth component is taken
 //! out exactly,
 //!
 //! ```text
@@ -21,15 +21,19 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::{
-    linear::skyline::{Factor, Skyline, dot},
+    counting::Grouped,
+    linear::{skyline::Skyline, tridiagonal, woodbury::Woodbury},
     qp::bounded::Deflation,
 };
 use rayon::prelude::*;
 
+use super::resolution::extent;
 use crate::{
-    bounded_least_squares::Penalty,
-    columns::{Patch, Place},
-    fft_operator::Sums,
+    model::{
+        columns::{Patch, Place},
+        fft_operator::Sums,
+    },
+    objective::Penalty,
 };
 
 /// The lattice of (1) and where the columns are on it.
@@ -38,9 +42,8 @@ pub struct Nodes {
     shape: (usize, usize),
     /// Of every reached column.
     at: Vec<Option<Weights>>,
-    /// Columns by cell, and the first of every cell.
-    by_cell: Vec<u32>,
-    first: Vec<u32>,
+    /// Columns by cell.
+    by_cell: Grouped,
 }
 
 /// The splines at a column: those of the nodes (r + i, c + k), i, k < 4, in cell (r, c).
@@ -57,17 +60,18 @@ impl Weights {
     }
 
     fn is_near(&self, other: &Self) -> bool {
-        let near = |a: u32, b: u32| a.abs_diff(b) <= NEAR;
+        let near = |a: u32, b: u32| a.abs_diff(b) <= MAX_COUPLED_CELLS;
         near(self.cell.0, other.cell.0) && near(self.cell.1, other.cell.1)
     }
 }
 
-/// Cells between two columns whose difference the lattice has; farther apart it has a bound of it.
-const NEAR: u32 = 1;
+/// Most cells between two columns whose difference is in the matrix of the lattice; for columns farther
+/// apart, which would make its skyline wider, there is a bound of it.
+const MAX_COUPLED_CELLS: u32 = 1;
 
-/// Part of `alpha D V' V` by which the diagonal is raised: splines may differ on no column. That it
+/// Fraction of `alpha D V' V` by which the diagonal is raised: splines may differ on no column. That it
 /// is small beside alpha keeps Q as good as exact.
-const RIDGE: f64 = 1e-3;
+const SPLINE_RIDGE: f64 = 1e-3;
 
 /// The four cubic B-splines on a cell.
 fn cubic(f: f64) -> [f64; 4] {
@@ -98,35 +102,9 @@ impl Nodes {
             Weights { cell: (r, c), y, x }
         };
         let at: Vec<Option<Weights>> = centres.into_iter().map(|c| c.map(weights)).collect();
-        // Sorted by counting.
         let cell = |w: &Weights| w.cell.0 as usize * columns + w.cell.1 as usize;
-        let mut first = vec![0_u32; rows * columns + 1];
-        at.iter().flatten().for_each(|w| first[cell(w) + 1] += 1);
-        for k in 0..rows * columns {
-            first[k + 1] += first[k];
-        }
-        let mut next = first.clone();
-        let mut by_cell = vec![0; at.iter().flatten().count()];
-        for (j, w) in at.iter().enumerate() {
-            if let Some(w) = w {
-                let next = &mut next[cell(w)];
-                by_cell[*next as usize] = j as u32;
-                *next += 1;
-            }
-        }
-        Self { shape: (rows + 3, columns + 3), at, by_cell, first }
-    }
-
-    /// Nodes over a rectangle of this size [x, y], and most elements of a row of V' H V when what
-    /// a dwell point removes is `reach_mm` wide.
-    pub fn size(size_mm: [f64; 2], reach_mm: [f64; 2], pitch_mm: f64) -> (f64, f64) {
-        let nodes = size_mm.map(|v| v / pitch_mm + 4.0);
-        let row = if nodes[0] < nodes[1] {
-            (reach_mm[1] / pitch_mm + 4.0).min(nodes[1]) * nodes[0]
-        } else {
-            (reach_mm[0] / pitch_mm + 4.0).min(nodes[0]) * nodes[1]
-        };
-        (nodes[0] * nodes[1], row)
+        let by_cell = Grouped::new(rows * columns, at.iter().map(|w| w.as_ref().map(cell)));
+        Self { shape: (rows + 3, columns + 3), at, by_cell }
     }
 
     fn len(&self) -> usize {
@@ -147,7 +125,7 @@ impl Nodes {
 
     /// Whether a difference of near columns couples two rows.
     fn are_linked(&self, a: usize, b: usize) -> bool {
-        let reach = 3 + NEAR as usize;
+        let reach = 3 + MAX_COUPLED_CELLS as usize;
         let ((ra, ca), (rb, cb)) = (self.node(a), self.node(b));
         ra.abs_diff(rb) <= reach && ca.abs_diff(cb) <= reach
     }
@@ -185,9 +163,8 @@ impl Nodes {
         let mut found = Vec::new();
         for y in r.saturating_sub(3)..=r.min(rows - 1) {
             for x in c.saturating_sub(3)..=c.min(columns - 1) {
-                let cell = y * columns + x;
-                let columns = self.first[cell] as usize..self.first[cell + 1] as usize;
-                for j in self.by_cell[columns].iter().map(|j| *j as usize).filter(|j| free[*j]) {
+                let of_cell = self.by_cell.of(y * columns + x);
+                for j in of_cell.iter().map(|j| *j as usize).filter(|j| free[*j]) {
                     if let Some(w) = &self.at[j] {
                         found.push((j, w.y[r - y] * w.x[c - x]));
                     }
@@ -226,7 +203,7 @@ impl Nodes {
 
     /// Adds `factor g g'`, g the sum of some columns of V' that are near.
     fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, h: &mut Skyline) {
-        const SIDE: usize = 4 + NEAR as usize;
+        const SIDE: usize = 4 + MAX_COUPLED_CELLS as usize;
         let least = |of: fn(&Weights) -> u32| columns.iter().map(|c| of(c.0)).min().unwrap_or(0);
         let (r0, c0) = (least(|w| w.cell.0), least(|w| w.cell.1));
         let mut g = [[0.0; SIDE]; SIDE];
@@ -250,14 +227,6 @@ impl Nodes {
             }
         }
     }
-}
-
-/// Least and largest [x, y].
-pub fn extent<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> ([f64; 2], [f64; 2]) {
-    let start = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    points.fold(start, |(low, high), p| {
-        ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])])
-    })
 }
 
 /// `V' B' W B V` of some free columns.
@@ -320,14 +289,10 @@ impl Coarse {
 pub struct TwoLevel<'a> {
     nodes: &'a Nodes,
     free: Vec<bool>,
-    chain: Chain,
-    /// Of K, where V' H V = K - U U'.
-    factor: Option<Factor>,
-    u: Vec<Vec<f64>>,
-    /// K^-1 U
-    v: Vec<Vec<f64>>,
-    /// Of 1 - U' K^-1 U.
-    small: Option<Factor>,
+    /// Of L.
+    chain: tridiagonal::Factor,
+    /// `(V' H V)^-1`; none where that is singular to rounding.
+    inverse: Option<Woodbury>,
 }
 
 impl<'a> TwoLevel<'a> {
@@ -351,41 +316,23 @@ impl<'a> TwoLevel<'a> {
         }
         for (i, square) in squares.iter().enumerate() {
             let stands_alone = *square == 0.0;
-            h.add(i, i, if stands_alone { 1.0 } else { RIDGE * penalty.alpha() * square });
+            h.add(i, i, if stands_alone { 1.0 } else { SPLINE_RIDGE * penalty.alpha() * square });
         }
-        let factor = h.factorise();
-        let u: Vec<Vec<f64>> = u.iter().map(|u| nodes.restrict(u, free)).collect();
-        let mut v = u.clone();
-        let mut small = None;
-        if let Some(factor) = &factor {
-            v.iter_mut().for_each(|v| factor.solve(v));
-            let mut matrix = Skyline::zeros(vec![0; u.len()]);
-            matrix.fill(|i, row| {
-                for (k, s) in row.iter_mut().enumerate() {
-                    *s = f64::from(i == k) - dot(&u[i], &v[k]);
-                }
-            });
-            small = matrix.factorise();
-        }
-        let chain = Chain::new(penalty, free);
-        Self { nodes, free: free.to_vec(), chain, factor, u, v, small }
+        // V' H V = K - U U', with the K of `h` and U restricted to the lattice
+        let u = u.iter().map(|u| nodes.restrict(u, free)).collect();
+        let inverse = h.factorise().and_then(|factor| Woodbury::new(factor, u));
+        let chain = chain(penalty, free);
+        Self { nodes, free: free.to_vec(), chain, inverse }
     }
 }
 
 impl Deflation for TwoLevel<'_> {
-    /// `V (K - U U')^-1 V' r` by Woodbury's formula; zero where the matrix is singular to rounding,
-    /// which only costs steps.
+    /// `Q r = V (V' H V)^-1 V' r`; zero where the matrix is singular to rounding, which only costs
+    /// steps.
     fn coarse(&self, r: &[f64]) -> Vec<f64> {
-        let (Some(factor), Some(small)) = (&self.factor, &self.small) else {
-            return vec![0.0; r.len()];
-        };
+        let Some(inverse) = &self.inverse else { return vec![0.0; r.len()] };
         let mut c = self.nodes.restrict(r, &self.free);
-        factor.solve(&mut c);
-        let mut d: Vec<f64> = self.u.iter().map(|u| dot(u, &c)).collect();
-        small.solve(&mut d);
-        for (v, d) in self.v.iter().zip(&d) {
-            c.iter_mut().zip(v).for_each(|(c, v)| *c += d * v);
-        }
+        inverse.solve(&mut c);
         self.nodes.prolong(&c, &self.free)
     }
 
@@ -394,57 +341,28 @@ impl Deflation for TwoLevel<'_> {
     }
 }
 
-/// `C P C'` of L on the free columns: a unit lower bidiagonal C and pivots P, 0 where not free.
-struct Chain {
-    pivot: Vec<f64>,
-    below: Vec<f64>,
-}
-
-impl Chain {
-    fn new(penalty: &Penalty, free: &[bool]) -> Self {
-        let n = free.len();
-        let (mut pivot, mut below) = (vec![0.0; n], vec![0.0; n]);
-        penalty.for_each(|j, k, v| {
-            if j == k {
-                pivot[j] += v;
-            } else if free[j] && free[k] {
-                below[j] += v;
-            }
-        });
-        for j in 0..n {
-            if !free[j] {
-                pivot[j] = 0.0;
-            } else if below[j] != 0.0 {
-                let c = below[j] / pivot[j - 1];
-                // No pivot is below the least eigenvalue.
-                pivot[j] = (pivot[j] - c * below[j]).max(penalty.alpha());
-                below[j] = c;
-            }
+/// L on the free columns: a chain, because only neighbours along the path are coupled.
+fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
+    let (mut diagonal, mut below) = (vec![0.0; free.len()], vec![0.0; free.len()]);
+    penalty.for_each(|j, k, v| {
+        if j == k && free[j] {
+            diagonal[j] += v;
+        } else if j != k && free[j] && free[k] {
+            below[j] += v;
         }
-        Self { pivot, below }
-    }
-
-    fn solve(&self, r: &[f64]) -> Vec<f64> {
-        let mut x = r.to_vec();
-        for j in 1..x.len() {
-            x[j] -= self.below[j] * x[j - 1];
-        }
-        x.iter_mut().zip(&self.pivot).for_each(|(x, p)| *x = if *p > 0.0 { *x / p } else { 0.0 });
-        for j in (1..x.len()).rev() {
-            x[j - 1] -= self.below[j] * x[j];
-        }
-        x
-    }
+    });
+    // The least eigenvalue of L is at least alpha D.
+    tridiagonal::Factor::new(diagonal, below, penalty.alpha())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
-        bounded_least_squares::{Bound, Settings},
-        columns::Columns,
-        fft_operator::FftOperator,
+        model::{columns::Columns, fft_operator::FftOperator},
+        objective::PenaltyWeights,
     };
+    use planish_numerics::linear::skyline::dot;
     use planish_types::{Axis, Grid, Tif, ToolPath};
 
     #[test]
@@ -469,8 +387,9 @@ mod tests {
         let b = FftOperator::without_border(&places, &tif, &map);
         let weight =
             Array2::from_shape_fn(map.shape(), |(r, c)| if r < 5 && c > 20 { 0.0 } else { 1.0 });
-        let settings = Settings { min_dwell: Bound::Seconds(0.0), ..Settings::default() };
-        let penalty = Penalty::new(&path, &vec![0.0; n], 12.0, 1.0, &settings);
+        let weights =
+            PenaltyWeights { tikhonov: 1e-5, smoothness: 1e-2, time_weight_nm2_per_s: 0.0 };
+        let penalty = Penalty::new(&path, &vec![0.0; n], 12.0, 1.0, &weights);
         let u =
             vec![b.adjoint(&weight).iter().map(|v| v / weight.sum().sqrt()).collect::<Vec<_>>()];
         let h = |t: &[f64]| {

@@ -19,6 +19,8 @@ use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::model::ROWS_PER_TASK;
+
 /// What a dwell time is spent on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -35,7 +37,7 @@ pub enum Columns {
 pub struct Place {
     /// Position [x, y], mm.
     pub position_mm: [f64; 2],
-    /// Part of the dwell time; those of a column sum to 1.
+    /// Fraction of the dwell time; those of a column sum to 1.
     pub fraction: f64,
 }
 
@@ -117,10 +119,10 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
                 combine(&samples.slice(s![run.node + k..run.node + k + 4, ..]), &run.w, &mut row);
                 let mut out = rate_nm_per_s.row_mut(run.pixel + k);
                 let out = out.as_slice_mut().expect("in C order");
-                for (part, along_x) in &along_x {
+                for (fraction, along_x) in &along_x {
                     for Run { pixel, len, node, w } in along_x {
                         let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[node + t..node + t + len]);
-                        let w = w.map(|w| w * part);
+                        let w = w.map(|w| w * fraction);
                         for (i, out) in out[*pixel..pixel + len].iter_mut().enumerate() {
                             *out += w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i];
                         }
@@ -197,9 +199,6 @@ fn runs(p: f64, map: &Axis, tif: &Axis, range: (usize, usize)) -> Vec<Run> {
     found
 }
 
-/// Rows of the map that one thread sums at a time.
-const BAND: usize = 8;
-
 impl Patch {
     /// Rows of the map and, in each, its columns and the patch there.
     fn rows(&self) -> impl Iterator<Item = (usize, Range<usize>, &[f64])> {
@@ -227,9 +226,10 @@ impl Stored {
     /// `B t`: (ny, nx), nm. Every pixel sums in the order of the columns, whatever the threads.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = Array2::zeros(self.shape);
-        map.axis_chunks_iter_mut(NdAxis(0), BAND).into_par_iter().enumerate().for_each(
+        map.axis_chunks_iter_mut(NdAxis(0), ROWS_PER_TASK).into_par_iter().enumerate().for_each(
             |(b, mut band)| {
-                let rows = b * BAND..b * BAND + band.nrows();
+                let first = b * ROWS_PER_TASK;
+                let rows = first..first + band.nrows();
                 for (p, t) in self.patches.iter().zip(t).filter(|(_, t)| **t != 0.0) {
                     let height = p.rate_nm_per_s.nrows();
                     let from = rows.start.max(p.origin.0);

@@ -1,0 +1,232 @@
+//! The problem (1) of [`crate::bounded_least_squares`] with everything that is computed once: the diagonal of
+//! H, what the tool does not reach, and the surrogate.
+
+use ndarray::{Array2, Zip};
+use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
+use rayon::prelude::*;
+
+use super::settings::{Program, Settings};
+use crate::{
+    DwellError,
+    model::{
+        UNREACHED_FRACTION,
+        columns::{self, Place, Stored},
+        operator::Removal,
+    },
+    objective::{Basis, Free, Penalty},
+    surrogate::{self, Convolved, Ordered, Surrogate},
+};
+
+/// Least alpha for the two-level method: below, its rounding is larger than alpha.
+const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
+
+/// Below this fraction of the largest the energy of a column is computed, not estimated.
+const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
+
+/// (1) with everything that defines it.
+pub struct BoundedProblem<'a> {
+    pub desired: &'a Surface,
+    tif: &'a Tif,
+    pub path: &'a ToolPath,
+    places: &'a [Vec<Place>],
+    pub settings: &'a Settings,
+    /// B.
+    pub b: Removal,
+    /// z minus its weighted mean, 0 where the weight is 0.
+    pub z: Array2<f64>,
+    /// As given.
+    pub weight: Array2<f64>,
+    pub lo: &'a [f64],
+    /// Upper bounds; the lower ones of unreached columns, which keep them whatever the others do.
+    pub hi: Vec<f64>,
+    pub reached: Vec<bool>,
+    /// Diagonal of H without the penalty.
+    pub diagonal: Vec<f64>,
+    /// D.
+    pub strongest: f64,
+    /// U of (2): what is free.
+    u: Vec<Vec<f64>>,
+    pub surrogate: Surrogate,
+    /// Pixels along the side of a cell of `surrogate`.
+    pub cell: usize,
+    /// Pitch of its splines, mm.
+    pub splines_mm: Option<f64>,
+    /// Where the steps begin (n), s.
+    pub start: Vec<f64>,
+}
+
+/// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: the mean of R^2 along a segment in place
+/// of the square of the mean, with the kernel spill. Where a column is so weak that the estimate would decide
+/// whether it reaches the map at all, it is computed from the column itself.
+fn energies(
+    b: &Removal,
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+) -> Vec<f64> {
+    let b = match b {
+        Removal::Stored(b) => return b.energy(weight),
+        Removal::Convolved(b) => b,
+    };
+    let mut energy = b.adjoint_of_squared_tif(weight);
+    let largest = energy.iter().copied().fold(0.0, f64::max);
+    let few: Vec<usize> =
+        (0..energy.len()).filter(|j| energy[*j] < ESTIMATED_ENERGY_FRACTION * largest).collect();
+    let of = |j: &usize| Stored::new(&places[*j..=*j], tif, grid).energy(weight)[0];
+    let exact: Vec<f64> = few.par_iter().map(of).collect();
+    few.iter().zip(exact).for_each(|(j, e)| energy[*j] = e);
+    energy
+}
+
+impl<'a> BoundedProblem<'a> {
+    /// For a program, the weights of the pixels, and B.
+    pub fn new(
+        desired: &'a Surface,
+        tif: &'a Tif,
+        path: &'a ToolPath,
+        program: &'a Program<'a>,
+        weight: Array2<f64>,
+        b: Removal,
+        settings: &'a Settings,
+    ) -> Result<Self, DwellError> {
+        let (n, grid) = (path.len(), desired.grid());
+        let basis = Basis::new(grid, &weight, settings.free);
+        let u = basis.columns(&weight, |m| b.adjoint(m));
+        let factorised = n <= settings.max_factorised_points;
+        let loss =
+            if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
+        let mut cell = surrogate::cell_size(tif, grid, loss);
+        // diag H = sum of w B^2 less U^2
+        let (cells, energy) = if factorised {
+            let (cells, energy) = columns::on_cells(program.places, tif, grid, &weight, cell);
+            (Some(cells), energy)
+        } else {
+            (None, energies(&b, program.places, tif, grid, &weight))
+        };
+        let mut diagonal: Vec<f64> = (0..n)
+            .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
+            .collect();
+        let largest = diagonal.iter().copied().fold(0.0, f64::max);
+        if largest.is_nan() || largest <= 0.0 {
+            return Err(DwellError::OutOfReach { points: n });
+        }
+        let reached: Vec<bool> =
+            diagonal.iter().map(|d| *d > UNREACHED_FRACTION * largest).collect();
+        let strongest = match &cells {
+            Some(_) => largest,
+            // D decides the weights of (1): the element itself, not the estimate.
+            None => {
+                let j = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
+                let p = Stored::new(&program.places[j..=j], tif, grid);
+                let u = basis.columns(&weight, |m| p.adjoint(m));
+                p.energy(&weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
+            }
+        };
+        for j in (0..n).filter(|j| !reached[*j]) {
+            diagonal[j] = 0.0;
+        }
+
+        let hi: Vec<f64> =
+            (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
+        let first = program.guess.as_ref().unwrap_or(&program.lo);
+        let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
+        let penalty =
+            Penalty::new(path, &program.lo, strongest, weight.sum(), &settings.penalty_weights());
+        let mut splines_mm = None;
+        let surrogate = match &cells {
+            Some(cells) => {
+                Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
+            }
+            None => {
+                if settings.tikhonov >= MIN_TIKHONOV_TWO_LEVEL {
+                    splines_mm = surrogate::spline_pitch(program.places, &reached, tif, grid, cell);
+                }
+                if splines_mm.is_none() {
+                    cell = surrogate::cell_size(tif, grid, surrogate::MAX_LOSS_GRADIENT);
+                }
+                let cells = (cell, splines_mm);
+                convolved(program.places, &reached, tif, grid, &weight, settings.free, cells)?
+            }
+        };
+        Ok(Self {
+            z: centred(desired.height_nm(), &weight),
+            desired,
+            tif,
+            path,
+            places: program.places,
+            settings,
+            b,
+            weight,
+            lo: &program.lo,
+            hi,
+            reached,
+            diagonal,
+            strongest,
+            u,
+            surrogate,
+            cell,
+            splines_mm,
+            start,
+        })
+    }
+
+    /// H~ of smaller cells; `false` when there are none.
+    pub fn sharpen(&mut self, penalty: &Penalty) -> Result<bool, DwellError> {
+        if self.cell == 1 {
+            return Ok(false);
+        }
+        self.cell /= 2;
+        let (tif, grid, weight) = (self.tif, self.desired.grid(), &self.weight);
+        self.surrogate = match &self.surrogate {
+            Surrogate::Ordered(_) => {
+                let (cells, _) = columns::on_cells(self.places, tif, grid, weight, self.cell);
+                Surrogate::Ordered(Ordered::new(
+                    &cells,
+                    &self.u,
+                    &self.reached,
+                    penalty,
+                    self.cell == 1,
+                ))
+            }
+            Surrogate::Convolved(_) => {
+                let cells = (self.cell, self.splines_mm);
+                convolved(self.places, &self.reached, tif, grid, weight, self.settings.free, cells)?
+            }
+        };
+        Ok(true)
+    }
+}
+
+/// z minus its weighted mean, 0 where the weight is 0.
+fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
+    let (mut sum, mut total) = (0.0, 0.0);
+    Zip::from(z).and(weight).for_each(|z, w| {
+        if *w > 0.0 {
+            sum += w * z;
+            total += w;
+        }
+    });
+    let mean = sum / total;
+    let mut centred = Array2::zeros(z.dim());
+    Zip::from(&mut centred).and(z).and(weight).for_each(|c, z, w| {
+        if *w > 0.0 {
+            *c = z - mean;
+        }
+    });
+    centred
+}
+
+/// The surrogate for many dwell points, on cells of a size and with splines of a pitch.
+fn convolved(
+    places: &[Vec<Place>],
+    reached: &[bool],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+    free: Free,
+    cells: (usize, Option<f64>),
+) -> Result<Surrogate, Invalid> {
+    let h = Convolved::new(places, reached, tif, grid, weight, free, cells)?;
+    Ok(Surrogate::Convolved(Box::new(h)))
+}

@@ -1,0 +1,129 @@
+//! What was reached.
+
+use std::fmt;
+
+use ndarray::{Array2, Zip};
+use planish_numerics::statistics;
+use planish_types::{DwellTime, End, Invalid};
+use serde::Serialize;
+
+use super::{minimise::Iterate, prepared::BoundedProblem};
+use crate::{model::FFT_ROUNDING, surrogate::Surrogate};
+
+/// How the steps of the surrogate are found; manifests hold its name in kebab case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Algorithm {
+    /// Active sets on the factorised surrogate of H.
+    ActiveSet,
+    /// Conjugate gradients on the active set, preconditioned on a lattice of B-splines.
+    TwoLevel,
+    /// Projected gradient steps.
+    ProjectedGradient,
+}
+
+impl fmt::Display for Algorithm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// How the steps were found.
+    pub algorithm: Algorithm,
+    /// Factorisations, or products with the surrogate of H.
+    pub iterations: usize,
+    /// Steps of the surrogate, each corrected by the exact gradient.
+    pub corrections: usize,
+    /// Pixels along the side of a cell of the surrogate; 1: exact.
+    pub cell_pixels: usize,
+    /// How it ended: `optimal`, `stagnated` (the objective changes no more) or
+    /// `iteration-limit`.
+    pub end: End,
+    /// Largest |t - clip(t - gradient / H_jj)|: by how much a dwell time would still move, s.
+    pub kkt_residual_s: f64,
+    /// Bound on how far (1) is above its minimum, relative to it; left out when alpha is 0: then
+    /// `kkt_residual_s` alone certifies the result.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relative_gap: Option<f64>,
+    /// beta that was used: the given one, or what the noise level asked for.
+    pub smoothness: f64,
+    /// Dwell points at their lower bound, unreached and lifted ones not counted.
+    pub at_lower_bound: usize,
+    /// Dwell points at their upper bound.
+    pub at_upper_bound: usize,
+    /// Dwell points that do not reach the map, at their lower bound.
+    pub unreached_points: usize,
+    /// Valid pixels that no dwell point reaches: nothing can be corrected there.
+    pub unreached_pixels: usize,
+    /// RMS (mean removed) of the residual in the removal model of the solver, nm.
+    pub model_rms_nm: f64,
+    /// The same, plane removed, nm.
+    pub model_rms_detilted_nm: f64,
+    /// Sum of the dwell times, s.
+    pub total_time_s: f64,
+}
+
+/// Dwell times and what was reached.
+#[derive(Clone, Debug)]
+pub struct BoundedSolution {
+    /// Dwell times.
+    pub dwell: DwellTime,
+    /// What was reached.
+    pub report: Report,
+}
+
+impl BoundedProblem<'_> {
+    /// What the result of [`Self::minimise`] at this beta is.
+    pub(super) fn finish(
+        &self,
+        iterate: Iterate,
+        smoothness: f64,
+    ) -> Result<BoundedSolution, Invalid> {
+        let t = &iterate.t;
+        let reached = |j: &usize| self.reached[*j];
+        let mut residual = self.desired.height_nm() - &iterate.removal_nm;
+        Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
+            if *w == 0.0 {
+                *r = f64::NAN;
+            }
+        });
+        let unreached = |map: &Array2<f64>| {
+            // An FFT leaves rounding where nothing is reached.
+            let floor = FFT_ROUNDING * map.iter().copied().fold(0.0, f64::max);
+            map.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+        };
+        // Where something is removed the tool was; where nothing is, it may not have dwelt.
+        let mut unreached_pixels = unreached(&iterate.removal_nm);
+        if unreached_pixels > 0 {
+            unreached_pixels = unreached(&self.b.apply(&vec![1.0; t.len()]));
+        }
+        let grid = self.desired.grid();
+        let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
+        let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
+        let report = Report {
+            algorithm: match &self.surrogate {
+                Surrogate::Ordered(_) => Algorithm::ActiveSet,
+                Surrogate::Convolved(_) if self.splines_mm.is_some() => Algorithm::TwoLevel,
+                Surrogate::Convolved(_) => Algorithm::ProjectedGradient,
+            },
+            iterations: iterate.iterations,
+            corrections: iterate.corrections,
+            cell_pixels: self.cell,
+            end: iterate.end,
+            kkt_residual_s: iterate.natural_residual,
+            relative_gap: iterate.relative_gap,
+            smoothness,
+            at_lower_bound: (0..t.len()).filter(reached).filter(|j| t[*j] <= self.lo[*j]).count(),
+            at_upper_bound: (0..t.len()).filter(reached).filter(|j| t[*j] >= self.hi[*j]).count(),
+            unreached_points: (0..t.len()).filter(|j| !reached(j)).count(),
+            unreached_pixels,
+            model_rms_nm: rms,
+            model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
+            total_time_s: t.iter().sum(),
+        };
+        Ok(BoundedSolution { dwell: DwellTime::new(iterate.t)?, report })
+    }
+}

@@ -1,0 +1,86 @@
+//! How to solve, and what of it may be given point by point.
+
+use serde::Serialize;
+
+use crate::{
+    bounds::Bound,
+    model::columns::{Columns, Place},
+    objective::{Free, PenaltyWeights},
+};
+
+/// How to solve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// What a dwell time is spent on.
+    pub columns: Columns,
+    /// Lower bound.
+    pub min_dwell: Bound,
+    /// Upper bound; none when absent.
+    pub max_dwell: Option<Bound>,
+    /// alpha: weight of the distance to the lower bound; >= 0.
+    pub tikhonov: f64,
+    /// beta: weight of the roughness of the dwell-time density along the path; >= 0.
+    pub smoothness: f64,
+    /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
+    pub time_weight_nm2_per_s: f64,
+    /// What need not be removed.
+    pub free: Free,
+    /// Residual above which a pixel counts linearly instead of squared (Huber), nm: pits.
+    pub huber_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
+    pub noise_rms_nm: Option<f64>,
+    /// Dwell points up to which the surrogate of H is factorised.
+    pub max_factorised_points: usize,
+    /// Natural residual that is enough, s.
+    pub tolerance_s: f64,
+    /// Bound on how far (1) is above its minimum, relative to it, that is enough.
+    pub relative_gap: f64,
+    /// Most products with the surrogate of H where it is not factorised.
+    pub max_iterations: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            columns: Columns::Segment,
+            min_dwell: Bound::Seconds(0.0),
+            max_dwell: None,
+            // Both as measured to be flat optima of the executed residual on a real mirror.
+            tikhonov: 1e-5,
+            smoothness: 1e-2,
+            time_weight_nm2_per_s: 0.0,
+            free: Free::Piston,
+            huber_nm: None,
+            noise_rms_nm: None,
+            max_factorised_points: 6000,
+            tolerance_s: 1e-6,
+            // RMS within 5e-5 of the least.
+            relative_gap: 1e-4,
+            max_iterations: 10_000,
+        }
+    }
+}
+
+impl Settings {
+    /// What the terms beside the residual weigh.
+    pub(super) fn penalty_weights(&self) -> PenaltyWeights {
+        PenaltyWeights {
+            tikhonov: self.tikhonov,
+            smoothness: self.smoothness,
+            time_weight_nm2_per_s: self.time_weight_nm2_per_s,
+        }
+    }
+}
+
+/// The columns of B and the bounds of their dwell times.
+#[derive(Clone, Debug)]
+pub struct Program<'a> {
+    /// Where the tool is in each column (n).
+    pub places: &'a [Vec<Place>],
+    /// Lower bounds (n), s.
+    pub lo: Vec<f64>,
+    /// Upper bounds (n), s.
+    pub hi: Vec<f64>,
+    /// Dwell times of a similar problem (n), s: a first guess, which only saves time.
+    pub guess: Option<Vec<f64>>,
+}

@@ -1,0 +1,258 @@
+//! The removal model without a matrix: `B t` by spreading the dwell times on the pixels of the map
+//! and one FFT convolution, for problems of any size.
+//!
+//! ```text
+//! B = E - E ly - E lx + E ly lx,   E = C S                                                (1)
+//! S: dwell times -> seconds on the lattice (Keys' weights),   C: convolution with the samples of R
+//! ```
+//!
+//! E is what Keys' interpolation of the samples and their ghost nodes gives everywhere; R ends at its
+//! last samples. `ly` and `lx` are the indicators of the pixel rows and columns beyond them, at most
+//! three on each side of the TIF that E still reaches. A spilling row k of a tool in cell C at the
+//! offset f holds few samples,
+//!
+//! ```text
+//! (E ly)[C + k, :] = sum_d w_d(f) g[k - d, :] * (seconds along the row)                   (2)
+//! ```
+//!
+//! so (1) takes convolutions along rows and columns, one transform for each cell and d, and a few
+//! pixels for each corner. Nothing is approximated for a TIF on the pixels of the map: only sums are
+//! reordered. A TIF of another pitch is first sampled anew at that of the map, by its own
+//! interpolation, and continued by ghost nodes beyond its edge.
+
+mod lattice;
+mod spill;
+mod sums;
+
+use ndarray::{Array2, Axis as NdAxis};
+use planish_numerics::fft::convolution::Convolution;
+use planish_types::{Grid, Tif};
+use rayon::prelude::*;
+
+use crate::model::columns::Place;
+use lattice::{Lattice, Placed, placed, samples, without_ghosts};
+use spill::{Across, LINES_PER_TASK};
+pub use sums::Sums;
+
+/// B of [`crate::model::columns`] as an operator.
+pub struct FftOperator {
+    columns: usize,
+    /// g[j], j = -1 ..= last on both axes.
+    samples: Array2<f64>,
+    convolution: Convolution,
+    rows: Across,
+    /// Transposed.
+    columns_across: Across,
+    spills: bool,
+}
+
+/// Samples below this fraction of the peak do not spill.
+const NEGLIGIBLE_SPILL: f64 = 1e-14;
+
+impl FftOperator {
+    /// Plans for the columns of one path, TIF and map.
+    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+        Self::with_border(places, tif, grid, true)
+    }
+
+    /// E alone, of samples that are continued by zeros: for a surrogate, whose samples are few, so that
+    /// ghost nodes would be far from R.
+    pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+        Self::with_border(places, tif, grid, false)
+    }
+
+    fn with_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid, border: bool) -> Self {
+        let x = Lattice::new(&grid.x, &tif.grid().x);
+        let y = Lattice::new(&grid.y, &tif.grid().y);
+        let mut samples = samples(tif, &x, &y);
+        if !border {
+            samples = without_ghosts(samples);
+        }
+        let convolution = Convolution::new(samples.view(), (y.sources(), x.sources()));
+        let placed = placed(places, &x, &y);
+        let swap = |p: &Placed| Placed {
+            cell: [p.cell[1], p.cell[0]],
+            offset: [p.offset[1], p.offset[0]],
+            ..*p
+        };
+        let swapped = placed.iter().map(swap).collect();
+        let rows = Across::new(y, x, samples.view(), placed);
+        let columns_across = Across::new(x, y, samples.t(), swapped);
+        let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let (my, mx) = samples.dim();
+        let spills = border
+            && samples.indexed_iter().any(|((r, c), v)| {
+                let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
+                (at_border(r, my) || at_border(c, mx)) && v.abs() > NEGLIGIBLE_SPILL * peak
+            });
+        Self { columns: places.len(), samples, convolution, rows, columns_across, spills }
+    }
+
+    /// Whether (1) is exact: the TIF has the pitch of the map.
+    pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
+        Lattice::new(&grid.x, &tif.grid().x).own && Lattice::new(&grid.y, &tif.grid().y).own
+    }
+
+    /// `B t`: (ny, nx), nm.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        let mut map = self.convolution.valid(self.rows.seconds(t).view());
+        if self.spills {
+            map -= &self.rows.spill(t, Some(&self.samples));
+            let spill = self.columns_across.spill(t, None);
+            map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
+                .into_par_iter()
+                .zip(spill.axis_chunks_iter(NdAxis(1), LINES_PER_TASK))
+                .for_each(|(mut map, spill)| map -= &spill.t());
+        }
+        map
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        let mut sums = self.adjoint_with_spill(map);
+        if self.spills {
+            self.rows.subtract_spill(map.view(), Some(&self.samples), &mut sums);
+            let transposed = map.t().as_standard_layout().into_owned();
+            self.columns_across.subtract_spill(transposed.view(), None, &mut sums);
+        }
+        sums
+    }
+
+    /// `E' m`.
+    pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
+        self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
+    }
+
+    /// `B' m` with R^2 in place of R, but for what spills.
+    pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
+        let squared = self.samples.mapv(|r| r * r);
+        let shape = (self.rows.across.sources(), self.rows.along.sources());
+        let field = Convolution::new(squared.view(), shape).adjoint(map.view());
+        self.rows.gather(&field, self.columns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::columns::{self, Columns};
+    use ndarray::s;
+    use planish_types::{Axis, ToolPath};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn case(border: f64) -> (ToolPath, Tif, Grid) {
+        let axis = |n: usize| Axis::new(-0.1 * (n / 2) as f64, 0.1, n).unwrap();
+        let g = Grid { x: axis(31), y: axis(25) };
+        let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) / 1.5, g.y.at(r) / 1.2);
+            border + (1.0 + x + 0.5 * y) * ((1.0 - x * x) * (1.0 - y * y)).max(0.0).powi(6)
+        });
+        let map =
+            Grid { x: Axis::new(0.03, 0.1, 60).unwrap(), y: Axis::new(-0.4, 0.1, 45).unwrap() };
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let points: Vec<[f64; 2]> =
+            (0..40).map(|_| [rng.random_range(-2.0..8.0), rng.random_range(-2.0..6.0)]).collect();
+        let n = points.len() - 1;
+        (
+            ToolPath::through(points, vec![true; n], vec![0; n]).unwrap(),
+            Tif::new(g, rate).unwrap(),
+            map,
+        )
+    }
+
+    /// B t by its columns.
+    fn by_columns(places: &[Vec<Place>], tif: &Tif, map: &Grid, t: &[f64]) -> Array2<f64> {
+        let mut removal = Array2::zeros(map.shape());
+        for (p, t) in columns::patches(places, tif, map).iter().zip(t) {
+            let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
+            removal.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(*t, &p.rate_nm_per_s);
+        }
+        removal
+    }
+
+    fn largest(map: &Array2<f64>) -> f64 {
+        map.iter().fold(0.0, |m, v| m.max(v.abs()))
+    }
+
+    /// Places on nodes, between them, and around the map, one in each column.
+    fn places(map: &Grid) -> Vec<Vec<Place>> {
+        let at = |axis: &Axis, k: usize| axis.start_mm() + k as f64 * 0.45 * axis.step_mm();
+        (0..2600)
+            .map(|j| {
+                let (kx, ky) = ((7 * j) % 173, (11 * j) % 139);
+                let p = [at(&map.x, kx) - 1.8, at(&map.y, ky) - 1.5];
+                vec![Place { position_mm: p, fraction: 1.0 }]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn agrees_with_the_columns_whatever_the_border() {
+        for border in [0.0, 0.3] {
+            let (path, tif, map) = case(border);
+            assert!(FftOperator::is_exact(&tif, &map));
+            let cases =
+                [Columns::Point.places(&path), Columns::Segment.places(&path), places(&map)];
+            for places in &cases {
+                let t: Vec<f64> = (0..places.len()).map(|j| 1.0 + (j as f64).sin()).collect();
+                let operator = FftOperator::new(places, &tif, &map);
+                let expected = by_columns(places, &tif, &map, &t);
+                let error = largest(&(operator.apply(&t) - &expected)) / largest(&expected);
+                // Sums of at most 2600 terms; a spill left in would be 1e-2.
+                assert!(error < 1e-12, "border {border}, {} columns: {error}", places.len());
+            }
+        }
+    }
+
+    #[test]
+    fn a_tif_of_another_pitch_has_its_border_too() {
+        let (path, tif, _) = case(0.3);
+        let coarse =
+            Grid { x: Axis::new(0.03, 0.13, 46).unwrap(), y: Axis::new(-0.4, 0.11, 41).unwrap() };
+        let places = Columns::Segment.places(&path);
+        let t = vec![1.0; places.len()];
+        let expected = by_columns(&places, &tif, &coarse, &t);
+        let operator = FftOperator::new(&places, &tif, &coarse);
+        let error = largest(&(operator.apply(&t) - &expected)) / largest(&expected);
+        let spilling = FftOperator::without_border(&places, &tif, &coarse);
+        let spill = largest(&(spilling.apply(&t) - &expected)) / largest(&expected);
+        // Keys' interpolation of samples at 0.13 mm of a bell of 0.7 mm; the border is 0.3 of 1.3.
+        assert!(error < 5e-3 && spill > 10.0 * error, "{error} {spill}");
+    }
+
+    #[test]
+    fn sums_of_few_columns_are_those_of_the_operator() {
+        let (path, tif, map) = case(0.3);
+        let places = [Columns::Segment.places(&path), places(&map)].concat();
+        let operator = FftOperator::without_border(&places, &tif, &map);
+        let sums = Sums::new(&places, &tif, &map, 20.0);
+        for columns in [0..3, 17..18, 40..200, 0..places.len()] {
+            let t: Vec<(usize, f64)> = columns.map(|j| (j, 1.0 + (j as f64).cos())).collect();
+            let mut all = vec![0.0; places.len()];
+            t.iter().for_each(|(j, t)| all[*j] = *t);
+            let expected = operator.apply(&all);
+            let patch = sums.patch(&t);
+            let (rows, columns) = sums.extent(t.iter().map(|t| t.0));
+            assert_eq!(patch.origin, (rows.start, columns.start));
+            let mut found = Array2::zeros(map.shape());
+            found.slice_mut(s![rows, columns]).assign(&patch.rate_nm_per_s);
+            // The two round differently.
+            let error = largest(&(&found - &expected)) / largest(&expected).max(1e-300);
+            assert!(error < 1e-12, "{} columns: {error}", t.len());
+        }
+    }
+
+    #[test]
+    fn the_adjoint_is_the_adjoint() {
+        let (path, tif, map) = case(0.3);
+        let places = [Columns::Segment.places(&path), places(&map)].concat();
+        let operator = FftOperator::new(&places, &tif, &map);
+        let t: Vec<f64> = (0..places.len()).map(|j| (0.7 * j as f64).cos()).collect();
+        let m = Array2::from_shape_fn(map.shape(), |(r, c)| ((r * 3 + c) as f64).sin());
+        let left = (&operator.apply(&t) * &m).sum();
+        let right: f64 = operator.adjoint(&m).iter().zip(&t).map(|(b, t)| b * t).sum();
+        let size = operator.apply(&t).mapv(|v| v * v).sum().sqrt() * m.mapv(|v| v * v).sum().sqrt();
+        assert!((left - right).abs() <= 1e-12 * size, "{left} {right}");
+    }
+}

@@ -1,0 +1,133 @@
+//! The lattice on which dwell times are spread: the pixels of the map, continued by the reach of the TIF.
+
+use ndarray::{Array2, Axis as NdAxis, s};
+use planish_numerics::keys;
+use planish_types::{Axis, Tif};
+
+use crate::model::columns::Place;
+
+/// Two pitches are the same when they differ by less than this over the whole TIF, in steps: the same
+/// pitch may be rounded differently in two files.
+const SAME_PITCH: f64 = 1e-4;
+
+/// One axis: pixel i of the map, sample j of R, j = -1 ..= last.
+#[derive(Clone, Copy)]
+pub struct Lattice {
+    start_mm: f64,
+    pub step_mm: f64,
+    pub pixels: usize,
+    tif_start_mm: f64,
+    tif_end_mm: f64,
+    /// Whether the samples of the TIF have the pitch of the map.
+    pub own: bool,
+    /// Upper edge of R, in pixels from the lower one.
+    pub edge: f64,
+    /// The last sample with a ghost node beyond the upper edge.
+    pub last: isize,
+}
+
+impl Lattice {
+    pub fn new(map: &Axis, tif: &Axis) -> Self {
+        let steps = (tif.len() - 1) as f64;
+        let own = (map.step_mm() / tif.step_mm() - 1.0).abs() * steps <= SAME_PITCH;
+        let edge = if own { steps } else { (tif.end_mm() - tif.start_mm()) / map.step_mm() };
+        let (whole, fraction) = keys::split(edge);
+        Self {
+            start_mm: map.start_mm(),
+            step_mm: map.step_mm(),
+            pixels: map.len(),
+            tif_start_mm: tif.start_mm(),
+            tif_end_mm: tif.end_mm(),
+            own,
+            edge,
+            last: whole + if fraction > 0.0 { 2 } else { 1 },
+        }
+    }
+
+    /// Offset of sample j from the tool.
+    pub fn offset_mm(&self, j: usize) -> f64 {
+        (self.tif_start_mm + j as f64 * self.step_mm).min(self.tif_end_mm)
+    }
+
+    /// Samples with ghost nodes.
+    pub fn kernel(&self) -> usize {
+        self.last as usize + 2
+    }
+
+    /// Nodes -last ..= pixels, from which a sample reaches a pixel.
+    pub fn sources(&self) -> usize {
+        self.pixels + self.last as usize + 1
+    }
+
+    /// Cell and offset of a tool that reaches the map.
+    pub fn place(&self, p: f64) -> Option<(i32, f64)> {
+        let (cell, f) = keys::split((p + self.tif_start_mm - self.start_mm) / self.step_mm);
+        let reaches = cell >= -self.last - 2 && cell <= self.pixels as isize + 1;
+        reaches.then_some((cell as i32, f))
+    }
+
+    /// Up to the first and from the second k on, pixel C + k is beyond R: k - f outside [0, edge].
+    pub fn spills(&self, f: f64) -> [isize; 2] {
+        let low = if f > 0.0 { 0 } else { -1 };
+        let (whole, _) = keys::split(self.edge + f);
+        [low, whole + 1]
+    }
+}
+
+/// A tool on the lattice; [across, along].
+#[derive(Clone, Copy)]
+pub struct Placed {
+    pub cell: [i32; 2],
+    pub offset: [f64; 2],
+    pub fraction: f64,
+    pub column: u32,
+}
+
+/// The tools of all columns that reach the map, in the order of the columns.
+pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
+    let each = places.iter().enumerate().flat_map(|(j, places)| places.iter().map(move |p| (j, p)));
+    each.filter_map(|(j, Place { position_mm: p, fraction })| {
+        let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
+        let (cell, offset) = ([cy, cx], [fy, fx]);
+        Some(Placed { cell, offset, fraction: *fraction, column: j as u32 })
+    })
+    .collect()
+}
+
+/// Zeros in place of the ghost nodes.
+pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
+    let (my, mx) = samples.dim();
+    samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
+    samples.slice_mut(s![.., ..;mx - 1]).fill(0.0);
+    samples
+}
+
+/// R at the pixels of the map, with a ghost node before its lower edge and up to two beyond its upper
+/// one.
+pub fn samples(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
+    if x.own && y.own {
+        return tif.with_ghosts().clone();
+    }
+    let inside = |l: &Lattice| keys::split(l.edge).0 as usize + 1;
+    let (ny, nx) = (inside(y), inside(x));
+    let mut g = keys::with_ghosts(
+        Array2::from_shape_fn((ny, nx), |(j, i)| tif.rate_at(x.offset_mm(i), y.offset_mm(j)))
+            .view(),
+    );
+    // An edge between two nodes needs one more beyond it.
+    for axis in [NdAxis(0), NdAxis(1)] {
+        let lattice = if axis.index() == 0 { y } else { x };
+        while g.len_of(axis) < lattice.kernel() {
+            let n = g.len_of(axis);
+            let next = match n {
+                0..=2 => g.index_axis(axis, n - 1).to_owned(),
+                _ => {
+                    let at = |k: usize| g.index_axis(axis, n - k);
+                    &at(1) * 3.0 - &(&at(2) * 3.0) + at(3)
+                }
+            };
+            g.push(axis, next.view()).expect("a line of the array");
+        }
+    }
+    g.as_standard_layout().into_owned()
+}

@@ -1,0 +1,358 @@
+//! Dwell times spread on lines across one axis, and what Keys' interpolation lets spill over the two
+//! borders of the TIF on that axis: (2) of [`crate::model::fft_operator`] and its adjoint.
+
+use std::ops::Range;
+
+use ndarray::{Array2, ArrayView2, Axis as NdAxis};
+use planish_numerics::{
+    fft::{Complex64, line},
+    keys,
+};
+use rayon::prelude::*;
+
+use super::lattice::{Lattice, Placed};
+
+/// The places in the order of their cells across, [across, along].
+pub struct Across {
+    pub across: Lattice,
+    pub along: Lattice,
+    places: Vec<Placed>,
+    groups: Vec<Group>,
+    lines: line::Lines,
+    /// Spectra of the samples that spill: j of the first, and one for each.
+    border: Vec<(isize, Vec<Complex64>)>,
+}
+
+/// Places of one cell across that spill into the same lines.
+struct Group {
+    cell: isize,
+    /// Lines up to this one and from this one on spill.
+    spills: [isize; 2],
+    places: Range<usize>,
+}
+
+/// Lines that one thread takes at a time.
+pub const LINES_PER_TASK: usize = 32;
+
+impl Across {
+    /// `samples` [across, along].
+    pub fn new(
+        across: Lattice,
+        along: Lattice,
+        samples: ArrayView2<f64>,
+        mut places: Vec<Placed>,
+    ) -> Self {
+        let key = |p: &Placed| (p.cell[0], across.spills(p.offset[0]));
+        places.sort_by_key(key);
+        let mut groups: Vec<Group> = Vec::new();
+        for (i, p) in places.iter().enumerate() {
+            let (cell, spills) = (p.cell[0] as isize, across.spills(p.offset[0]));
+            match groups.last_mut() {
+                Some(g) if g.cell == cell && g.spills == spills => g.places.end = i + 1,
+                _ => groups.push(Group { cell, spills, places: i..i + 1 }),
+            }
+        }
+        let lines = line::Lines::new(along.sources());
+        let mut work = lines.workspace();
+        // The lowest line from the upper edge on gets something from three samples below it.
+        let upper = keys::split(across.edge).0 - 2;
+        let border = (-1..=across.last)
+            .filter(|j| *j <= 1 || *j >= upper)
+            .map(|j| {
+                let mut spectrum = vec![Complex64::default(); lines.half()];
+                let g = samples.row((j + 1) as usize);
+                let write = |line: &mut [f64]| line.iter_mut().zip(g).for_each(|(l, g)| *l = *g);
+                lines.forward(write, &mut spectrum, &mut work);
+                (j, spectrum)
+            })
+            .collect();
+        Self { across, along, places, groups, lines, border }
+    }
+
+    fn sample(&self, j: isize) -> Option<&[Complex64]> {
+        self.border.iter().find(|(k, _)| *k == j).map(|(_, g)| g.as_slice())
+    }
+
+    /// Groups with a cell in the range.
+    fn within(&self, cells: Range<isize>) -> &[Group] {
+        let at = |cell: isize| self.groups.partition_point(|g| g.cell < cell);
+        let (from, to) = (at(cells.start), at(cells.end));
+        &self.groups[from..to.max(from)]
+    }
+
+    /// S t.
+    pub fn seconds(&self, t: &[f64]) -> Array2<f64> {
+        let mut seconds = Array2::zeros((self.across.sources(), self.along.sources()));
+        seconds.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
+            let row = row.as_slice_mut().expect("in C order");
+            let node = r as isize - self.across.last;
+            for group in self.within(node - 2..node + 2) {
+                self.spread(group, node - group.cell, t, row);
+            }
+        });
+        seconds
+    }
+
+    /// Adds the seconds of the node d of a group, with the weights along.
+    fn spread(&self, group: &Group, d: isize, t: &[f64], line: &mut [f64]) {
+        for p in &self.places[group.places.clone()] {
+            let seconds =
+                t[p.column as usize] * p.fraction * keys::weights(p.offset[0])[(d + 1) as usize];
+            let w = keys::weights(p.offset[1]);
+            let first = p.cell[1] as isize - 1 + self.along.last;
+            for (i, w) in w.iter().enumerate() {
+                let at = first + i as isize;
+                if at >= 0 && (at as usize) < self.along.sources() {
+                    line[at as usize] += w * seconds;
+                }
+            }
+        }
+    }
+
+    /// `S' f`, summed by columns.
+    pub fn gather(&self, field: &Array2<f64>, columns: usize) -> Vec<f64> {
+        let field = field.as_slice().expect("in C order");
+        let (height, width) = (self.across.sources() as isize, self.along.sources());
+        let of = |p: &Placed| {
+            let w = keys::weights(p.offset[0]);
+            let first = p.cell[0] as isize - 1 + self.across.last;
+            let mut sum = 0.0;
+            for (i, w) in w.iter().enumerate() {
+                let r = first + i as isize;
+                if r >= 0 && r < height {
+                    let r = r as usize * width;
+                    sum += w * self.along_sum(p, &field[r..r + width]);
+                }
+            }
+            sum
+        };
+        let values: Vec<f64> = self.places.par_iter().map(of).collect();
+        let mut sums = vec![0.0; columns];
+        for (p, v) in self.places.iter().zip(&values) {
+            sums[p.column as usize] += p.fraction * v;
+        }
+        sums
+    }
+
+    /// A line of sources with the weights along.
+    fn along_sum(&self, p: &Placed, line: &[f64]) -> f64 {
+        let first = p.cell[1] as isize - 1 + self.along.last;
+        let of = |(i, w): (usize, &f64)| {
+            let at = usize::try_from(first + i as isize).ok();
+            at.and_then(|at| line.get(at)).map_or(0.0, |v| w * v)
+        };
+        keys::weights(p.offset[1]).iter().enumerate().map(of).sum()
+    }
+
+    /// The pairs (k, d) at which a group spills, of its lower or its upper edge.
+    fn pairs(&self, group: &Group, upper: bool) -> impl Iterator<Item = (isize, isize)> {
+        let last = self.across.last;
+        let k = if upper { group.spills[1]..=last + 2 } else { -2..=group.spills[0] };
+        k.flat_map(move |k| {
+            let d = if upper { (k - last).max(-1)..=2 } else { -1..=(k + 1).min(2) };
+            d.map(move |d| (k, d))
+        })
+    }
+
+    /// Cells that spill into lines of the range, over their lower or their upper edge.
+    fn cells(&self, lines: &Range<isize>, upper: bool) -> Range<isize> {
+        if upper {
+            lines.start - self.across.last - 2..lines.end - self.across.edge.floor() as isize
+        } else {
+            lines.start..lines.end + 2
+        }
+    }
+
+    /// (2): lines of the map; with `corners` (the samples) what spills over both edges is left out.
+    pub fn spill(&self, t: &[f64], corners: Option<&Array2<f64>>) -> Array2<f64> {
+        let pixels = self.along.pixels;
+        let mut map = Array2::zeros((self.across.pixels, pixels));
+        let half = self.lines.half();
+        map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
+            .into_par_iter()
+            .enumerate()
+            .for_each_init(
+                || (self.lines.workspace(), vec![Complex64::default(); half]),
+                |(work, seconds), (b, mut band)| {
+                    let range =
+                        (b * LINES_PER_TASK) as isize..(b * LINES_PER_TASK + band.nrows()) as isize;
+                    let mut sums = vec![Complex64::default(); half * band.nrows()];
+                    let mut used = vec![false; band.nrows()];
+                    for upper in [false, true] {
+                        for group in self.within(self.cells(&range, upper)) {
+                            for d in -1..=2 {
+                                let mut known = false;
+                                for (k, _) in self.pairs(group, upper).filter(|p| p.1 == d) {
+                                    let (line, j) = (group.cell + k, k - d);
+                                    let Some(g) = self.sample(j).filter(|_| range.contains(&line))
+                                    else {
+                                        continue;
+                                    };
+                                    if !known {
+                                        known = true;
+                                        let write =
+                                            |line: &mut [f64]| self.spread(group, d, t, line);
+                                        self.lines.forward(write, seconds, work);
+                                    }
+                                    let r = (line - range.start) as usize;
+                                    used[r] = true;
+                                    let sum = &mut sums[r * half..(r + 1) * half];
+                                    for ((sum, s), g) in sum.iter_mut().zip(&*seconds).zip(g) {
+                                        *sum += s * g;
+                                    }
+                                }
+                            }
+                        }
+                    }
+                    for (r, mut row) in band.outer_iter_mut().enumerate().filter(|(r, _)| used[*r])
+                    {
+                        let line = self.lines.inverse(&sums[r * half..(r + 1) * half], work);
+                        let from = self.along.last as usize + 1;
+                        row.iter_mut().zip(&line[from..]).for_each(|(v, l)| *v = *l);
+                    }
+                    let Some(samples) = corners else { return };
+                    for upper in [false, true] {
+                        for group in self.within(self.cells(&range, upper)) {
+                            for p in &self.places[group.places.clone()] {
+                                let seconds = t[p.column as usize] * p.fraction;
+                                self.corner(p, group, upper, samples, &range, |r, c, rate| {
+                                    band[[r - range.start as usize, c]] -= seconds * rate;
+                                });
+                            }
+                        }
+                    }
+                },
+            );
+        map
+    }
+
+    /// `E ly lx` of one tool on the lines of the range: (line, pixel, rate).
+    fn corner(
+        &self,
+        p: &Placed,
+        group: &Group,
+        upper: bool,
+        samples: &Array2<f64>,
+        range: &Range<isize>,
+        mut add: impl FnMut(usize, usize, f64),
+    ) {
+        let (wy, wx) = (keys::weights(p.offset[0]), keys::weights(p.offset[1]));
+        let along = &self.along;
+        let [low, high] = along.spills(p.offset[1]);
+        let mut of_pixel = |c: isize, from: isize, to: isize| {
+            let pixel = p.cell[1] as isize + c;
+            if pixel < 0 || pixel >= along.pixels as isize {
+                return;
+            }
+            let mut lines = [(0, 0.0); 8];
+            let mut count = 0;
+            for (k, d) in self.pairs(group, upper) {
+                let line = group.cell + k;
+                if !range.contains(&line) {
+                    continue;
+                }
+                let row = samples.row((k - d + 1) as usize);
+                let rate: f64 =
+                    (from..=to).map(|e| wx[(e + 1) as usize] * row[(c - e + 1) as usize]).sum();
+                if count == 0 || lines[count - 1].0 != line {
+                    lines[count] = (line, 0.0);
+                    count += 1;
+                }
+                lines[count - 1].1 += wy[(d + 1) as usize] * rate;
+            }
+            for (line, rate) in &lines[..count] {
+                add(*line as usize, pixel as usize, *rate);
+            }
+        };
+        for c in -2..=low {
+            of_pixel(c, -1, (c + 1).min(2));
+        }
+        for c in high..=along.last + 2 {
+            of_pixel(c, (c - along.last).max(-1), 2);
+        }
+    }
+
+    /// Subtracts the adjoint of [`Self::spill`] from the sums of the columns.
+    pub fn subtract_spill(
+        &self,
+        map: ArrayView2<f64>,
+        corners: Option<&Array2<f64>>,
+        sums: &mut [f64],
+    ) {
+        let half = self.lines.half();
+        let mut values = vec![0.0; self.places.len()];
+        // Groups of LINES_PER_TASK cells, and their places.
+        let mut bands: Vec<(&[Group], &mut [f64])> = Vec::new();
+        let mut rest = values.as_mut_slice();
+        for groups in self.groups.chunk_by(|a, b| {
+            a.cell.div_euclid(LINES_PER_TASK as isize) == b.cell.div_euclid(LINES_PER_TASK as isize)
+        }) {
+            let count = groups.iter().map(|g| g.places.len()).sum();
+            let (own, others) = std::mem::take(&mut rest).split_at_mut(count);
+            rest = others;
+            bands.push((groups, own));
+        }
+        let lines = 0..self.across.pixels as isize;
+        bands.into_par_iter().for_each_init(
+            || (self.lines.workspace(), vec![Complex64::default(); half]),
+            |(work, sum), (groups, values)| {
+                // Spectra of the lines that are needed, by their number.
+                let mut spectra: Vec<(isize, Vec<Complex64>)> = Vec::new();
+                let mut values = values.iter_mut();
+                for group in groups {
+                    let mut field = Vec::new();
+                    for d in -1..=2 {
+                        sum.fill(Complex64::default());
+                        let mut used = false;
+                        for upper in [false, true] {
+                            for (k, _) in self.pairs(group, upper).filter(|p| p.1 == d) {
+                                let line = group.cell + k;
+                                let Some(g) = self.sample(k - d).filter(|_| lines.contains(&line))
+                                else {
+                                    continue;
+                                };
+                                let known = spectra.iter().position(|(l, _)| *l == line);
+                                let at = known.unwrap_or_else(|| {
+                                    let mut spectrum = vec![Complex64::default(); half];
+                                    let write = |to: &mut [f64]| {
+                                        let to = &mut to[self.along.last as usize + 1..];
+                                        let from = map.row(line as usize);
+                                        to.iter_mut().zip(from).for_each(|(t, m)| *t = *m);
+                                    };
+                                    self.lines.forward(write, &mut spectrum, work);
+                                    spectra.push((line, spectrum));
+                                    spectra.len() - 1
+                                });
+                                used = true;
+                                for ((sum, m), g) in sum.iter_mut().zip(&spectra[at].1).zip(g) {
+                                    *sum += m * g.conj();
+                                }
+                            }
+                        }
+                        if used {
+                            field.push((d, self.lines.inverse(sum, work).to_vec()));
+                        }
+                    }
+                    for p in &self.places[group.places.clone()] {
+                        let w = keys::weights(p.offset[0]);
+                        let of = |(d, field): &(isize, Vec<f64>)| {
+                            w[(d + 1) as usize] * self.along_sum(p, &field[..self.along.sources()])
+                        };
+                        let mut spill: f64 = field.iter().map(of).sum();
+                        if let Some(samples) = corners {
+                            for upper in [false, true] {
+                                self.corner(p, group, upper, samples, &lines, |r, c, rate| {
+                                    spill -= map[[r, c]] * rate;
+                                });
+                            }
+                        }
+                        *values.next().expect("one for each place") = spill;
+                    }
+                }
+            },
+        );
+        for (p, spill) in self.places.iter().zip(&values) {
+            sums[p.column as usize] -= p.fraction * spill;
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The removal by a few columns, on the pixels that they reach.
+
+use std::ops::Range;
+
+use ndarray::{Array2, s};
+use planish_numerics::{fft::convolution::Convolution, keys};
+use planish_types::{Grid, Tif};
+
+use super::lattice::{Lattice, Placed, placed, samples, without_ghosts};
+use crate::model::columns::{Patch, Place};
+
+/// Sums of a few columns of `FftOperator::without_border`, on the pixels that they reach.
+pub struct Sums {
+    x: Lattice,
+    y: Lattice,
+    placed: Vec<Placed>,
+    /// The places of column j are `first[j] .. first[j + 1]`.
+    first: Vec<u32>,
+    /// Nodes (y, x) under which `correlation` is planned.
+    room: (usize, usize),
+    correlation: Convolution,
+}
+
+impl Sums {
+    /// For columns whose places are within a square of `size_mm`.
+    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64) -> Self {
+        let x = Lattice::new(&grid.x, &tif.grid().x);
+        let y = Lattice::new(&grid.y, &tif.grid().y);
+        // In the order of the columns.
+        let placed = placed(places, &x, &y);
+        let before = |j: usize| placed.partition_point(|p| (p.column as usize) < j) as u32;
+        let first = (0..=places.len()).map(before).collect();
+        let nodes = |l: &Lattice| (size_mm / l.step_mm).ceil() as usize + 5;
+        let room = (nodes(&y), nodes(&x));
+        let correlation = full_correlation(&without_ghosts(samples(tif, &x, &y)), room);
+        Self { x, y, placed, first, room, correlation }
+    }
+
+    fn places(&self, column: usize) -> &[Placed] {
+        &self.placed[self.first[column] as usize..self.first[column + 1] as usize]
+    }
+
+    /// First and last nodes [y, x] that the columns are spread on.
+    fn nodes(&self, columns: impl Iterator<Item = usize>) -> Option<[[isize; 2]; 2]> {
+        let cells = columns.flat_map(|j| self.places(j)).map(|p| p.cell.map(|c| c as isize));
+        let ends = cells.map(|c| [c.map(|c| c - 1), c.map(|c| c + 2)]);
+        ends.reduce(|[a, b], [c, d]| {
+            [[a[0].min(c[0]), a[1].min(c[1])], [b[0].max(d[0]), b[1].max(d[1])]]
+        })
+    }
+
+    /// Pixels (y, x) that nodes reach.
+    fn pixels(&self, [low, high]: [[isize; 2]; 2]) -> (Range<usize>, Range<usize>) {
+        let range = |axis: usize, l: &Lattice| {
+            let to = (high[axis] + l.last + 1).clamp(0, l.pixels as isize) as usize;
+            ((low[axis] - 1).max(0) as usize).min(to)..to
+        };
+        (range(0, &self.y), range(1, &self.x))
+    }
+
+    /// Pixels (y, x) that the columns reach.
+    pub fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
+        self.nodes(columns).map_or((0..0, 0..0), |nodes| self.pixels(nodes))
+    }
+
+    /// `sum_j t_j B_j` for columns j and their t_j.
+    pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
+        let Some(nodes) = self.nodes(t.iter().map(|(j, _)| *j)) else { return Patch::default() };
+        let (rows, columns) = self.pixels(nodes);
+        if rows.is_empty() || columns.is_empty() {
+            return Patch::default();
+        }
+        let [low, high] = nodes;
+        let shape = |axis: usize| (high[axis] - low[axis] + 1) as usize;
+        let fits = shape(0) <= self.room.0 && shape(1) <= self.room.1;
+        assert!(fits, "columns within the planned square");
+        let mut seconds = Array2::zeros(self.room);
+        for (p, t) in t.iter().flat_map(|(j, t)| self.places(*j).iter().map(move |p| (p, t))) {
+            let (wy, wx) = (keys::weights(p.offset[0]), keys::weights(p.offset[1]));
+            let at = |axis: usize| (p.cell[axis] as isize - 1 - low[axis]) as usize;
+            for (r, wy) in wy.iter().enumerate() {
+                for (c, wx) in wx.iter().enumerate() {
+                    seconds[[at(0) + r, at(1) + c]] += t * p.fraction * wy * wx;
+                }
+            }
+        }
+        // From the pixel before the first node on.
+        let all = self.correlation.adjoint(seconds.view());
+        let from = |axis: usize, first: usize| (first as isize - low[axis] + 1) as usize;
+        let (r, c) = (from(0, rows.start), from(1, columns.start));
+        let rate = all.slice(s![r..r + rows.len(), c..c + columns.len()]).to_owned();
+        Patch { origin: (rows.start, columns.start), rate_nm_per_s: rate }
+    }
+}
+
+/// The convolution of `samples` with all of a source of shape `room`, as an adjoint.
+fn full_correlation(samples: &Array2<f64>, room: (usize, usize)) -> Convolution {
+    let (my, mx) = samples.dim();
+    let reversed = samples.slice(s![..;-1, ..;-1]);
+    Convolution::new(reversed, (room.0 + my - 1, room.1 + mx - 1))
+}

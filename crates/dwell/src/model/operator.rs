@@ -1,0 +1,307 @@
+//! B as an operator: by its columns, or by FFT.
+//!
+//! The columns are exact, but there may be too many of them to be stored. The FFT takes memory
+//! proportional to the map ([`crate::model::fft_operator`]), and is exact where the TIF has the pitch of the
+//! map.
+
+use ndarray::{Array2, Axis, s};
+use planish_types::{Grid, Invalid, Tif};
+use rayon::prelude::*;
+
+use crate::model::{
+    ROWS_PER_TASK,
+    columns::{self, Patch, Place, Stored},
+    fft_operator::FftOperator,
+};
+
+/// Most elements of B that [`Operator`] stores (400 MB).
+const MAX_STORED_ELEMENTS: f64 = 5e7;
+
+/// Most elements of B that are held while something else is made of it, or where they are more exact
+/// than the FFT (2 GB).
+const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
+
+/// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
+const MAX_TIF_PIXELS: f64 = 2.7e8;
+
+/// Most dwell points of a normal matrix (288 MB).
+pub const MAX_MATRIX_POINTS: usize = 6000;
+
+/// Pixels of the map that the TIF covers; refuses so many that the units must be wrong.
+fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
+    let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+    if pixels <= MAX_TIF_PIXELS {
+        return Ok(pixels);
+    }
+    Err(Invalid::whole(
+        "rate_nm_per_s",
+        format!("covers {pixels:.0} pixels of the map"),
+        "check that the TIF and the map are both in mm",
+    ))
+}
+
+/// B.
+pub enum Operator {
+    /// By columns.
+    Stored {
+        /// One per dwell point.
+        patches: Vec<Patch>,
+        /// (ny, nx).
+        shape: (usize, usize),
+    },
+    /// By spreading and FFT.
+    Fft(Box<FftOperator>),
+}
+
+impl Operator {
+    /// B for the places of the tool in each column.
+    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
+        // A column has at most the pixels of the map.
+        let pixels = covered_pixels(tif, grid)?.min((grid.x.len() * grid.y.len()) as f64);
+        Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
+            Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
+        } else {
+            Self::Fft(Box::new(FftOperator::new(places, tif, grid)))
+        })
+    }
+
+    /// `columns` or `fft`.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Stored { .. } => "columns",
+            Self::Fft(_) => "fft",
+        }
+    }
+
+    /// `B t`: (ny, nx), nm.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        let (patches, shape) = match self {
+            Self::Stored { patches, shape } => (patches, *shape),
+            Self::Fft(operator) => return operator.apply(t),
+        };
+        let mut map = Array2::zeros(shape);
+        map.axis_chunks_iter_mut(Axis(0), ROWS_PER_TASK).into_par_iter().enumerate().for_each(
+            |(band, mut rows)| {
+                let first = band * ROWS_PER_TASK;
+                for (p, t) in patches.iter().zip(t) {
+                    let (r, c) = p.origin;
+                    let (ny, nx) = p.rate_nm_per_s.dim();
+                    for row in r.max(first)..(r + ny).min(first + rows.nrows()) {
+                        rows.slice_mut(s![row - first, c..c + nx])
+                            .scaled_add(*t, &p.rate_nm_per_s.row(row - r));
+                    }
+                }
+            },
+        );
+        map
+    }
+
+    /// [`Self::adjoint`]; where that is by FFT, the TIF ends up to two pixels beyond its last samples.
+    pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
+        match self {
+            Self::Stored { .. } => self.adjoint(map),
+            Self::Fft(operator) => operator.adjoint_with_spill(map),
+        }
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        let patches = match self {
+            Self::Stored { patches, .. } => patches,
+            Self::Fft(operator) => return operator.adjoint(map),
+        };
+        let of = |p: &Patch| {
+            let (r, c) = p.origin;
+            let nx = p.rate_nm_per_s.ncols();
+            let rows = p.rate_nm_per_s.outer_iter().enumerate();
+            rows.map(|(i, rate)| rate.dot(&map.slice(s![r + i, c..c + nx]))).sum()
+        };
+        patches.par_iter().map(of).collect()
+    }
+}
+
+/// B for a certificate: by the FFT where that is exact, by its columns where it is not and they fit.
+///
+/// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
+pub enum Removal {
+    /// By columns.
+    Stored(Stored),
+    /// By spreading and FFT.
+    Convolved(Box<FftOperator>),
+}
+
+impl Removal {
+    /// B for the places of the tool in each column; more than `max_stored` of them are not stored.
+    pub fn new(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        grid: &Grid,
+        max_stored: usize,
+    ) -> Result<Self, Invalid> {
+        let pixels = covered_pixels(tif, grid)?;
+        let stored = !FftOperator::is_exact(tif, grid)
+            && places.len() <= max_stored
+            && places.len() as f64 * pixels <= MAX_COLUMN_ELEMENTS;
+        Ok(if stored {
+            Self::Stored(Stored::new(places, tif, grid))
+        } else {
+            Self::Convolved(Box::new(FftOperator::new(places, tif, grid)))
+        })
+    }
+
+    /// `B t`: (ny, nx), nm.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        match self {
+            Self::Stored(b) => b.apply(t),
+            Self::Convolved(b) => b.apply(t),
+        }
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        match self {
+            Self::Stored(b) => b.adjoint(map),
+            Self::Convolved(b) => b.adjoint(map),
+        }
+    }
+}
+
+/// `B' W B - b b' / sum(w)`, b = B' w: the normal matrix (n, n) with a free piston, for solvers that
+/// need a matrix. Refuses one that does not fit.
+pub fn normal_matrix(
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+) -> Result<Array2<f64>, Invalid> {
+    let n = places.len();
+    let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+    if n > MAX_MATRIX_POINTS || n as f64 * pixels > MAX_COLUMN_ELEMENTS {
+        return Err(Invalid::whole(
+            "dwell_point_mm",
+            format!("has {n} points, each of {pixels:.0} pixels of the map"),
+            "this solver needs a matrix of at most 6000 points and 2.5e8 elements; use bounded-least-squares",
+        ));
+    }
+    // W^1/2 B
+    let mut patches = columns::patches(places, tif, grid);
+    let root = weight.mapv(f64::sqrt);
+    let under = |p: &Patch, map: &Array2<f64>| {
+        let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
+        map.slice(s![r..r + ny, c..c + nx]).to_owned()
+    };
+    patches.par_iter_mut().for_each(|p| {
+        let w = under(p, &root);
+        p.rate_nm_per_s *= &w;
+    });
+    let b: Vec<f64> =
+        patches.par_iter().map(|p| (&p.rate_nm_per_s * &under(p, &root)).sum()).collect();
+    let total = weight.sum();
+    let mut h = Array2::zeros((n, n));
+    h.outer_iter_mut().into_par_iter().enumerate().for_each(|(j, mut row)| {
+        for k in 0..=j {
+            row[k] = patches[j].dot(&patches[k]) - b[j] * b[k] / total;
+        }
+    });
+    for j in 0..n {
+        for k in 0..j {
+            h[[k, j]] = h[[j, k]];
+        }
+    }
+    Ok(h)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::Axis;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// A product with B and one with its adjoint.
+    type Pair<'a> = (&'a str, Array2<f64>, Vec<f64>);
+
+    /// `<B t, m> = <t, B' m>` for every form of B, on a random map, tool and path; the pitch of the tool is
+    /// that of the map or another one.
+    fn adjoint_is_adjoint(seed: u64) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut axis = |step: f64, from: usize, to: usize| {
+            Axis::new(rng.random_range(-2.0..2.0), step, rng.random_range(from..to)).unwrap()
+        };
+        let grid = Grid { x: axis(0.1, 3, 70), y: axis(0.13, 3, 50) };
+        let same_pitch = seed.is_multiple_of(2);
+        let pitch = if same_pitch { [0.1, 0.13] } else { [0.07, 0.16] };
+        let own = Grid { x: axis(pitch[0], 4, 40), y: axis(pitch[1], 4, 40) };
+        // Rough up to its border.
+        let rate = Array2::from_shape_simple_fn(own.shape(), || rng.random_range(0.0..1.0));
+        let tif = Tif::new(own, rate).unwrap();
+        // Up to three places in a column, over the map, around it, and far away.
+        let reach = |a: &Axis, t: &Axis| {
+            (a.start_mm() - t.end_mm() - 1.0)..(a.end_mm() - t.start_mm() + 1.0)
+        };
+        let (x, y) = (reach(&grid.x, &own.x), reach(&grid.y, &own.y));
+        let n = rng.random_range(1..80);
+        let places: Vec<Vec<Place>> = (0..n)
+            .map(|_| {
+                let count = rng.random_range(0..4);
+                let fraction = 1.0 / f64::from(count.max(1));
+                let mut place = || Place {
+                    position_mm: [rng.random_range(x.clone()), rng.random_range(y.clone())],
+                    fraction,
+                };
+                (0..count).map(|_| place()).collect()
+            })
+            .collect();
+        let t: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let m = Array2::from_shape_simple_fn(grid.shape(), || rng.random_range(-1.0..1.0));
+
+        let stored = Operator::Stored {
+            patches: columns::patches(&places, &tif, &grid),
+            shape: grid.shape(),
+        };
+        let fft = Operator::Fft(Box::new(FftOperator::new(&places, &tif, &grid)));
+        let removal = Removal::Stored(Stored::new(&places, &tif, &grid));
+        let without_border = FftOperator::without_border(&places, &tif, &grid);
+        let pairs: [Pair<'_>; 4] = [
+            ("stored", stored.apply(&t), stored.adjoint(&m)),
+            ("FFT", fft.apply(&t), fft.adjoint(&m)),
+            ("stored for a certificate", removal.apply(&t), removal.adjoint(&m)),
+            ("without a border", without_border.apply(&t), without_border.adjoint(&m)),
+        ];
+        // The error of a convolution by FFT is at each pixel at most some log2(N) roundings of |R| |S t| (both
+        // Euclidean), for three transforms and two axes; Keys' weights sum to at most 1.25 per axis in
+        // magnitude, and what spills is removed by four such convolutions more. Sums of columns are better.
+        let length = |v: &mut dyn Iterator<Item = f64>| v.map(|v| v * v).sum::<f64>().sqrt();
+        let transform = ((grid.x.len() + 45) * (grid.y.len() + 45)) as f64;
+        let rate = length(&mut tif.with_ghosts().iter().copied());
+        let total = |v: &mut dyn Iterator<Item = f64>| v.map(f64::abs).sum::<f64>();
+        let size =
+            rate * 1.25 * 1.25 * total(&mut t.iter().copied()) * total(&mut m.iter().copied());
+        let allowed = 5.0 * 3.0 * 2.0 * transform.log2() * f64::EPSILON * size;
+        for (name, b_t, b_m) in &pairs {
+            let left = (b_t * &m).sum();
+            let right: f64 = t.iter().zip(b_m).map(|(t, b)| t * b).sum();
+            assert!(
+                (left - right).abs() <= allowed,
+                "{name}, seed {seed}: {left} {right} {allowed}"
+            );
+            // The tolerance is far below what the products are made of.
+            let sizes = length(&mut b_t.iter().copied()) * length(&mut m.iter().copied());
+            assert!(
+                sizes == 0.0 || allowed < 1e-6 * sizes,
+                "{name}, seed {seed}: {allowed} {sizes}"
+            );
+        }
+        // Both are the same B, where the FFT is exact.
+        if same_pitch {
+            let apart = (&pairs[0].1 - &pairs[1].1).iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+            assert!(apart <= allowed, "seed {seed}: {apart} {allowed}");
+        }
+        assert_eq!(FftOperator::is_exact(&tif, &grid), same_pitch);
+    }
+
+    #[test]
+    fn every_form_of_b_has_its_adjoint_on_random_problems() {
+        (0..40).for_each(adjoint_is_adjoint);
+    }
+}
