@@ -8,8 +8,9 @@ use crate::{
     ticks::{round_logarithms, round_numbers},
 };
 
-/// Length that a number along x, which is wide, and along y, which is a line high, has for itself, px.
-const PX_PER_NUMBER: [f64; 2] = [80.0, 45.0];
+/// Length of an axis that a number has for itself, px: the same along x and y, so that axes of one
+/// scale have the same steps.
+const PX_PER_NUMBER: f64 = 60.0;
 
 /// Digits of a number at an axis: round numbers have fewer, rounding has more.
 const AXIS_DIGITS: usize = 10;
@@ -74,8 +75,8 @@ impl Scale {
     }
 
     /// The round numbers of an axis of this length.
-    fn numbers(&self, length_px: f64, px_per_number: f64) -> Vec<f64> {
-        let most = (length_px / px_per_number).max(2.0);
+    fn numbers(&self, length_px: f64) -> Vec<f64> {
+        let most = (length_px / PX_PER_NUMBER).max(2.0);
         match self {
             Self::Linear([low, high]) => round_numbers(*low, *high, most),
             Self::Logarithmic([low, high]) => round_logarithms(*low, *high, most),
@@ -146,12 +147,12 @@ impl Frame {
         let edge = format!("fill=\"none\" stroke=\"{INK}\"");
         let mark = format!("stroke=\"{INK}\"");
         svg.rectangle([left, self.top], [self.width, self.height], &edge);
-        for v in self.x.numbers(self.width, PX_PER_NUMBER[0]) {
+        for v in self.x.numbers(self.width) {
             let x = self.at([v, self.y.ends()[0]])[0];
             svg.path(&mark, &format!("M{x:.1} {bottom:.1}v{MARK_PX}"));
             svg.text([x, bottom + MARK_PX + font], MIDDLE, &significant(v, AXIS_DIGITS));
         }
-        for v in self.y.numbers(self.height, PX_PER_NUMBER[1]) {
+        for v in self.y.numbers(self.height) {
             let y = self.at([self.x.ends()[0], v])[1];
             svg.path(&mark, &format!("M{left:.1} {y:.1}h-{MARK_PX}"));
             let beside = [left - MARK_PX - 3.0, y + 0.36 * font];
@@ -166,11 +167,11 @@ impl Frame {
     /// Grey lines across the frame at the numbers of its axes.
     pub fn grid(&self, svg: &mut Svg) {
         let mut d = String::new();
-        for v in self.x.numbers(self.width, PX_PER_NUMBER[0]) {
+        for v in self.x.numbers(self.width) {
             let x = self.at([v, self.y.ends()[0]])[0];
             put(&mut d, format_args!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
         }
-        for v in self.y.numbers(self.height, PX_PER_NUMBER[1]) {
+        for v in self.y.numbers(self.height) {
             let y = self.at([self.x.ends()[0], v])[1];
             put(&mut d, format_args!("M{:.1} {y:.1}h{:.1}", self.left, self.width));
         }

@@ -28,8 +28,10 @@ const FEWEST: usize = 3;
 pub fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
     let inside = |mantissas: &[f64]| -> Vec<f64> {
         let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
+        // Read as it is written: 0.3, not 0.30000000000000004.
+        let number = |m: &f64, power: i32| format!("{m}e{power}").parse().unwrap_or(f64::NAN);
         (first..=last)
-            .flat_map(|power| mantissas.iter().map(move |m| m * 10.0_f64.powi(power)))
+            .flat_map(|power| mantissas.iter().map(move |m| number(m, power)))
             .filter(|v| (low * (1.0 - SLACK)..=high * (1.0 + SLACK)).contains(v))
             .collect()
     };
