@@ -1,6 +1,6 @@
 //! A plot: a rectangle of the picture with an axis along x and one along y.
 
-use planish_types::text::significant;
+use planish_types::text::{escaped, significant};
 
 use crate::{
     colour::{Bands, INK},
@@ -10,7 +10,7 @@ use crate::{
 
 /// Length of an axis that a number has for itself, px: the same along x and y, so that axes of one
 /// scale have the same steps.
-const PX_PER_NUMBER: f64 = 60.0;
+const PX_PER_NUMBER: f64 = 50.0;
 
 /// Digits of a number at an axis: round numbers have fewer, rounding has more.
 const AXIS_DIGITS: usize = 10;
@@ -91,6 +91,15 @@ pub fn range(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
+/// A number at an axis, short enough for the margin.
+fn short(value: f64) -> String {
+    if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
+        significant(value, AXIS_DIGITS)
+    } else {
+        format!("{value:e}")
+    }
+}
+
 /// A plot and its place in the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
@@ -150,13 +159,13 @@ impl Frame {
         for v in self.x.numbers(self.width) {
             let x = self.at([v, self.y.ends()[0]])[0];
             svg.path(&mark, &format!("M{x:.1} {bottom:.1}v{MARK_PX}"));
-            svg.text([x, bottom + MARK_PX + font], MIDDLE, &significant(v, AXIS_DIGITS));
+            svg.text([x, bottom + MARK_PX + font], MIDDLE, &short(v));
         }
         for v in self.y.numbers(self.height) {
             let y = self.at([self.x.ends()[0], v])[1];
             svg.path(&mark, &format!("M{left:.1} {y:.1}h-{MARK_PX}"));
             let beside = [left - MARK_PX - 3.0, y + 0.36 * font];
-            svg.text(beside, END, &significant(v, AXIS_DIGITS));
+            svg.text(beside, END, &short(v));
         }
         let [margin_left, _, _, margin_below] = self.margin_px;
         svg.text([left + 0.5 * self.width, bottom + margin_below - 12.0], MIDDLE, x_title);
@@ -185,11 +194,11 @@ impl Frame {
         }
     }
 
-    /// Small print below the frame, at the right.
+    /// Small print at the right, below the title of x.
     pub fn note(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             let [_, _, margin_right, margin_below] = self.margin_px;
-            let at = [self.right() + margin_right - 6.0, self.bottom() + margin_below - 12.0];
+            let at = [self.right() + margin_right - 6.0, self.bottom() + margin_below - 1.0];
             svg.text(at, &format!("{END} font-size=\"11\" fill=\"#444444\""), words);
         }
     }
@@ -216,16 +225,24 @@ impl Frame {
         svg.path(style, &format!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
     }
 
-    /// The names of curves and their colours, in the upper right corner.
+    /// The names of curves after dashes in their colours, above the frame, at the right.
     pub fn legend(&self, svg: &mut Svg, entries: &[(&str, &str)]) {
-        let widest = entries.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
-        let x = self.right() - 40.0 - 7.5 * widest as f64;
-        for (k, (name, colour)) in entries.iter().enumerate() {
-            let y = self.top + 16.0 + 17.0 * k as f64;
-            let sample = format!("stroke=\"{colour}\" stroke-width=\"3\"");
-            svg.path(&sample, &format!("M{x:.1} {:.1}h22", y - 4.0));
-            svg.text([x + 27.0, y], "font-size=\"12\"", name);
+        let mut words = String::new();
+        for (name, colour) in entries {
+            put(
+                &mut words,
+                format_args!(
+                    "<tspan dx=\"14\" fill=\"{colour}\" font-weight=\"bold\">\u{2014} </tspan>\
+                     <tspan>{}</tspan>",
+                    escaped(name)
+                ),
+            );
         }
+        svg.put(format_args!(
+            "<text x=\"{:.1}\" y=\"{:.1}\" {END} font-size=\"12\">{words}</text>",
+            self.right(),
+            self.top - 10.0
+        ));
     }
 
     /// The colours of `bands` right of the frame, with the ends of their range and their unit.
@@ -250,7 +267,7 @@ impl Frame {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::colour::VIRIDIS;
+    use crate::colour::{LINES, VIRIDIS};
 
     fn frame(x: Scale, y: Scale) -> Frame {
         Frame::new([0.0, 0.0], [400.0, 200.0], [60.0, 30.0, 90.0, 50.0], [x, y])
@@ -289,6 +306,21 @@ mod tests {
     }
 
     #[test]
+    fn numbers_at_an_axis_are_short() {
+        for (value, words) in [
+            (0.0, "0"),
+            (-0.25, "-0.25"),
+            (1500.0, "1500"),
+            (1e-7, "1e-7"),
+            (2e5, "2e5"),
+            (-1.5e6, "-1.5e6"),
+            (0.001, "0.001"),
+        ] {
+            assert_eq!(short(value), words);
+        }
+    }
+
+    #[test]
     fn a_curve_is_cut_where_it_is_nan() {
         let mut svg = Svg::new(14.0);
         let f = frame(Scale::linear([0.0, 4.0]), Scale::linear([0.0, 1.0]));
@@ -296,6 +328,17 @@ mod tests {
         f.curve(&mut svg, [], INK);
         let text = svg.finish([550.0, 280.0]);
         assert_eq!((text.matches('M').count(), text.matches("<path").count()), (2, 1), "{text}");
+    }
+
+    #[test]
+    fn a_legend_has_every_name_and_no_markup_of_it() {
+        let mut svg = Svg::new(14.0);
+        let f = frame(Scale::linear([0.0, 1.0]), Scale::linear([0.0, 1.0]));
+        f.legend(&mut svg, &[("before", INK), ("a<b", LINES[0])]);
+        let text = svg.finish([550.0, 280.0]);
+        assert!(text.contains("<text x=\"460.0\" y=\"20.0\""), "{text}");
+        assert!(text.contains("<tspan>before</tspan>") && text.contains("<tspan>a&lt;b</tspan>"));
+        assert_eq!(text.matches(&format!("fill=\"{}\"", LINES[0])).count(), 1);
     }
 
     #[test]

@@ -13,11 +13,12 @@ fn a_report_has_the_bands_of_the_spectrum_of_a_surface() {
     let axis = |n| Axis::new(-3.0, 0.25, n).unwrap();
     let grid = Grid { x: axis(150), y: axis(131) };
     let noise = Array2::from_shape_simple_fn(grid.shape(), || rng.random_range(-1.0..1.0));
-    let whole = |_: f64, _: f64| true;
-    let disc = |x: f64, y: f64| x.hypot(y) < 1.0;
-    let pit = |x: f64, y: f64| (x - 0.3).hypot(y + 0.2) > 0.05;
-    let apertures: [(&str, &dyn Fn(f64, f64) -> bool); 3] =
-        [("whole", &whole), ("disc", &disc), ("pit", &pit)];
+    type Aperture = fn(f64, f64) -> bool;
+    let apertures: [(&str, Aperture); 3] = [
+        ("whole", |_, _| true),
+        ("disc", |u, v| u.hypot(v) < 1.0),
+        ("pit", |u, v| (u - 0.3).hypot(v + 0.2) > 0.05),
+    ];
     for (name, inside) in apertures {
         let height_nm = Array2::from_shape_fn(grid.shape(), |(r, c)| {
             let (u, v) = (c as f64 / 74.5 - 1.0, r as f64 / 65.0 - 1.0);
