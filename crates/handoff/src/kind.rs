@@ -498,11 +498,31 @@ pub const ALL: [&Kind; 12] = [
     &REPORT,
 ];
 
+/// Columns of a paragraph of the page.
+const PARAGRAPH_COLUMNS: usize = 110;
+
+/// A paragraph in lines of at most [`PARAGRAPH_COLUMNS`].
+fn wrapped(text: &str) -> String {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let line = lines.last_mut().expect("there is a line from the start");
+        if line.is_empty() {
+            *line = word.into();
+        } else if line.len() + 1 + word.len() <= PARAGRAPH_COLUMNS {
+            *line += &format!(" {word}");
+        } else {
+            lines.push(word.into());
+        }
+    }
+    lines.join("\n")
+}
+
 /// `docs/formats.md`.
 pub fn formats_markdown() -> String {
     let mut page = String::from(FORMATS_INTRODUCTION);
     for kind in ALL {
-        page += &format!("\n## `{}` (version {})\n\n{}\n\n", kind.name, kind.version, kind.doc);
+        let doc = wrapped(kind.doc);
+        page += &format!("\n## `{}` (version {})\n\n{doc}\n\n", kind.name, kind.version);
         page += &format!("Frame: {}.\n", kind.frame);
         if !kind.arrays.is_empty() {
             page += "\n| file | dtype | shape | axes | unit | what |\n|---|---|---|---|---|---|\n";

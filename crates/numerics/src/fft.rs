@@ -5,7 +5,7 @@
 //! | [`transform`] | a map of any size, for its spectrum |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
 //! | [`pair_convolution`] | two real maps or lines at a time, as one complex one |
-//! | [`line`] | lines whose products with several kernels are summed before the inverse |
+//! | [`mod@line`] | lines whose products with several kernels are summed before the inverse |
 //!
 //! Rows and columns are independent transforms everywhere, so no result depends on the number of
 //! threads.
