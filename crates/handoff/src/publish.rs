@@ -318,7 +318,7 @@ fn create_sibling(
     }
 }
 
-/// Whether this is the name of something that a run has not finished, or left behind when it was killed;
+/// Whether this is the name of something that a run has not finished, or left when it was killed;
 /// the next run into the same directory clears it away.
 pub fn is_temporary(name: &str) -> bool {
     name.starts_with(PREFIX) && (name.ends_with(TEMPORARY) || name.ends_with(JOURNAL))

@@ -533,7 +533,7 @@ const FOUND: [(&str, u64, u64); 40] = [
     ("harsh", 1, 9116),
 ];
 
-/// Number of the first case, and of the case behind the last one.
+/// Number of the first case, and of the first one after the last.
 fn case_numbers() -> std::ops::Range<u64> {
     let first = number_from_env("PLANISH_FIRST", 0);
     first..first + number_from_env("PLANISH_CASES", 40)
@@ -683,7 +683,7 @@ fn the_judge_agrees_with_every_claim() {
             counts.rows.push(Row {
                 seed,
                 first: numbers.start,
-                behind: numbers.end,
+                end: numbers.end,
                 population: population.to_string(),
                 scheduler: scheduler.to_string(),
                 count,
@@ -879,11 +879,11 @@ fn keeps_the_dwell_times(path: &ToolPath, case: &Case, motion: &Motion) -> Resul
     Ok(motion.stretched)
 }
 
-/// The counts of a piece of the campaign: the cases from `first` on, those from `behind` on not.
+/// The counts of a piece of the campaign: the cases from `first` on, those from `end` on not.
 struct Row {
     seed: u64,
     first: u64,
-    behind: u64,
+    end: u64,
     population: String,
     scheduler: String,
     count: Count,
@@ -904,12 +904,12 @@ impl Counts {
         let rows: Vec<Row> = text.lines().map(Row::parse).collect();
         let again = rows
             .iter()
-            .find(|r| r.seed == seed && r.first < numbers.end && numbers.start < r.behind);
-        if let Some(Row { first, behind, .. }) = again {
+            .find(|r| r.seed == seed && r.first < numbers.end && numbers.start < r.end);
+        if let Some(Row { first, end, .. }) = again {
             panic!(
                 "PLANISH_COUNTS has the cases {first} to {} of seed {seed} already; choose others by \
                  PLANISH_FIRST or PLANISH_SEED",
-                behind - 1
+                end - 1
             );
         }
         Self { rows }
@@ -960,17 +960,17 @@ impl Counts {
 
 impl Row {
     fn line(&self) -> String {
-        let Self { seed, first, behind, population, scheduler, count } = self;
+        let Self { seed, first, end, population, scheduler, count } = self;
         let Count { made, refused, stretched, coarse, violations, largest_use } = count;
         format!(
-            "{seed}\t{first}\t{behind}\t{population}\t{scheduler}\t\
+            "{seed}\t{first}\t{end}\t{population}\t{scheduler}\t\
              {made}\t{refused}\t{stretched}\t{coarse}\t{violations}\t{largest_use:?}\n"
         )
     }
 
     fn parse(line: &str) -> Self {
         let cells: Vec<&str> = line.split('\t').collect();
-        let [seed, first, behind, population, scheduler, numbers @ ..] = cells.as_slice() else {
+        let [seed, first, end, population, scheduler, numbers @ ..] = cells.as_slice() else {
             panic!("PLANISH_COUNTS: {line}: has {} cells; remove the file", cells.len())
         };
         let [made, refused, stretched, coarse, violations, most] = numbers else {
@@ -980,7 +980,7 @@ impl Row {
         Self {
             seed: number(seed),
             first: number(first),
-            behind: number(behind),
+            end: number(end),
             population: population.to_string(),
             scheduler: scheduler.to_string(),
             count: Count {
