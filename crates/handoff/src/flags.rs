@@ -2,6 +2,9 @@
 //!
 //! A command takes a group by `#[command(flatten)]`, and the group reads what its flags give.
 
+// The text of a field is the help of its flag, where [JSON] is a kind of file and not a link.
+#![allow(rustdoc::broken_intra_doc_links)]
+
 use std::path::{Path, PathBuf};
 
 use clap::Args;

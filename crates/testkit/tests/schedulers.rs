@@ -776,11 +776,14 @@ enum Kept {
 /// How far the rounding of times may take an axis beyond a limit.
 type Excess = fn(&AxisVerdict, Rounding) -> f64;
 
+/// Whether a limit was promised, what the judge says of it, and how far rounding may exceed it.
+type PromisedLimit = (bool, fn(&AxisVerdict) -> &Check, Excess);
+
 fn keeps_its_promise(name: &str, verdict: &Verdict) -> Kept {
     let promise = promise(name);
     let axes = || verdict.axes.iter();
     // Where a time is off by u, positions are off by v u and velocities by a u.
-    let checks: [(bool, fn(&AxisVerdict) -> &Check, Excess); 6] = [
+    let checks: [PromisedLimit; 6] = [
         (promise.velocity, |a| &a.velocity_mm_per_s, |a, u| u.time_s * a_max(a)),
         (promise.acceleration, |a| &a.acceleration_mm_per_s2, acceleration_rounding),
         (promise.jerk, |a| &a.jerk_mm_per_s3, |a, u| acceleration_rounding(a, u) / u.shortest_s),
@@ -902,9 +905,8 @@ impl Counts {
             .filter(|file| std::path::Path::new(file).exists())
             .map_or(String::new(), |file| std::fs::read_to_string(file).unwrap());
         let rows: Vec<Row> = text.lines().map(Row::parse).collect();
-        let again = rows
-            .iter()
-            .find(|r| r.seed == seed && r.first < numbers.end && numbers.start < r.end);
+        let again =
+            rows.iter().find(|r| r.seed == seed && r.first < numbers.end && numbers.start < r.end);
         if let Some(Row { first, end, .. }) = again {
             panic!(
                 "PLANISH_COUNTS has the cases {first} to {} of seed {seed} already; choose others by \

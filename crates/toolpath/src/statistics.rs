@@ -13,7 +13,7 @@
 //! ```
 //!
 //! A percentile of n sorted values is the value number ceil(q n). Whether two segments meet is
-//! decided without rounding ([`crate::segments`]).
+//! decided without rounding (module `segments`).
 //!
 //! The pitch that keeps the ripple of parallel lines below `r` (peak to valley over mean) for a
 //! Gaussian TIF of standard deviation sigma, from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first
