@@ -559,6 +559,8 @@ def hostile(programs, run):
     program = "</script><script>window.hit=2</script><svg onload=window.hit=3>"
     for manifest in copy.rglob("manifest.json"):
         data = json.loads(manifest.read_text())
+        if data["kind"] == "verdict":
+            continue  # its outcome is nowhere else, so its manifest is sealed, and a changed one is refused
         data["command"] = data["tool_version"] = data["method"] = program
         data["settings"] = {program: [program, "\u2028"]}
         manifest.write_text(json.dumps(data))
