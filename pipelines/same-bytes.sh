@@ -15,7 +15,8 @@ copy=$work/revision
 # path, every solver, every scheduler, every controller, and the settings that change the mathematics.
 runs='
 run raster fixture=coupon export=galil
-run raster fixture=coupon pitch_mm=0.5 step_mm=0.5 min_dwell_s_per_mm=0.05 mode=smooth export=pmac
+run raster fixture=coupon pitch_mm=0.5 step_mm=0.5 min_dwell_s_per_mm=0.05
+run raster fixture=coupon mode=smooth export=pmac
 run raster fixture=coupon-noise refine=no export=gcode prepare="--mask-outliers --feature-mm 4 --fill"
 run raster fixture=coupon machine=fixtures/machines/fluid-jet.json export=xps
 run raster fixture=coupon-ring export=csv frames=0 prepare="--level zernike --level-order 4"
