@@ -150,12 +150,13 @@ impl Drop for Staged {
 pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     for s in &staged {
         s.file.sync_all().map_err(|e| HandoffError::io(&s.place, "write", &e))?;
-        s.check_place()?;
     }
     let mut parents: Vec<PathBuf> = staged.iter().map(|s| absolute(&parent_of(&s.place))).collect();
     parents.sort();
     parents.dedup();
     let _held = hold_without_journals(&parents);
+    // Only now: while this run waited for its turn another may have taken a place.
+    staged.iter().try_for_each(Staged::check_place)?;
     let _appearing = lock(&APPEARING);
     let mut journals = match staged.len() {
         0 | 1 => Vec::new(),
@@ -493,8 +494,9 @@ fn write_journals(staged: &[Staged], parents: &[PathBuf]) -> Result<Vec<PathBuf>
 /// Finishes what a process that is gone began to show in `parent`; waits for one that is at it.
 pub(crate) fn finish_interrupted(parent: &Path) {
     for path in temporaries(parent, JOURNAL) {
-        // What is no journal asks for nothing.
-        let journal = read_journal(&path).unwrap_or_default();
+        // What cannot be read is left to who can read it; what is no journal asks for nothing.
+        let Ok(bytes) = fs::read(&path) else { continue };
+        let journal: Journal = serde_json::from_slice(&bytes).unwrap_or_default();
         let mut directories: Vec<PathBuf> =
             journal.renames.iter().map(|rename| parent_of(&rename.to)).collect();
         directories.push(parent.to_path_buf());
@@ -519,10 +521,6 @@ pub(crate) fn finish_interrupted(parent: &Path) {
         }
         let _ = fs::remove_file(&path);
     }
-}
-
-fn read_journal(path: &Path) -> io::Result<Journal> {
-    Ok(serde_json::from_slice(&fs::read(path)?)?)
 }
 
 // ---- one rename ----------------------------------------------------------------------------------
@@ -628,6 +626,21 @@ mod tests {
         publishing.join().unwrap().unwrap();
         assert_eq!(meanwhile, ["old", "old"]);
         assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["new", "new"]);
+    }
+
+    /// A place that was free when the run was ready, and taken when its turn came.
+    #[test]
+    fn a_place_that_is_taken_while_a_run_waits_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let other = hold(&[dir.path().to_path_buf()]);
+        let run = vec![Staged::file(&dir.path().join("c"), false).unwrap()];
+        let publishing = std::thread::spawn(|| publish(run));
+        std::thread::sleep(Duration::from_millis(100));
+        fs::write(dir.path().join("c"), "mine").unwrap();
+        drop(other);
+        let message = publishing.join().unwrap().unwrap_err().to_string();
+        assert!(message.contains("c: exists"), "{message}");
+        assert_eq!(text(&dir.path().join("c")), "mine");
     }
 
     /// Its journal, finished by a later reader, took the place of what the second run had shown.
