@@ -58,7 +58,7 @@ pub enum FeedError {
     /// The removal basis would not fit into memory.
     #[error(
         "the removal basis of {control_values} control values has {elements} elements, more than \
-         {limit}; bin the map and the TIF, or raise --knot-spacing-mm"
+         {limit}; bin the map and the TIF, or raise `knot_spacing_mm`"
     )]
     TooLarge {
         /// Control values of all passes.
@@ -70,7 +70,7 @@ pub enum FeedError {
     },
     /// The quadratic program of a pass was not solved.
     #[error(
-        "pass {pass}: the quadratic program ended with {status}; raise --tikhonov or --knot-spacing-mm"
+        "pass {pass}: the quadratic program ended with {status}; raise `tikhonov` or `knot_spacing_mm`"
     )]
     Solver {
         /// Pass, in the order of the path.

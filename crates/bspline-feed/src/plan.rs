@@ -15,7 +15,7 @@ use ndarray::Array2;
 use planish_numerics::{bspline::Knots, motion::timing_law};
 use planish_types::{
     DensityNodes, DwellDensity, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget,
-    plausible::Rms,
+    plausible::{self, Rms},
 };
 use serde::Serialize;
 
@@ -37,6 +37,16 @@ pub enum Method {
     Deconvolution,
     /// VRR / (desired removal x pitch).
     Vrr,
+}
+
+impl Method {
+    /// What a plan says that it was made by.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Deconvolution => "bspline",
+            Self::Vrr => "vrr",
+        }
+    }
 }
 
 /// What the uniform part of the desired removal means.
@@ -145,6 +155,34 @@ pub struct Plan {
     pub report: Report,
 }
 
+impl Plan {
+    /// Why the plan for the desired removal `surface`, made with `settings`, is not to be executed as it is, where it is not: the
+    /// method did not converge, the surface becomes worse, or the run takes too long.
+    pub fn drawback(&self, surface: &Surface, settings: &Settings) -> Option<String> {
+        let r = &self.report;
+        let total_time_s = self.trajectory.total_time_s();
+        match r.end {
+            End::SweepLimit => Some(format!(
+                "not converged: after {} sweeps the objective still falls by more than {} of itself; \
+                 raise `max_sweeps` or `tolerance`",
+                r.sweeps, settings.tolerance
+            )),
+            End::LinkLimit => Some(
+                "not converged: what the turn-arounds remove still changes from round to round; give the \
+                 path more overscan, so that they lie off the part"
+                    .to_string(),
+            ),
+            _ => match (r.model_rms_nm, r.model_rms_detilted_nm) {
+                (Some(rms_nm), Some(detilted_nm)) => {
+                    let after = Rms { rms_nm, detilted_nm };
+                    plausible::drawback(Rms::of(surface), after, total_time_s)
+                }
+                _ => plausible::too_long(total_time_s),
+            },
+        }
+    }
+}
+
 /// Rounds of sweeps after which what the links remove has to stand still.
 const MAX_ROUNDS: usize = 5;
 
@@ -160,6 +198,7 @@ pub fn plan(
     settings: &Settings,
 ) -> Result<Plan, FeedError> {
     check(settings)?;
+    plausible::check_path(surface, tif, path)?;
     let passes = passes(path, surface, limits)?;
     let width_mm = width_mm(tif);
     let spacing = settings.knot_spacing_mm.unwrap_or(0.25 * width_mm);
@@ -285,7 +324,7 @@ fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), In
         "knot_spacing_mm",
         squares,
         2 * size_of::<f64>(),
-        "give a larger --knot-spacing-mm, and check that path and TIF are both in mm",
+        "give a larger `knot_spacing_mm`, and check that path and TIF are both in mm",
     )?;
     Ok(())
 }

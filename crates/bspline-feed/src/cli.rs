@@ -1,0 +1,118 @@
+//! The command line, and the run from its flags to its files.
+
+use clap::Args;
+use planish_bspline_feed::{
+    Settings,
+    deconvolution::Refinement,
+    plan,
+    plan::{Method, Piston},
+};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    say, task,
+};
+use planish_types::{DwellDensity, Trajectory};
+use serde_json::json;
+
+#[derive(Args)]
+pub struct Feed {
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// Where the feed comes from
+    #[arg(long, value_enum, default_value = "deconvolution")]
+    method: Method,
+    /// How the acceleration limit is kept
+    #[arg(long, value_enum, default_value = "convex-concave")]
+    refinement: Refinement,
+    /// Distance of the knots, mm [default: a quarter of the TIF's width]
+    #[arg(long, value_name = "L")]
+    knot_spacing_mm: Option<f64>,
+    /// Distance of neighbouring passes for the VRR feed, mm [default: measured]
+    #[arg(long, value_name = "P")]
+    pitch_mm: Option<f64>,
+    /// What the uniform part of the desired removal means
+    #[arg(long, value_enum, default_value = "keep")]
+    piston: Piston,
+    /// Weight of the distance to the least dwell density, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    tikhonov: f64,
+    /// Weight of the second differences of the control values along a pass, likewise
+    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
+    smoothness: f64,
+    /// End when a sweep over the lines lowers the objective by less than this part
+    #[arg(long, value_name = "R", default_value_t = Settings::default().tolerance)]
+    tolerance: f64,
+    /// Most sweeps over the lines
+    #[arg(long, value_name = "N", default_value_t = Settings::default().max_sweeps)]
+    max_sweeps: usize,
+    /// Largest distance of the motion from the feed profile at equal times, mm
+    #[arg(long, value_name = "E", default_value_t = Settings::default().fit_tolerance_mm)]
+    fit_tolerance_mm: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Feed {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = Settings {
+            method: self.method,
+            refinement: self.refinement,
+            knot_spacing_mm: self.knot_spacing_mm,
+            pitch_mm: self.pitch_mm,
+            piston: self.piston,
+            tikhonov: self.tikhonov,
+            smoothness: self.smoothness,
+            tolerance: self.tolerance,
+            max_sweeps: self.max_sweeps,
+            fit_tolerance_mm: self.fit_tolerance_mm,
+        };
+        let method = self.method.name();
+        let mut inputs = Inputs::new();
+        let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let path = self.path.read(&mut inputs)?;
+        let machine = self.machine.read(&mut inputs)?;
+        let task = task!(method, settings);
+        let parts = [("feed", DwellDensity::KIND), ("trajectory", Trajectory::KIND)];
+        let mut output = match Output::directories(&self.output, parts).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+
+        let plan = plan(&surface, &tif, &path, &machine, &settings)?;
+
+        let r = &plan.report;
+        let total_time_s = plan.trajectory.total_time_s();
+        let status = plan.drawback(&surface, &settings).map_or(Status::Done, Status::Negative);
+        let outcome = json!({
+            "end": r.end,
+            "total_time_s": total_time_s,
+            "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
+            "report": r,
+        });
+        output.write(&plan.density, outcome.clone(), &status)?;
+        output.write(&plan.trajectory, outcome, &status)?;
+        let rms = r
+            .model_rms_nm
+            .map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
+        say(format!(
+            "{method}: {} passes, {} control values, {:.3} s{rms}; {:.1} % of the feed and {:.1} % of the \
+             acceleration limit used; {} turn-arounds and {} lifts as links of {:.3} s; {} sweeps -> {}",
+            r.passes,
+            r.control_values,
+            total_time_s,
+            100.0 * r.feed_use,
+            100.0 * r.acceleration_use,
+            r.links.turn_arounds,
+            r.links.lifts,
+            r.links.total_time_s,
+            r.sweeps,
+            self.output.out.display()
+        ));
+        Ok(status)
+    }
+}
