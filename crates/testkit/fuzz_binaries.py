@@ -80,7 +80,9 @@ planish-dwell lucy-richardson --surface {run/surface} --tif {tif} --tool-path {r
 planish-dwell rifta --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --out {rifta}
 planish-dwell udo --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --out {udo}
 planish-schedule pvt --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {run/methods/pvt/trajectory}
+planish-schedule pvt-as-published --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {published}
 planish-schedule constant-acceleration --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {ca}
+planish-schedule stop-at-corners --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {stop}
 planish-schedule trig-spline --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {trig}
 planish-schedule average-velocity --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {average}
 planish-schedule position --tool-path {run/tool_path} --dwell {run/dwell} --machine {machine.json} --out {position}

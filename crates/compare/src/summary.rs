@@ -23,8 +23,16 @@ use crate::{
 };
 
 /// Order of the methods; others follow by name. A refined method follows its base.
-const ORDER: [&str; 6] =
-    [IDEAL, "average-velocity", "constant-acceleration", "pvt", "trig-spline", "bspline"];
+const ORDER: [&str; 8] = [
+    IDEAL,
+    "average-velocity",
+    "constant-acceleration",
+    "stop-at-corners",
+    "pvt",
+    "pvt-as-published",
+    "trig-spline",
+    "bspline",
+];
 
 /// Coordinates of two maps agree to this fraction of a pixel, as axes do that passed through text.
 const SAME_PIXEL: f64 = 1e-4;

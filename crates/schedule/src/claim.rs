@@ -10,7 +10,7 @@
 //! this file, must come to the same result. A step below the tolerances is rounding: the motion is
 //! then continuous.
 
-use planish_types::{Limits, Trajectory};
+use planish_types::{Limits, Trajectory, plausible};
 use serde::Serialize;
 
 /// Steps in position up to this are rounding or the tolerance of a fit, mm.
@@ -24,6 +24,9 @@ const ROUNDING: f64 = 1e-9;
 
 /// Part of the largest acceleration up to which a step in it is rounding.
 const ACCELERATION_STEP: f64 = 1e-6;
+
+/// What there is to say of a motion that shows what others are measured by.
+pub const IDEAL: &str = "it is an ideal that no machine can do";
 
 /// What a schedule says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -139,6 +142,16 @@ impl Claim {
         ];
         broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect()
     }
+
+    /// Why the motion is not to be executed as it is, where it is not: a limit is exceeded, followed by what
+    /// the scheduler has to say of that, or the run takes too long.
+    pub fn drawback(&self, total_time_s: f64, advice: Option<&str>) -> Option<String> {
+        if self.limits_respected {
+            return plausible::too_long(total_time_s);
+        }
+        let advice = advice.map_or(String::new(), |advice| format!("; {advice}"));
+        Some(format!("a limit of the machine is exceeded: {}{advice}", self.broken().join(", ")))
+    }
 }
 
 #[cfg(test)]
@@ -167,7 +180,10 @@ mod tests {
     #[test]
     fn every_limit_is_found_at_its_value() {
         let t = rest_to_rest();
-        assert!(Claim::of(&t, &limits(1.5, 6.0, None, 1.0)).limits_respected);
+        let kept = Claim::of(&t, &limits(1.5, 6.0, None, 1.0));
+        assert!(kept.limits_respected);
+        assert_eq!(kept.drawback(1.0, Some("see there")), None);
+        assert!(kept.drawback(1e8, None).unwrap().contains("days"));
         assert!(!Claim::of(&t, &limits(1.499, 6.0, None, 1.0)).velocity);
         assert!(!Claim::of(&t, &limits(1.5, 5.999, None, 1.0)).acceleration);
         assert!(!Claim::of(&t, &limits(1.5, 6.0, None, 1.001)).min_segment);
@@ -178,6 +194,10 @@ mod tests {
         assert_eq!(jerk.max_jerk_mm_per_s3, [12.0, 0.0]);
         assert_eq!(jerk.max_acceleration_step_mm_per_s2, [6.0, 0.0]);
         assert!(jerk.broken()[0].contains("the acceleration steps"));
+        let drawback = jerk.drawback(1.0, Some("see there")).unwrap();
+        assert!(
+            drawback.ends_with("the acceleration steps, which no limit on jerk allows; see there")
+        );
         let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(11.0), 0.0));
         assert_eq!((jerk.jerk, jerk.jerk_inside_segments), (Some(false), Some(false)));
         assert_eq!(jerk.broken(), ["the jerk exceeds its limit"]);

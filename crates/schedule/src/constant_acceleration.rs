@@ -35,7 +35,7 @@ use serde::Serialize;
 
 use crate::{
     ScheduleError, check_lengths,
-    link::{End, Link, link},
+    shortest_cubic::{CubicSegment, State, shortest_cubic},
 };
 
 /// What the recursion could not do.
@@ -106,11 +106,12 @@ pub fn schedule(
         let target = path.point_mm()[i + 1];
         let s = [0, 1].map(|a| target[a] - position[a]);
         if !path.tool_on()[i] {
-            let from = End { position_mm: position, velocity_mm_per_s: velocity };
-            let to = End { position_mm: target, velocity_mm_per_s: [0.0; 2] };
+            let from = State { position_mm: position, velocity_mm_per_s: velocity };
+            let to = State { position_mm: target, velocity_mm_per_s: [0.0; 2] };
             // Without dwell time and but for rounding at its end already, it would vanish too.
-            let lasts = |l: &Link| l.duration_s > least_piece_s(motion.end_s() + l.duration_s);
-            match link(from, to, limits, dwell_s).filter(lasts) {
+            let lasts =
+                |l: &CubicSegment| l.duration_s > least_piece_s(motion.end_s() + l.duration_s);
+            match shortest_cubic(from, to, limits, dwell_s).filter(lasts) {
                 Some(link) => {
                     motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                     report.lifts += 1;
@@ -127,7 +128,7 @@ pub fn schedule(
         }
         let phases = coupled(s, velocity, dwell_s, a_max);
         let duration_s = phases[0].duration_s;
-        let start = End { position_mm: position, velocity_mm_per_s: velocity };
+        let start = State { position_mm: position, velocity_mm_per_s: velocity };
         add(&mut motion, start, phases, duration_s, path.tool_on()[i], Some(i));
         for axis in 0..2 {
             let p = &phases[axis];
@@ -155,7 +156,7 @@ pub fn schedule(
             duration_s: report.brake_s,
             velocity: 0.0,
         });
-        let from = End { position_mm: position, velocity_mm_per_s: velocity };
+        let from = State { position_mm: position, velocity_mm_per_s: velocity };
         add(&mut motion, from, brake, report.brake_s, false, None);
     }
     if motion.is_empty() {
@@ -258,7 +259,7 @@ impl Report {
 /// A segment of two axes, cut where one of them ends its acceleration.
 fn add(
     motion: &mut TrajectoryBuilder,
-    from: End,
+    from: State,
     phases: [Phase; 2],
     duration_s: f64,
     tool_on: bool,

@@ -1,12 +1,12 @@
 //! Tool path and dwell times become a motion.
 //!
-//! Every scheduler is a file of the same shape: `Settings`, `schedule`, and what it reports
+//! Every scheduler is a file or a folder of the same shape: `Settings`, `schedule`, and what it reports
 //! beside the trajectory.
 //!
 //! | scheduler | motion |
 //! |---|---|
 //! | [`pvt`] | cubic Hermite segments through the control points at the dwell times |
-//! | [`pvt_seed`] | the same in the formulation of its source, whose defects it reports |
+//! | [`pvt_as_published`] | the same by the least squares of its source, whose defects it reports |
 //! | [`constant_acceleration`] | one constant acceleration, then constant velocity, per segment |
 //! | [`stop_at_corners`] | the same along the path, at rest in corners, within all limits |
 //! | [`trig_spline`] | dwell-time density as a half-period trigonometric spline of arc length |
@@ -19,11 +19,12 @@
 pub mod average_velocity;
 pub mod claim;
 pub mod constant_acceleration;
+mod hermite;
 pub mod interpolator;
-mod link;
 pub mod position;
 pub mod pvt;
-pub mod pvt_seed;
+pub mod pvt_as_published;
+mod shortest_cubic;
 pub mod stop_at_corners;
 pub mod trig_spline;
 

@@ -43,7 +43,7 @@ use serde::Serialize;
 use crate::{
     ScheduleError, check_lengths,
     constant_acceleration::least_piece_s,
-    link::{End, link},
+    shortest_cubic::{State, shortest_cubic},
 };
 
 /// What it took.
@@ -98,9 +98,9 @@ pub fn schedule(
         let i = segment.index;
         let start = path.point_mm()[i];
         if !segment.tool_on {
-            let at_rest = |position_mm| End { position_mm, velocity_mm_per_s: [0.0; 2] };
+            let at_rest = |position_mm| State { position_mm, velocity_mm_per_s: [0.0; 2] };
             let to = at_rest(path.point_mm()[i + 1]);
-            if let Some(link) = link(at_rest(start), to, limits, segment.dwell_s) {
+            if let Some(link) = shortest_cubic(at_rest(start), to, limits, segment.dwell_s) {
                 motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                 end_s += link.duration_s;
                 report.lifts += 1;

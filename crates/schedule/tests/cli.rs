@@ -2,6 +2,7 @@
 //! file, not by those of the schedulers.
 
 use std::{
+    collections::BTreeSet,
     fs,
     path::Path,
     process::{Command, Output},
@@ -64,6 +65,48 @@ fn scheduled(dir: &Path, scheduler: &str, more: &[&str]) -> (Trajectory, Value) 
     assert_eq!(output.status.code(), Some(i32::from(!kept)), "{}", text(&output.stderr));
     assert_eq!(manifest.outcome["status"], if kept { "done" } else { "negative" });
     (loaded.value, manifest.outcome)
+}
+
+/// The subcommands that make a motion, as `--help` lists them. The others write a single file, which has no
+/// manifest.
+fn schedulers() -> Vec<String> {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_planish-schedule")).arg("--help").output().unwrap();
+    let help = text(&output.stdout);
+    let list = help.split("Commands:\n").nth(1).unwrap().split("\n\n").next().unwrap();
+    // A name is indented by two, the rest of its description by more.
+    let lines = list.lines().filter_map(|line| line.strip_prefix("  "));
+    let names =
+        lines.filter(|line| !line.starts_with(' ')).map(|line| line.split(' ').next().unwrap());
+    let names = names.filter(|name| !["interpolate", "program", "help"].contains(name));
+    names.map(String::from).collect()
+}
+
+#[test]
+fn every_subcommand_is_one_method_of_its_own() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path(), &STEP, &STEP_DWELL_S);
+    let schedulers = schedulers();
+    assert!(schedulers.len() >= 7, "{schedulers:?}");
+    let mut methods = BTreeSet::new();
+    for scheduler in &schedulers {
+        schedule(tmp.path(), scheduler, &["--force"]);
+        let loaded = artifact::read::<Trajectory>(&tmp.path().join("trajectory")).unwrap();
+        let manifest = loaded.manifest.unwrap();
+        assert_eq!(&manifest.method, scheduler);
+        assert!(methods.insert(manifest.method), "{scheduler}: the method of two subcommands");
+        // What chooses among motions of one method is a setting.
+        let mut settings: Vec<&str> =
+            manifest.settings.as_object().unwrap().keys().map(String::as_str).collect();
+        settings.sort_unstable();
+        let expected: &[&str] = match scheduler.as_str() {
+            "pvt" => &["mode", "stretch"],
+            "pvt-as-published" => &["rest_condition"],
+            "trig-spline" => &["corner_deviation_mm", "fit_tolerance_mm", "repair"],
+            _ => &[],
+        };
+        assert_eq!(settings, expected, "{scheduler}");
+    }
 }
 
 fn number(value: &Value) -> f64 {
@@ -326,12 +369,9 @@ fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
     change(tmp.path());
-    for scheduler in ["pvt", "constant-acceleration", "trig-spline", "average-velocity", "position"]
-    {
-        refused(tmp.path(), scheduler, &[], expected);
+    for scheduler in schedulers() {
+        refused(tmp.path(), &scheduler, &[], expected);
     }
-    refused(tmp.path(), "pvt", &["--formulation=seed"], expected);
-    refused(tmp.path(), "constant-acceleration", &["--corners=stop"], expected);
 }
 
 /// Takes the manifest of an artifact away and puts `array` in.
@@ -445,28 +485,28 @@ fn bad_flags_end_with_2() {
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
     refused(tmp.path(), "pvt", &["--mode=fast"], &["invalid value 'fast'"]);
     refused(tmp.path(), "position", &["--no-stretch"], &["unexpected argument '--no-stretch'"]);
-    refused(tmp.path(), "pvt", &["--eq-16=printed"], &["--eq-16 belongs to --formulation seed"]);
+    let unknown = ["unexpected argument '--rest-condition'"];
+    refused(tmp.path(), "pvt", &["--rest-condition=as-printed"], &unknown);
+    refused(tmp.path(), "pvt-as-published", &["--mode=smooth"], &["unexpected argument '--mode'"]);
+    let other = ["invalid value 'other'"];
+    refused(tmp.path(), "pvt-as-published", &["--rest-condition=other"], &other);
     refused(tmp.path(), "spline", &[], &["unrecognized subcommand 'spline'"]);
 }
 
 #[test]
-fn bad_settings_of_the_new_schedulers_end_with_2() {
+fn bad_settings_and_times_end_with_2() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
-    let belong = ["--mode and --no-stretch belong to --formulation hermite"];
-    refused(tmp.path(), "pvt", &["--formulation=seed", "--mode=smooth"], &belong);
-    refused(tmp.path(), "pvt", &["--formulation=seed", "--no-stretch"], &belong);
-    refused(tmp.path(), "pvt", &["--formulation=other"], &["invalid value 'other'"]);
     for flag in ["corner-deviation-mm", "fit-tolerance-mm"] {
         for value in ["0", "-1", "nan", "inf"] {
             let name = format!("{}: is ", flag.replace('-', "_"));
             refused(tmp.path(), "trig-spline", &[&format!("--{flag}={value}")], &[&name]);
         }
     }
-    // No time on a segment with a length: the seed formulation has no polynomial for it.
+    // No time on a segment with a length: the least squares have no polynomial for it.
     prepare(tmp.path(), &STEP, &[0.5, 0.0, 0.1, 0.5, 0.5]);
-    let expected = ["dwell_s[1]: is 0 s on a segment of 1 mm", "use the hermite formulation"];
-    refused(tmp.path(), "pvt", &["--formulation=seed"], &expected);
+    let expected = ["dwell_s[1]: is 0 s on a segment of 1 mm", "give it time, or use pvt"];
+    refused(tmp.path(), "pvt-as-published", &[], &expected);
     // A path without a length has a motion, but no feed.
     prepare(tmp.path(), &[[1.0, 1.0]; 3], &[0.5; 2]);
     refused(tmp.path(), "trig-spline", &["--feed", "feed"], &["the path has no length"]);
@@ -483,6 +523,7 @@ fn the_manifest_says_which_limits_are_kept() {
         ("pvt", true),
         ("trig-spline", true),
         ("constant-acceleration", true),
+        ("stop-at-corners", true),
         ("average-velocity", false),
         ("position", false),
     ] {
@@ -490,9 +531,6 @@ fn the_manifest_says_which_limits_are_kept() {
         assert_eq!(outcome["claim"]["limits_respected"], kept, "{scheduler}: {outcome}");
         assert!(outcome["claim"].get("jerk").is_none(), "{scheduler}");
     }
-    let corners = ["--force", "--corners=stop"];
-    let (_, outcome) = scheduled(tmp.path(), "constant-acceleration", &corners);
-    assert_eq!(outcome["claim"]["limits_respected"], true, "{outcome}");
     // A limit on jerk is kept by the smooth motion, which starts without a step in the
     // acceleration; not by the monotone one, and it is said.
     let mut machine = ion_beam();
@@ -545,8 +583,7 @@ fn corners_cost_time_and_no_overshoot_when_it_stops_there() {
     prepare(tmp.path(), &points, &[0.1, 0.08, 0.1]);
     let (_, outcome) = scheduled(tmp.path(), "constant-acceleration", &[]);
     assert!(number(&outcome["report"]["largest_overshoot_mm"][1]) > 0.1, "{outcome}");
-    let more = ["--corners", "stop", "--force"];
-    let (t, outcome) = scheduled(tmp.path(), "constant-acceleration", &more);
+    let (t, outcome) = scheduled(tmp.path(), "stop-at-corners", &["--force"]);
     let report = &outcome["report"];
     assert_eq!((&report["stops"], &report["late_segments"]), (&json!(2), &json!(1)));
     let late = 2.0 * (2.0_f64 / 1000.0).sqrt() - 0.08;

@@ -10,12 +10,13 @@ use serde_json::Value;
 
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-schedule");
 
-const SCHEDULERS: [&[&str]; 8] = [
+const SCHEDULERS: [&[&str]; 9] = [
     &["pvt", "--mode=smooth"],
     &["pvt", "--mode=monotone"],
-    &["pvt", "--formulation=seed"],
+    &["pvt-as-published"],
+    &["pvt-as-published", "--rest-condition=as-printed"],
     &["constant-acceleration"],
-    &["constant-acceleration", "--corners=stop"],
+    &["stop-at-corners"],
     &["trig-spline"],
     &["average-velocity"],
     &["position"],

@@ -15,7 +15,7 @@ use planish_schedule::{
     interpolator::{self, Interpolator},
     position,
     pvt::{self, Mode},
-    pvt_seed, stop_at_corners,
+    pvt_as_published, stop_at_corners,
     trig_spline::{self, Repair},
 };
 use planish_testkit::{case_generator, ion_beam, machine};
@@ -116,9 +116,9 @@ const SCHEDULERS: [Scheduler; 11] = [
     ("pvt monotone", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
     ("pvt smooth, jerk limited", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
     ("pvt monotone, jerk limited", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
-    ("pvt seed", |p, d, l| {
-        let seed = pvt_seed::schedule(p, d, l, pvt_seed::Eq16::Corrected);
-        seed.map(|s| unstretched(s.trajectory)).map_err(|e| e.to_string())
+    ("pvt-as-published", |p, d, l| {
+        let s = pvt_as_published::schedule(p, d, l, &Default::default());
+        s.map(|s| unstretched(s.trajectory)).map_err(|e| e.to_string())
     }),
     ("constant-acceleration", |p, d, l| {
         let s = constant_acceleration::schedule(p, d, l).map_err(|e| e.to_string())?;
@@ -511,13 +511,13 @@ const FOUND: [(&str, u64, u64); 40] = [
     ("unequal", 1, 13050),
     ("unequal", 1, 13250),
     ("harsh", 1, 6655),
-    // Runs of times around 1e-4 s, whose rows vanish in normal equations (seed).
+    // Runs of times around 1e-4 s, whose rows vanish in normal equations (PVT as published).
     ("unequal", 1, 1975),
     ("unequal", 1, 4597),
     ("unequal", 1, 4937),
     ("unequal", 1, 8471),
     ("unequal", 1, 9060),
-    // The interior point method makes too little progress (seed).
+    // The interior point method makes too little progress (PVT as published).
     ("unequal", 1, 2976),
     // Rounds of stretching that move the excess from segment to segment (monotone PVT).
     ("harsh", 1, 2820),
@@ -612,7 +612,7 @@ fn promise(scheduler: &str) -> Promise {
         "pvt smooth, jerk limited" => {
             Promise { jerk: true, acceleration_step: true, min_segment: true, ..axes }
         }
-        "pvt seed" => Promise { smooth: true, ..none },
+        "pvt-as-published" => Promise { smooth: true, ..none },
         // A phase may be shorter than the controller's least segment.
         "stop-at-corners" | "trig-spline offset" | "trig-spline local" => axes,
         "constant-acceleration" => Promise { smooth: true, acceleration: true, ..none },
@@ -664,8 +664,7 @@ fn the_judge_agrees_with_every_claim() {
         for (k, (name, scheduler)) in SCHEDULERS.into_iter().enumerate() {
             for path in [case.path(), lifted(case)] {
                 // A lift is a segment like any other for PVT, whose programs take most of the time.
-                if name.starts_with("pvt ") && path.tool_on().contains(&false) && name != "pvt seed"
-                {
+                if name.starts_with("pvt ") && path.tool_on().contains(&false) {
                     continue;
                 }
                 let (count, problems) = judged(name, scheduler, &path, case, any_scale);
@@ -710,8 +709,7 @@ fn judged(
         Ok(motion) => motion,
         Err(e) => {
             count.refused = 1;
-            // The seed formulation stretches nothing.
-            let expected = e.contains("the seed formulation stretches nothing") || any_scale;
+            let expected = e.contains("PVT as published stretches nothing") || any_scale;
             return (count, if expected { Vec::new() } else { vec![e] });
         }
     };
@@ -998,7 +996,7 @@ impl Row {
 }
 
 /// Path and times backwards give p'(T - t) = p(t); not constant acceleration, which has no
-/// look-ahead, nor the seed formulation, whose Eq. 18 looks ahead only.
+/// look-ahead, nor PVT as published, whose Eq. 18 looks ahead only.
 #[test]
 fn the_path_speed_methods_run_backwards_too() {
     on_every_case(|case| {

@@ -9,7 +9,7 @@ use planish_dwell::{
 };
 use planish_numerics::statistics::{fit_plane, subtract_plane};
 use planish_refine as refine;
-use planish_schedule::{constant_acceleration, position, pvt, pvt_seed};
+use planish_schedule::{constant_acceleration, position, pvt, pvt_as_published};
 use planish_simulate::{Settings, simulate};
 use planish_surface::tif_fit;
 use planish_testkit::{ion_beam, mirror::mirror};
@@ -407,8 +407,9 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
     // A segment of this motion has two pieces; its own report counts by segment.
     let constant_um = 1e3 * largest(constant.report.largest_overshoot_mm);
     let steps = [&smooth[1], &constant.trajectory].map(acceleration_step);
-    let seed = pvt_seed::schedule(&maze.path, &maze.dwell, &ion_beam(), Default::default());
-    let seed = seed.expect("a motion").report;
+    let published =
+        pvt_as_published::schedule(&maze.path, &maze.dwell, &ion_beam(), &Default::default());
+    let published = published.expect("a motion").report;
     let one = udo_dwell(desired, tif, &raster.path, 1);
     let again = Run { desired, tif, path: raster.path.clone(), dwell: one };
     let again_nm = again.residual_nm(&again.position());
@@ -532,8 +533,8 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
         statement(
             "the least squares of Eq. 14 pass through the points (maze)",
             "they do",
-            format!("up to {} mm off", significant(largest(seed.largest_position_error_mm), 2)),
-            largest(seed.largest_position_error_mm) < 1e-6,
+            format!("up to {} mm off", significant(largest(published.largest_position_error_mm), 2)),
+            largest(published.largest_position_error_mm) < 1e-6,
         )
         .differs("the objective adds lengths, velocities and accelerations; lengths in metres weigh least"),
         Claim::number("UDO on the raster, one round, RMS", "nm", 0.204, again_nm, 0.08)

@@ -1,4 +1,4 @@
-//! `planish-schedule program` and `interpolate`: a feed as an NC program, and as positions.
+//! `planish-schedule interpolate`: a feed, or its NC program, as positions.
 
 use std::{
     ffi::OsStr,
@@ -11,15 +11,6 @@ use clap::Args;
 use planish_handoff::{Failure, Inputs, Status, flags::OutputFileArgs, say};
 use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
 use planish_types::{DwellDensity, budget};
-
-#[derive(Args)]
-pub struct Program {
-    /// Feed [feed artifact]
-    #[arg(long, value_name = "DIR")]
-    feed: PathBuf,
-    #[command(flatten)]
-    output: OutputFileArgs,
-}
 
 #[derive(Args)]
 pub struct Interpolate {
@@ -36,70 +27,48 @@ pub struct Interpolate {
     output: OutputFileArgs,
 }
 
-/// First lines of a program.
-const PROGRAM_HEAD: &str = "\
-(Feed of planish-schedule: trigonometric spline of the dwell-time density along the path)
-(X Y end point mm, I J corner of a blend mm, P Q densities at both ends s/mm, R S arc lengths mm)
-";
-
-pub fn write(arguments: &Program) -> Result<Status, Failure> {
-    let mut inputs = Inputs::new();
-    let density: DwellDensity = inputs.read("feed", &arguments.feed)?;
-    let output = arguments.output.begin(&inputs)?;
-    let mut count = 0;
-    output.write_by(|file| {
-        let mut to = BufWriter::new(file);
-        to.write_all(PROGRAM_HEAD.as_bytes())?;
-        for (number, record) in records(&density).enumerate() {
-            writeln!(to, "{}", record.to_line(number))?;
-            count += 1;
-        }
-        Ok(to.flush()?)
-    })?;
-    say(format!("program: {count} records -> {}", arguments.output.out.display()));
-    Ok(Status::Done)
-}
-
-pub fn interpolate(arguments: &Interpolate) -> Result<Status, Failure> {
-    let tick = |e| Failure::new(format!("--tick-s: {e}"));
-    let mut interpolator = Interpolator::new(arguments.tick_s).map_err(tick)?;
-    let table = Table::of(&arguments.output.out)?;
-    let mut inputs = Inputs::new();
-    let source = match (&arguments.program, &arguments.feed) {
-        (Some(program), _) => {
-            inputs.record_file("program", program)?;
-            Source::Program(program)
-        }
-        (None, Some(dir)) => Source::Density(inputs.read("feed", dir)?, dir),
-        (None, None) => unreachable!("clap asks for one of them"),
-    };
-    let output = arguments.output.begin(&inputs)?;
-    refuse_too_many(&source, arguments.tick_s, table)?;
-    let (mut count, mut end_s) = (0_u64, 0.0);
-    output.write_by(|file| {
-        let mut to = BufWriter::new(file);
-        table.begin(&mut to)?;
-        let mut failed = None;
-        let mut emit = |r: Reference| {
-            count += 1;
-            end_s = r.time_s;
-            failed = failed.take().or(table.row(&mut to, &r).err());
+impl Interpolate {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let tick = |e| Failure::new(format!("--tick-s: {e}"));
+        let mut interpolator = Interpolator::new(self.tick_s).map_err(tick)?;
+        let table = Table::of(&self.output.out)?;
+        let mut inputs = Inputs::new();
+        let source = match (&self.program, &self.feed) {
+            (Some(program), _) => {
+                inputs.record_file("program", program)?;
+                Source::Program(program)
+            }
+            (None, Some(dir)) => Source::Density(inputs.read("feed", dir)?, dir),
+            (None, None) => unreachable!("clap asks for one of them"),
         };
-        source.for_each_record(|record| interpolator.push(record, &mut emit))?;
-        interpolator.finish().into_iter().for_each(&mut emit);
-        if let Some(e) = failed {
-            return Err(e.into());
-        }
-        if count == 0 {
-            return Err(Failure::new("the program moves nothing; give one with blocks"));
-        }
-        table.end(to, count)
-    })?;
-    say(format!(
-        "interpolate: {count} positions, {end_s:.6} s -> {}",
-        arguments.output.out.display()
-    ));
-    Ok(Status::Done)
+        let output = self.output.begin(&inputs)?;
+        refuse_too_many(&source, self.tick_s, table)?;
+        let (mut count, mut end_s) = (0_u64, 0.0);
+        output.write_by(|file| {
+            let mut to = BufWriter::new(file);
+            table.begin(&mut to)?;
+            let mut failed = None;
+            let mut emit = |r: Reference| {
+                count += 1;
+                end_s = r.time_s;
+                failed = failed.take().or(table.row(&mut to, &r).err());
+            };
+            source.for_each_record(|record| interpolator.push(record, &mut emit))?;
+            interpolator.finish().into_iter().for_each(&mut emit);
+            if let Some(e) = failed {
+                return Err(e.into());
+            }
+            if count == 0 {
+                return Err(Failure::new("the program moves nothing; give one with blocks"));
+            }
+            table.end(to, count)
+        })?;
+        say(format!(
+            "interpolate: {count} positions, {end_s:.6} s -> {}",
+            self.output.out.display()
+        ));
+        Ok(Status::Done)
+    }
 }
 
 /// Where the records come from.

@@ -1,11 +1,11 @@
-//! A link: one cubic per axis from (p, v) to (q, w), in the shortest time within the limits.
+//! From one state of motion to another by one cubic per axis, in the shortest time within the limits.
 //!
 //! ```text
 //! p(u) = Hermite cubic of (p, v), (q, w) over T          least T with |p'| <= v_max, |p''| <= a_max
 //! ```
 //!
 //! For long T the velocity tends to `v (1 - 4 x + 3 x^2) + w (3 x^2 - 2 x)`, x = u/T, which is
-//! never faster than its ends, and the acceleration to 0: a link always exists. It is not the
+//! never faster than its ends, and the acceleration to 0: a time that fits always exists. It is not the
 //! fastest motion (that has several phases), but it is smooth, and its limits are those of one
 //! polynomial. Where it turns around it swings beyond its ends; the tool is off.
 //!
@@ -17,14 +17,14 @@
 
 use planish_types::Limits;
 
-use crate::pvt::{accelerations, hermite, peak_velocity};
+use crate::hermite::{accelerations, coefficients, peak_velocity};
 
-/// Part of the limits that a link leaves free, for the rounding of its coefficients.
+/// Part of the limits that the cubic leaves free, for the rounding of its coefficients.
 const MARGIN: f64 = 1e-6;
 
-/// Position and velocity at an end.
+/// Position and velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct End {
+pub(crate) struct State {
     /// [x, y], mm.
     pub position_mm: [f64; 2],
     /// [x, y], mm/s.
@@ -33,16 +33,21 @@ pub(crate) struct End {
 
 /// One segment of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Link {
+pub(crate) struct CubicSegment {
     /// Duration, s.
     pub duration_s: f64,
     /// Ascending coefficients of [x, y].
     pub coefficient_mm: [[f64; 4]; 2],
 }
 
-/// The link, lasting at least `least_s`; `None` when there is nothing to do and no time to take.
+/// The segment, lasting at least `least_s`; `None` when there is nothing to do and no time to take.
 /// An end that is faster than the limits stays as it is.
-pub(crate) fn link(from: End, to: End, limits: &Limits, least_s: f64) -> Option<Link> {
+pub(crate) fn shortest_cubic(
+    from: State,
+    to: State,
+    limits: &Limits,
+    least_s: f64,
+) -> Option<CubicSegment> {
     let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
     let dp = [0, 1].map(|a| to.position_mm[a] - from.position_mm[a]);
     let (v, w) = (from.velocity_mm_per_s, to.velocity_mm_per_s);
@@ -76,8 +81,8 @@ pub(crate) fn link(from: End, to: End, limits: &Limits, least_s: f64) -> Option<
         }
         low = high;
     }
-    let hermite = |a: usize| hermite(from.position_mm[a], dp[a], v[a], w[a], low);
-    Some(Link { duration_s: low, coefficient_mm: [hermite(0), hermite(1)] })
+    let axis = |a: usize| coefficients(from.position_mm[a], dp[a], v[a], w[a], low);
+    Some(CubicSegment { duration_s: low, coefficient_mm: [axis(0), axis(1)] })
 }
 
 #[cfg(test)]
@@ -97,28 +102,34 @@ mod tests {
             .unwrap()
     }
 
-    fn end(x: f64, v: f64) -> End {
-        End { position_mm: [x, 0.0], velocity_mm_per_s: [v, 0.0] }
+    fn end(x: f64, v: f64) -> State {
+        State { position_mm: [x, 0.0], velocity_mm_per_s: [v, 0.0] }
     }
 
     #[test]
     fn rest_to_rest_is_as_fast_as_one_cubic_can_be() {
         // a = 6 d / T^2, v = 1.5 d / T
-        let t = link(end(0.0, 0.0), end(6.0, 0.0), &limits(1e3, 4.0), 0.0).unwrap().duration_s;
+        let t = shortest_cubic(end(0.0, 0.0), end(6.0, 0.0), &limits(1e3, 4.0), 0.0)
+            .unwrap()
+            .duration_s;
         assert!((t - 3.0).abs() < 1e-5 && t >= 3.0, "{t}");
-        let t = link(end(0.0, 0.0), end(6.0, 0.0), &limits(1.5, 1e3), 0.0).unwrap().duration_s;
+        let t = shortest_cubic(end(0.0, 0.0), end(6.0, 0.0), &limits(1.5, 1e3), 0.0)
+            .unwrap()
+            .duration_s;
         assert!((t - 6.0).abs() < 1e-5, "{t}");
-        let t = link(end(0.0, 0.0), end(6.0, 0.0), &limits(1e3, 4.0), 7.0).unwrap().duration_s;
+        let t = shortest_cubic(end(0.0, 0.0), end(6.0, 0.0), &limits(1e3, 4.0), 7.0)
+            .unwrap()
+            .duration_s;
         assert_eq!(t, 7.0);
-        assert!(link(end(1.0, 0.0), end(1.0, 0.0), &limits(1.0, 1.0), 0.0).is_none());
+        assert!(shortest_cubic(end(1.0, 0.0), end(1.0, 0.0), &limits(1.0, 1.0), 0.0).is_none());
     }
 
     #[test]
     fn a_turn_around_and_a_loop_exist() {
         // Back at the same place with the opposite velocity: a = 2 v / T.
-        let turn = link(end(1.0, 3.0), end(1.0, -3.0), &limits(5.0, 2.0), 0.0).unwrap();
+        let turn = shortest_cubic(end(1.0, 3.0), end(1.0, -3.0), &limits(5.0, 2.0), 0.0).unwrap();
         assert!((turn.duration_s - 3.0).abs() < 1e-4, "{turn:?}");
-        let same = link(end(1.0, 3.0), end(1.0, 3.0), &limits(5.0, 2.0), 0.0).unwrap();
+        let same = shortest_cubic(end(1.0, 3.0), end(1.0, 3.0), &limits(5.0, 2.0), 0.0).unwrap();
         // a = 6 v / T at both ends.
         assert!((same.duration_s - 9.0).abs() < 1e-3, "{same:?}");
     }

@@ -1,4 +1,4 @@
-//! PVT as its source states it: least squares in the coefficients, for comparison with [`crate::pvt`].
+//! PVT as published: least squares in the coefficients, for comparison with [`crate::pvt`].
 //!
 //! Per axis, six unknowns per segment: the four coefficients of its cubic and the velocity `v` and
 //! the acceleration `a` of its end node. In segment-local time the rows of the least squares are
@@ -39,9 +39,10 @@
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18.
 //! Corrected: Eq. 16 pins the end of the first segment where it means its start (the `v = a = 0`
-//! here is that of node 0; [`Eq16::Printed`] pins both, and misses positions by up to 0.495 mm); Eq. 18 is not defined for the last node, which rests. The time of the
-//! source is absolute, whose t^3 leaves no digit at 30 s; the local one is the same least squares
-//! in other variables.
+//! here is that of node 0; [`RestCondition::AsPrinted`] pins both, and misses positions by up to
+//! 0.495 mm); Eq. 18 is not defined for the last node, which rests. The time of the source is
+//! absolute, whose t^3 leaves no digit at 30 s; the local one is the same least squares in other
+//! variables.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -49,29 +50,34 @@
 //! | P1 - P0 | `displacement_mm` | (N) | mm |
 //! | v, A, a | `Nodes::value` | (N+1) | mm/s, mm/s^2, mm/s^2 |
 
-use clarabel::{
-    algebra::CscMatrix,
-    solver::{
-        DefaultSettingsBuilder, DefaultSolver, IPSolver,
-        SupportedConeT::{NonnegativeConeT, ZeroConeT},
-    },
-};
+mod least_squares;
+
 use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory, break_times};
 use serde::Serialize;
 
-use crate::{ScheduleError, check_lengths, pvt::accelerations, pvt::hermite};
+use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, Row, Side};
+use crate::{
+    ScheduleError, check_lengths,
+    hermite::{accelerations, coefficients},
+};
 
-/// Which node the first two rows of Eq. 16 fix.
+/// Where Eq. 16 has the tool rest, `v = a = 0`, besides the end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-pub enum Eq16 {
-    /// The start: `v = a = 0` at node 0.
+#[serde(rename_all = "kebab-case")]
+pub enum RestCondition {
+    /// At the start: node 0.
     #[default]
     Corrected,
-    /// As printed: at node 0 and, since the unknowns of the first segment belong to its end, at
-    /// node 1 too.
-    Printed,
+    /// At node 0 and, since the unknowns of the first segment belong to its end, at node 1 too.
+    AsPrinted,
+}
+
+/// How to schedule.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Settings {
+    /// Where Eq. 16 has the tool rest.
+    pub rest_condition: RestCondition,
 }
 
 /// What came of it, per axis [x, y].
@@ -117,7 +123,7 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    eq_16: Eq16,
+    settings: &Settings,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = Report::default();
@@ -130,8 +136,7 @@ pub fn schedule(
         } else {
             let length = path.segment_length_mm(i);
             let problem = format!("is 0 s on a segment of {length} mm");
-            let remedy = "the seed formulation stretches nothing; give it time, or use the hermite \
-                          formulation";
+            let remedy = "PVT as published stretches nothing; give it time, or use pvt";
             return Err(Invalid::at("dwell_s", i, problem, remedy).into());
         }
     }
@@ -146,7 +151,7 @@ pub fn schedule(
         duration_s: h.clone(),
         max_velocity: limits.max_velocity_mm_per_s()[axis],
         max_acceleration: limits.max_acceleration_mm_per_s2()[axis],
-        eq_16,
+        rest_condition: settings.rest_condition,
     });
     let (x, y) = rayon::join(|| axes[0].solve(), || axes[1].solve());
     let nodes = [x?, y?];
@@ -158,7 +163,7 @@ pub fn schedule(
         [0, 1].map(|a| {
             let (v0, v1) = (nodes[a].velocity(k), nodes[a].velocity(k + 1));
             let start = path.point_mm()[kept[k]][a];
-            hermite(start, axes[a].displacement_mm[k], v0, v1, h[k])
+            coefficients(start, axes[a].displacement_mm[k], v0, v1, h[k])
         })
     });
     let trajectory = Trajectory::new(
@@ -213,7 +218,7 @@ struct Axis {
     duration_s: Vec<f64>,
     max_velocity: f64,
     max_acceleration: f64,
-    eq_16: Eq16,
+    rest_condition: RestCondition,
 }
 
 /// The solution of one axis.
@@ -231,22 +236,6 @@ impl Nodes {
         self.value[3 * node]
     }
 }
-
-/// Unknowns per node: v, A, a.
-const PER_NODE: usize = 3;
-
-/// Half bandwidth: an unknown of a node meets those of the next one.
-const BAND: usize = 5;
-
-/// Most rounds of the active set method: it ends after 4 to 12 on real paths, and where it has
-/// not ended after 60 it repeats itself.
-const MAX_ROUNDS: usize = 60;
-
-/// Most changes of one bound; a random path of 60 segments needs some tens.
-const MAX_CHANGES: usize = 2000;
-
-/// Gradients below this fraction of the right-hand side are rounding.
-const ROUNDING: f64 = 1e-13;
 
 /// A solution farther from a least one than this is refused; see [`Report::optimality`].
 const LARGEST_OPTIMALITY: f64 = 1e-9;
@@ -304,7 +293,8 @@ impl Axis {
         let n = self.duration_s.len();
         let (mut low, mut high) = (Vec::new(), Vec::new());
         for i in 0..=n {
-            let pinned = i == 0 || i == n || (i == 1 && self.eq_16 == Eq16::Printed);
+            let pinned =
+                i == 0 || i == n || (i == 1 && self.rest_condition == RestCondition::AsPrinted);
             let velocity = match i {
                 _ if pinned => [0.0, 0.0],
                 i if self.displacement_mm[i] >= 0.0 => [0.0, self.max_velocity],
@@ -324,12 +314,11 @@ impl Axis {
         let (low, high) = self.bounds();
         let free = vec![Side::Free; low.len()];
         let not_converged = |iterations: usize, residual: f64| NotConverged {
-            method: "the least squares of the seed formulation",
+            method: "the least squares of PVT as published",
             iterations,
             residual,
             residual_of: "its distance from the minimum, of which 1e-9 is allowed,",
-            remedy: "the times in dwell_s differ by too many orders of magnitude, use the hermite \
-                     formulation",
+            remedy: "the times in dwell_s differ by too many orders of magnitude, use pvt",
         };
         let (value, factorisations) = match problem.active_set(&low, &high, free) {
             Some(found) => found,
@@ -356,260 +345,6 @@ impl Axis {
     }
 }
 
-/// Where an unknown is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Side {
-    Low,
-    Free,
-    High,
-}
-
-/// A row `value x[first..] = right` of the least squares.
-#[derive(Clone, Copy, Debug)]
-struct Row {
-    first: usize,
-    value: [f64; 2 * PER_NODE],
-    right: f64,
-}
-
-impl Row {
-    fn residual(&self, x: &[f64]) -> f64 {
-        let terms = self.value.iter().zip(&x[self.first..]).map(|(c, x)| c * x);
-        terms.sum::<f64>() - self.right
-    }
-}
-
-/// min |J x - r|^2, rows ascending in `first`.
-#[derive(Clone, Debug)]
-struct LeastSquares {
-    rows: Vec<Row>,
-    unknowns: usize,
-}
-
-impl LeastSquares {
-    /// J'(J x - r) and the diagonal of J'J.
-    fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let (mut gradient, mut square) = (vec![0.0; self.unknowns], vec![0.0; self.unknowns]);
-        for row in &self.rows {
-            let residual = row.residual(x);
-            for (k, c) in row.value.iter().enumerate() {
-                gradient[row.first + k] += c * residual;
-                square[row.first + k] += c * c;
-            }
-        }
-        (gradient, square)
-    }
-
-    /// max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|, 0 at the minimum and only there.
-    fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
-        let (gradient, square) = self.gradient(x);
-        let scale = self.right_norm();
-        let off = |j: usize| {
-            let wanted = (x[j] - gradient[j] / square[j]).clamp(low[j], high[j]);
-            square[j].sqrt() * (x[j] - wanted).abs()
-        };
-        let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
-        // At rest along the whole axis nothing is asked for.
-        if largest == 0.0 { 0.0 } else { largest / scale }
-    }
-
-    /// The side to which x - gradient / |J_j|^2 points.
-    fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
-        let (gradient, square) = self.gradient(x);
-        (0..self.unknowns)
-            .map(|j| {
-                let wanted = x[j] - gradient[j] / square[j];
-                if low[j] == high[j] || wanted < low[j] {
-                    Side::Low
-                } else if wanted > high[j] {
-                    Side::High
-                } else {
-                    Side::Free
-                }
-            })
-            .collect()
-    }
-
-    /// Primal-dual active sets: solve with the unknowns on their sides, choose the sides anew,
-    /// until they stay. `None` when they do not, or the rows are dependent.
-    fn active_set(
-        &self,
-        low: &[f64],
-        high: &[f64],
-        mut side: Vec<Side>,
-    ) -> Option<(Vec<f64>, usize)> {
-        for j in 0..self.unknowns {
-            if low[j] == high[j] {
-                side[j] = Side::Low;
-            }
-        }
-        for round in 1..=MAX_ROUNDS {
-            let fixed = |j: usize| match side[j] {
-                Side::Low => Some(low[j]),
-                Side::High => Some(high[j]),
-                Side::Free => None,
-            };
-            let x = self.solve_with_fixed(fixed)?;
-            let next = self.sides(low, high, &x);
-            if next == side {
-                return Some((x, round));
-            }
-            side = next;
-        }
-        None
-    }
-
-    /// From the feasible x down to the minimum: to the solution of the free unknowns, or to the
-    /// first bound on the way, which holds from then on; there, the bound that keeps most from the
-    /// minimum is given up. The sum of squares never grows.
-    fn descend(&self, low: &[f64], high: &[f64], x: Vec<f64>) -> Option<(Vec<f64>, usize)> {
-        let mut x = x;
-        let mut side = self.sides(low, high, &x);
-        let bound = |j: usize, side: Side| match side {
-            Side::Low => Some(low[j]),
-            Side::High => Some(high[j]),
-            Side::Free => None,
-        };
-        for (j, x) in x.iter_mut().enumerate() {
-            *x = bound(j, side[j]).unwrap_or(*x);
-        }
-        let scale = self.right_norm();
-        for change in 1..=MAX_CHANGES {
-            let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
-            let (mut step, mut first) = (1.0, None);
-            for j in 0..x.len() {
-                let (at, hit) = match wanted[j] {
-                    w if w < low[j] => (low[j], Side::Low),
-                    w if w > high[j] => (high[j], Side::High),
-                    _ => continue,
-                };
-                let part = (at - x[j]) / (wanted[j] - x[j]);
-                if part < step {
-                    (step, first) = (part, Some((j, hit)));
-                }
-            }
-            if let Some((hit, at)) = first {
-                side[hit] = at;
-                for (j, x) in x.iter_mut().enumerate() {
-                    let moved = *x + step * (wanted[j] - *x);
-                    *x = bound(j, side[j]).unwrap_or_else(|| moved.clamp(low[j], high[j]));
-                }
-                continue;
-            }
-            x = (0..x.len()).map(|j| wanted[j].clamp(low[j], high[j])).collect();
-            let (gradient, square) = self.gradient(&x);
-            let pull = |j: usize| match side[j] {
-                _ if low[j] == high[j] => 0.0,
-                Side::Low => -gradient[j] / square[j].sqrt(),
-                Side::High => gradient[j] / square[j].sqrt(),
-                Side::Free => 0.0,
-            };
-            let most = (0..x.len()).max_by(|a, b| pull(*a).total_cmp(&pull(*b)))?;
-            if pull(most) <= ROUNDING * scale {
-                return Some((x, change));
-            }
-            side[most] = Side::Free;
-        }
-        Some((x, MAX_CHANGES))
-    }
-
-    /// |r|.
-    fn right_norm(&self) -> f64 {
-        self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
-    }
-
-    /// Solves for the unknowns that `fixed` leaves free: Givens rotations of row after row into a
-    /// banded upper triangle, and back substitution.
-    fn solve_with_fixed(&self, fixed: impl Fn(usize) -> Option<f64>) -> Option<Vec<f64>> {
-        let n = self.unknowns;
-        let value: Vec<Option<f64>> = (0..n).map(fixed).collect();
-        // Row k: the columns k, k+1, ...; then the right-hand side.
-        let mut triangle = vec![[0.0_f64; BAND + 1]; n];
-        let mut right = vec![0.0; n];
-        for row in &self.rows {
-            let (mut c, mut b) = (row.value, row.right);
-            for (k, c) in c.iter_mut().enumerate() {
-                if let Some(value) = value[row.first + k] {
-                    b -= *c * value;
-                    *c = 0.0;
-                }
-            }
-            for k in 0..c.len() {
-                if c[k] == 0.0 {
-                    continue;
-                }
-                let own = &mut triangle[row.first + k];
-                let size = own[0].hypot(c[k]);
-                let (cosine, sine) = (own[0] / size, c[k] / size);
-                for l in k..c.len() {
-                    let (upper, lower) = (own[l - k], c[l]);
-                    own[l - k] = cosine * upper + sine * lower;
-                    c[l] = cosine * lower - sine * upper;
-                }
-                let (upper, lower) = (right[row.first + k], b);
-                right[row.first + k] = cosine * upper + sine * lower;
-                b = cosine * lower - sine * upper;
-            }
-        }
-        let mut x = vec![0.0; n];
-        for k in (0..n).rev() {
-            x[k] = match value[k] {
-                Some(value) => value,
-                None => {
-                    let later = (1..=BAND.min(n - 1 - k)).map(|d| triangle[k][d] * x[k + d]);
-                    (right[k] - later.sum::<f64>()) / triangle[k][0]
-                }
-            };
-        }
-        x.iter().all(|x| x.is_finite()).then_some(x)
-    }
-
-    /// The same problem by clarabel, to its tolerance of 1e-8: min |z|^2/2 with J x - z = r.
-    fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
-        let (n, m) = (self.unknowns, self.rows.len());
-        let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (i, row) in self.rows.iter().enumerate() {
-            for (k, value) in row.value.iter().enumerate().filter(|(_, value)| **value != 0.0) {
-                r.push(i);
-                c.push(row.first + k);
-                v.push(*value);
-            }
-            r.push(i);
-            c.push(n + i);
-            v.push(-1.0);
-            bound.push(row.right);
-        }
-        for j in 0..n {
-            for (limit, sign) in [(high[j], 1.0), (low[j], -1.0)] {
-                if limit.is_finite() {
-                    r.push(bound.len());
-                    c.push(j);
-                    v.push(sign);
-                    bound.push(sign * limit);
-                }
-            }
-        }
-        let a = CscMatrix::new_from_triplets(bound.len(), n + m, r, c, v);
-        let residuals: Vec<usize> = (n..n + m).collect();
-        let p =
-            CscMatrix::new_from_triplets(n + m, n + m, residuals.clone(), residuals, vec![1.0; m]);
-        let settings = DefaultSettingsBuilder::default().verbose(false).build().expect("valid");
-        let cones = [ZeroConeT(m), NonnegativeConeT(bound.len() - m)];
-        let q = vec![0.0; n + m];
-        let Ok(mut solver) = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings) else {
-            return vec![0.0; n];
-        };
-        solver.solve();
-        // Any point within the bounds is a start for `descend`, the last one of a run that made too
-        // little progress too.
-        let clamped = |j: usize| {
-            let x = solver.solution.x[j];
-            if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }
-        };
-        (0..n).map(clamped).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -621,7 +356,7 @@ mod tests {
             duration_s: h.to_vec(),
             max_velocity,
             max_acceleration,
-            eq_16: Eq16::Corrected,
+            rest_condition: RestCondition::Corrected,
         }
     }
 
@@ -789,10 +524,15 @@ mod tests {
         let limits = planish_types::MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }
             .checked()
             .unwrap();
-        let s = schedule(&path, &dwell, &limits, Eq16::Corrected).unwrap();
+        let s = schedule(&path, &dwell, &limits, &Settings::default()).unwrap();
         assert_eq!(s.report.resting_segments, [3, 2]);
         assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);
-        assert!(s.report.largest_resting_velocity_mm_per_s[0] >= 0.0);
+        // Eq. 18 lets x move forwards only at the nodes 3 and 4, between segments along which it rests: at
+        // node 3, where a spline swings back, it is held; at node 4 it does move.
+        let [at_3, at_4] = [3, 4].map(|node| s.trajectory.coefficient_mm()[node][0][1]);
+        assert_eq!(at_3, 0.0);
+        assert!(at_4 > 0.1, "{at_4} mm/s");
+        assert_eq!(s.report.largest_resting_velocity_mm_per_s[0], at_4);
         // Eq. 8 passes the control points.
         for (i, segment) in s.trajectory.segments().enumerate() {
             let end = segment.position_mm(segment.duration_s);
@@ -800,7 +540,8 @@ mod tests {
             assert!((end[0] - p[0]).abs() + (end[1] - p[1]).abs() < 1e-14, "{i}: {end:?} {p:?}");
         }
         let never = DwellTime::new(vec![0.3, 0.0, 0.3, 0.25, 0.3]).unwrap();
-        let message = schedule(&path, &never, &limits, Eq16::Corrected).unwrap_err().to_string();
+        let message =
+            schedule(&path, &never, &limits, &Settings::default()).unwrap_err().to_string();
         assert!(message.contains("dwell_s[1]: is 0 s on a segment of 1 mm"), "{message}");
     }
 }

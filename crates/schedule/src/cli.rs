@@ -1,0 +1,181 @@
+//! The subcommands, one file each, and what the schedulers have in common.
+
+mod average_velocity;
+mod constant_acceleration;
+mod interpolate;
+mod position;
+mod program;
+mod pvt;
+mod pvt_as_published;
+mod stop_at_corners;
+mod trig_spline;
+
+use std::path::Path;
+
+use clap::{Args, Subcommand};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, OutputArgs, PlanArgs},
+    say, task,
+};
+use planish_schedule::{ScheduleError, claim::Claim};
+use planish_types::{DwellDensity, DwellTime, Limits, ToolPath, Trajectory};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Cubic segments through the control points at the dwell times, within the limits
+    Pvt(pvt::Pvt),
+    /// PVT by the least squares of its publication, whose defects it reports; nothing is stretched
+    PvtAsPublished(pvt_as_published::PvtAsPublished),
+    /// One constant acceleration, then constant velocity, per segment; no look-ahead
+    ///
+    /// Each axis by itself, as in the source: it goes too far where the path changes direction, and comes
+    /// back.
+    ConstantAcceleration(constant_acceleration::ConstantAcceleration),
+    /// Constant acceleration along the path with look-ahead, at rest in every corner
+    ///
+    /// Within all limits, for more time.
+    StopAtCorners(stop_at_corners::StopAtCorners),
+    /// Dwell-time density as a trigonometric spline along the path, lifted to the limits
+    TrigSpline(trig_spline::TrigSpline),
+    /// Constant velocity per segment: what a dwell solver believes; its velocity steps
+    AverageVelocity(average_velocity::AverageVelocity),
+    /// Stand at the dwell points and jump between them: the ideal, no machine can do it
+    Position(position::Position),
+    /// Reference positions at every tick of a controller, from a feed or its NC program
+    ///
+    /// The file, .csv or .npy, has a row per tick: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx.
+    Interpolate(interpolate::Interpolate),
+    /// Write a feed as an NC program: blocks of end point, densities and arc lengths
+    Program(program::Program),
+}
+
+impl Command {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Pvt(scheduler) => schedule(scheduler),
+            Self::PvtAsPublished(scheduler) => schedule(scheduler),
+            Self::ConstantAcceleration(scheduler) => schedule(scheduler),
+            Self::StopAtCorners(scheduler) => schedule(scheduler),
+            Self::TrigSpline(scheduler) => schedule(scheduler),
+            Self::AverageVelocity(scheduler) => schedule(scheduler),
+            Self::Position(scheduler) => schedule(scheduler),
+            Self::Interpolate(arguments) => arguments.run(),
+            Self::Program(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// What every scheduler is given.
+#[derive(Args)]
+struct Given {
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Settings of a scheduler that has none.
+#[derive(Serialize)]
+struct NoSettings {}
+
+/// What a scheduler made.
+struct Made {
+    trajectory: Trajectory,
+    /// Native parameters, where the scheduler has them.
+    density: Option<DwellDensity>,
+    report: Value,
+    /// For the line that the user reads.
+    remark: String,
+}
+
+/// A subcommand that makes a motion.
+trait Scheduler {
+    /// The method in the manifest: the name of the subcommand.
+    const METHOD: &'static str;
+
+    /// As they go into the manifest, with everything that was chosen for this machine.
+    type Settings: Serialize;
+
+    fn given(&self) -> &Given;
+
+    fn settings(&self, machine: &Limits) -> Self::Settings;
+
+    /// The kind of motion among those of the method, where there are several.
+    fn kind(_: &Self::Settings) -> Option<&'static str> {
+        None
+    }
+
+    /// Where the feed goes, when it is asked for.
+    fn feed(&self) -> Option<&Path> {
+        None
+    }
+
+    fn make(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        machine: &Limits,
+        settings: &Self::Settings,
+    ) -> Result<Made, ScheduleError>;
+
+    /// What there is to say where a limit is exceeded.
+    fn advice(_: &Self::Settings, _: &Claim) -> Option<String> {
+        None
+    }
+}
+
+fn schedule<S: Scheduler>(scheduler: &S) -> Result<Status, Failure> {
+    let given = scheduler.given();
+    let mut inputs = Inputs::new();
+    let (path, dwell) = given.plan.read(&mut inputs)?;
+    let machine = given.machine.read(&mut inputs)?;
+    let settings = scheduler.settings(&machine);
+    let task = task!(S::METHOD, &settings);
+    let mut output = Output::directory(&given.output, Trajectory::KIND);
+    if let Some(dir) = scheduler.feed() {
+        output = output.and_directory("--feed", dir, DwellDensity::KIND);
+    }
+    let mut output = match output.begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
+
+    let made = S::make(&path, &dwell, &machine, &settings)?;
+    let claim = Claim::of(&made.trajectory, &machine);
+    let total_time_s = made.trajectory.total_time_s();
+    let drawback = claim.drawback(total_time_s, S::advice(&settings, &claim).as_deref());
+    let status = drawback.map_or(Status::Done, Status::Negative);
+    let outcome = json!({
+        "dwell_s": dwell.total_s(),
+        "total_time_s": total_time_s,
+        "claim": claim,
+        "report": made.report,
+    });
+    if scheduler.feed().is_some() {
+        let density = made.density.as_ref().ok_or_else(|| {
+            Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
+        })?;
+        output.write(density, json!({ "report": made.report }), &status)?;
+    }
+    output.write(&made.trajectory, outcome, &status)?;
+    say(format!(
+        "{}{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
+        S::METHOD,
+        S::kind(&settings).map_or(String::new(), |kind| format!(" ({kind})")),
+        made.trajectory.len(),
+        total_time_s,
+        dwell.total_s(),
+        made.remark,
+        claim.broken().iter().map(|b| format!("; {b}")).collect::<String>(),
+        given.output.out.display()
+    ));
+    Ok(status)
+}
+
+fn micron(mm: f64) -> f64 {
+    1e3 * mm
+}

@@ -1,0 +1,47 @@
+//! `planish-schedule average-velocity`.
+
+use clap::Args;
+use planish_schedule::{
+    ScheduleError, average_velocity,
+    claim::{Claim, IDEAL},
+};
+use planish_types::{DwellTime, Limits, ToolPath};
+use serde_json::json;
+
+use super::{Given, Made, NoSettings, Scheduler};
+
+#[derive(Args)]
+pub struct AverageVelocity {
+    #[command(flatten)]
+    given: Given,
+}
+
+impl Scheduler for AverageVelocity {
+    const METHOD: &'static str = "average-velocity";
+
+    type Settings = NoSettings;
+
+    fn given(&self) -> &Given {
+        &self.given
+    }
+
+    fn settings(&self, _: &Limits) -> NoSettings {
+        NoSettings {}
+    }
+
+    fn make(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        machine: &Limits,
+        _: &NoSettings,
+    ) -> Result<Made, ScheduleError> {
+        let s = average_velocity::schedule(path, dwell, machine)?;
+        let [x, y] = s.report.largest_velocity_step_mm_per_s;
+        let remark = format!("; velocity steps of up to {x:.3} and {y:.3} mm/s");
+        Ok(Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark })
+    }
+
+    fn advice(_: &NoSettings, _: &Claim) -> Option<String> {
+        Some(IDEAL.into())
+    }
+}

@@ -1,0 +1,47 @@
+//! `planish-schedule position`.
+
+use clap::Args;
+use planish_schedule::{
+    ScheduleError,
+    claim::{Claim, IDEAL},
+    position,
+};
+use planish_types::{DwellTime, Limits, ToolPath};
+use serde_json::json;
+
+use super::{Given, Made, NoSettings, Scheduler};
+
+#[derive(Args)]
+pub struct Position {
+    #[command(flatten)]
+    given: Given,
+}
+
+impl Scheduler for Position {
+    const METHOD: &'static str = "position";
+
+    type Settings = NoSettings;
+
+    fn given(&self) -> &Given {
+        &self.given
+    }
+
+    fn settings(&self, _: &Limits) -> NoSettings {
+        NoSettings {}
+    }
+
+    fn make(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        _: &Limits,
+        _: &NoSettings,
+    ) -> Result<Made, ScheduleError> {
+        let trajectory = position::schedule(path, dwell)?;
+        let remark = "; jumps between the points".into();
+        Ok(Made { trajectory, density: None, report: json!({}), remark })
+    }
+
+    fn advice(_: &NoSettings, _: &Claim) -> Option<String> {
+        Some(IDEAL.into())
+    }
+}

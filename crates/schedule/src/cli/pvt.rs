@@ -1,0 +1,59 @@
+//! `planish-schedule pvt`.
+
+use clap::Args;
+use planish_schedule::{ScheduleError, claim::Claim, pvt};
+use planish_types::{DwellTime, Limits, ToolPath};
+use serde_json::json;
+
+use super::{Given, Made, Scheduler};
+
+#[derive(Args)]
+pub struct Pvt {
+    #[command(flatten)]
+    given: Given,
+    /// What the motion shall be like
+    #[arg(long, value_enum, default_value = "auto")]
+    mode: pvt::ModeChoice,
+    /// Refuse dwell times that the machine cannot follow instead of stretching them
+    #[arg(long)]
+    no_stretch: bool,
+}
+
+impl Scheduler for Pvt {
+    const METHOD: &'static str = "pvt";
+
+    type Settings = pvt::Settings;
+
+    fn given(&self) -> &Given {
+        &self.given
+    }
+
+    fn settings(&self, machine: &Limits) -> pvt::Settings {
+        pvt::Settings { mode: self.mode.on(machine), stretch: !self.no_stretch }
+    }
+
+    fn kind(settings: &pvt::Settings) -> Option<&'static str> {
+        Some(settings.mode.name())
+    }
+
+    fn make(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        machine: &Limits,
+        settings: &pvt::Settings,
+    ) -> Result<Made, ScheduleError> {
+        let s = pvt::schedule(path, dwell, machine, settings)?;
+        let remark = format!(
+            "; {} segments stretched by {:.4} s with the tool on, {:.4} s lifted",
+            s.report.stretched.len(),
+            s.report.added_tool_on_s,
+            s.report.added_tool_off_s
+        );
+        Ok(Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark })
+    }
+
+    fn advice(settings: &pvt::Settings, claim: &Claim) -> Option<String> {
+        let other = settings.mode.for_jerk(claim)?;
+        Some(format!("--mode {} keeps a limit on jerk", other.name()))
+    }
+}

@@ -1,0 +1,47 @@
+//! `planish-schedule pvt-as-published`.
+
+use clap::Args;
+use planish_schedule::{ScheduleError, pvt_as_published};
+use planish_types::{DwellTime, Limits, ToolPath};
+use serde_json::json;
+
+use super::{Given, Made, Scheduler, micron};
+
+#[derive(Args)]
+pub struct PvtAsPublished {
+    #[command(flatten)]
+    given: Given,
+    /// Where Eq. 16 of the publication, which is misprinted, has the tool rest besides the end
+    #[arg(long, value_enum, default_value = "corrected")]
+    rest_condition: pvt_as_published::RestCondition,
+}
+
+impl Scheduler for PvtAsPublished {
+    const METHOD: &'static str = "pvt-as-published";
+
+    type Settings = pvt_as_published::Settings;
+
+    fn given(&self) -> &Given {
+        &self.given
+    }
+
+    fn settings(&self, _: &Limits) -> pvt_as_published::Settings {
+        pvt_as_published::Settings { rest_condition: self.rest_condition }
+    }
+
+    fn make(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        machine: &Limits,
+        settings: &pvt_as_published::Settings,
+    ) -> Result<Made, ScheduleError> {
+        let s = pvt_as_published::schedule(path, dwell, machine, settings)?;
+        let [x, y] = s.report.largest_position_error_mm.map(micron);
+        let [vx, vy] = s.report.largest_resting_velocity_mm_per_s;
+        let remark = format!(
+            "; its least squares miss positions by up to {x:.1} and {y:.1} um, its resting axes move at up \
+             to {vx:.3} and {vy:.3} mm/s"
+        );
+        Ok(Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark })
+    }
+}

@@ -1,0 +1,67 @@
+//! `planish-schedule trig-spline`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use planish_schedule::{ScheduleError, trig_spline};
+use planish_types::{DwellTime, Limits, ToolPath};
+use serde_json::json;
+
+use super::{Given, Made, Scheduler};
+
+#[derive(Args)]
+pub struct TrigSpline {
+    #[command(flatten)]
+    given: Given,
+    /// How densities that the machine cannot follow are repaired
+    #[arg(long, value_enum, default_value = "offset")]
+    repair: trig_spline::Repair,
+    /// Largest distance of the motion from a corner, mm
+    #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
+    corner_deviation_mm: f64,
+    /// Largest error of the position where the motion is fitted by cubics, mm
+    #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
+    fit_tolerance_mm: f64,
+    /// Also write the nodes of the spline, for `interpolate` and `program` [feed artifact]
+    #[arg(long, value_name = "DIR")]
+    feed: Option<PathBuf>,
+}
+
+impl Scheduler for TrigSpline {
+    const METHOD: &'static str = "trig-spline";
+
+    type Settings = trig_spline::Settings;
+
+    fn given(&self) -> &Given {
+        &self.given
+    }
+
+    fn settings(&self, _: &Limits) -> trig_spline::Settings {
+        trig_spline::Settings {
+            repair: self.repair,
+            corner_deviation_mm: self.corner_deviation_mm,
+            fit_tolerance_mm: self.fit_tolerance_mm,
+        }
+    }
+
+    fn feed(&self) -> Option<&Path> {
+        self.feed.as_deref()
+    }
+
+    fn make(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        machine: &Limits,
+        settings: &trig_spline::Settings,
+    ) -> Result<Made, ScheduleError> {
+        let s = trig_spline::schedule(path, dwell, machine, settings)?;
+        let r = &s.report;
+        let offset = r.feed_offset_s_per_mm + r.acceleration_offset_s_per_mm;
+        let remark = format!(
+            "; offset {offset:.6} s/mm adds {:.3} s; {} of {} corners slowed, adding {:.3} s; {} links take \
+             {:.3} s",
+            r.offset_added_s, r.slowed_corners, r.corners, r.corner_added_s, r.links, r.link_s
+        );
+        Ok(Made { trajectory: s.trajectory, density: s.density, report: json!(s.report), remark })
+    }
+}

@@ -1,0 +1,614 @@
+//! The node velocities of one axis: equation (4) of [`super`] under the limits of the machine.
+//!
+//! The free minimiser is a tridiagonal solution. Where it exceeds a limit, a quadratic program is
+//! solved; where that has no solution, the one with the least excess over the limits says which
+//! segments need more time. The numbers of equations are those of the scheduler.
+
+use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
+
+use planish_numerics::qp::chain;
+use planish_types::AxisLimits;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{mode::Mode, timing::parallel};
+use crate::hermite::{accelerations, peak_velocity};
+
+/// Part of the limit that the schedule leaves free, for the tolerance of the interior point
+/// method (1e-7 relative at the worst) and the rounding of the judge.
+const MARGIN: f64 = 1e-6;
+
+/// How (4) was solved for an axis: where it was solved in parts, for the hardest of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Solver {
+    /// No bound is active: one tridiagonal solve.
+    Tridiagonal,
+    /// Bounds are active: interior point method.
+    QuadraticProgram,
+    /// The interior point method still did not converge after many rounds: at rest in every control
+    /// point, which is within the limits and monotone, but far from the least energy.
+    Rest,
+}
+
+/// How the limits of the machine enter the quadratic program.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Bounds {
+    /// They hold.
+    Hard,
+    /// They are exceeded as little as possible.
+    Elastic {
+        /// Of an excess of 1 for 1 s.
+        price: f64,
+    },
+}
+
+/// Most programs until every limit that matters has its rows: the reach of a round is four times
+/// that of the one before, and an added time lies within rounding of the last after a few.
+const MAX_PROGRAMS: usize = 24;
+
+/// Weight of the energy beside the excess over the limits: small, but enough to choose among the
+/// motions with the least excess.
+const ELASTIC_ENERGY: f64 = 1e-4;
+
+/// (4) for one axis; N segments.
+#[derive(Debug)]
+pub(super) struct AxisProblem<'a> {
+    pub(super) displacement_mm: Cow<'a, [f64]>,
+    mode: Mode,
+    max_velocity: f64,
+    max_acceleration: f64,
+    /// Infinite where the machine has none.
+    pub(super) max_jerk: f64,
+}
+
+/// Excess above which the next round, whose times are longer by little, begins with the elastic
+/// program. Nearer to the limits the elastic one may exceed by its tolerance what the hard one keeps.
+const EXCESS_FOR_ELASTIC_START: f64 = 1.01;
+
+/// What a round of stretching knows of the rounds before it.
+#[derive(Debug, Default)]
+pub(super) struct Rounds {
+    /// Segments that needed the rows of the machine's limits.
+    limited: Vec<usize>,
+    /// The last durations had clearly no motion within the limits.
+    infeasible: bool,
+    /// Neither program was solved.
+    pub(super) unsolved: bool,
+    /// [`Solver::Rest`] is allowed.
+    pub(super) may_rest: bool,
+}
+
+/// Segments of an axis from a node at rest to another. Neither (4) nor a bound couples what is on the
+/// two sides of a node whose velocity is zero, so the parts are solved one by one: they fit the
+/// caches, and a round of stretching solves only those whose times it changed.
+#[derive(Debug)]
+pub(super) struct Part {
+    pub(super) segments: Range<usize>,
+    pub(super) rounds: Rounds,
+    /// At the present durations, or `None`; see [`AxisProblem::solve`].
+    pub(super) solved: Option<Result<Solved, Vec<f64>>>,
+}
+
+/// Least segments of a part: fewer cost more to set up than to solve.
+const LEAST_PART_SEGMENTS: usize = 64;
+
+/// How much each of n segments exceeds the limits, the worse axis counts; `None` where no part does.
+pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f64>> {
+    let mut all = None;
+    for part in parts.iter().flatten() {
+        if let Some(Err(excess)) = &part.solved {
+            let all = &mut all.get_or_insert_with(|| vec![1.0_f64; n])[part.segments.clone()];
+            all.iter_mut().zip(excess).for_each(|(a, e)| *a = a.max(*e));
+        }
+    }
+    all
+}
+
+/// The solution of all parts of an axis.
+pub(super) fn joined(parts: Vec<Part>) -> Solved {
+    let mut parts = parts.into_iter().filter_map(|part| part.solved?.ok());
+    let mut all = parts.next().expect("every part is solved");
+    for part in parts {
+        all.velocity.pop(); // the node at rest
+        all.velocity.extend(part.velocity);
+        all.solver = all.solver.max(part.solver);
+    }
+    all
+}
+
+/// Where the limits of the machine are in a program.
+#[derive(Debug)]
+struct Limited {
+    /// Whether a segment (N) has them.
+    segment: Vec<bool>,
+    /// Times, in units of the duration, at which its velocity is bounded besides the middle.
+    velocity_at: BTreeMap<usize, Vec<f64>>,
+}
+
+impl Limited {
+    /// Times at which the velocity of segment `i`, which has limits, is bounded.
+    fn times(&self, i: usize) -> impl Iterator<Item = f64> {
+        std::iter::once(0.5).chain(self.velocity_at.get(&i).into_iter().flatten().copied())
+    }
+}
+
+/// Node velocities (N+1) and how they were found.
+#[derive(Debug)]
+pub(super) struct Solved {
+    pub(super) velocity: Vec<f64>,
+    pub(super) solver: Solver,
+}
+
+impl AxisProblem<'_> {
+    /// The problem of an axis with these displacements and limits.
+    pub(super) fn new(displacement_mm: Vec<f64>, mode: Mode, limits: &AxisLimits) -> Self {
+        Self {
+            displacement_mm: Cow::Owned(displacement_mm),
+            mode,
+            max_velocity: (1.0 - MARGIN) * limits.max_velocity_mm_per_s(),
+            max_acceleration: (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2(),
+            // Twice: its use of the limit is a cube root, compared with 1 + MARGIN / 2.
+            max_jerk: limits
+                .max_jerk_mm_per_s3()
+                .map_or(f64::INFINITY, |j| (1.0 - 2.0 * MARGIN) * j),
+        }
+    }
+
+    /// The same axis along other segments.
+    pub(super) fn along(&self, displacement_mm: Vec<f64>) -> AxisProblem<'static> {
+        AxisProblem { displacement_mm: Cow::Owned(displacement_mm), ..*self }
+    }
+
+    /// The whole in *smooth*; in *monotone* cut at nodes that the signs of the displacements fix.
+    pub(super) fn parts(&self) -> Vec<Part> {
+        let n = self.displacement_mm.len();
+        let (mut parts, mut start) = (Vec::new(), 0);
+        for node in 1..=n {
+            let is_long =
+                node - start >= LEAST_PART_SEGMENTS && self.allowed_signs(node) == [false, false];
+            if is_long || node == n {
+                let rounds = Rounds::default();
+                parts.push(Part { segments: start..node, rounds, solved: None });
+                start = node;
+            }
+        }
+        parts
+    }
+
+    /// Solves the parts whose durations have changed.
+    pub(super) fn solve_parts(&self, h: &[f64], parts: &mut [Part]) {
+        let price = OnceLock::new();
+        let price = || *price.get_or_init(|| self.elastic_price(h));
+        parts.par_iter_mut().filter(|part| part.solved.is_none()).for_each(|part| {
+            let segments = part.segments.clone();
+            let displacement_mm = Cow::Borrowed(&self.displacement_mm[segments.clone()]);
+            let problem = AxisProblem { displacement_mm, ..*self };
+            part.solved = Some(problem.solve(&h[segments], price, &mut part.rounds));
+        });
+    }
+
+    /// Node velocities within the limits at the durations `h`, or how much each segment exceeds
+    /// them: the factor by which its time should grow.
+    fn solve(
+        &self,
+        h: &[f64],
+        price: impl Fn() -> f64,
+        before: &mut Rounds,
+    ) -> Result<Solved, Vec<f64>> {
+        before.unsolved = false;
+        let free = self.clamped_spline(h);
+        let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
+        if allowed && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
+            return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
+        }
+        drop(free); // its memory is the program's
+        let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
+        if !before.infeasible
+            && let Some(velocity) = self.quadratic_program(h, Bounds::Hard, before)
+        {
+            return solved(velocity);
+        }
+        // Where the bounds leave a single motion, hard rows have no interior and the method does
+        // not converge; with the elastic ones it does, and nothing exceeds.
+        let within = 1.0 + 0.5 * MARGIN;
+        let mut excess = match self.quadratic_program(h, Bounds::Elastic { price: price() }, before)
+        {
+            Some(velocity) => {
+                let excess = self.excess(&velocity, h);
+                if excess.iter().all(|e| *e <= within) {
+                    let hard = before.infeasible.then(|| {
+                        before.infeasible = false;
+                        self.quadratic_program(h, Bounds::Hard, before)
+                    });
+                    return solved(hard.flatten().unwrap_or(velocity));
+                }
+                excess
+            }
+            None => {
+                before.unsolved = true;
+                if before.may_rest {
+                    let velocity = vec![0.0; h.len() + 1];
+                    let excess = self.excess(&velocity, h);
+                    if excess.iter().all(|e| *e <= 1.0) {
+                        return Ok(Solved { velocity, solver: Solver::Rest });
+                    }
+                    return Err(excess);
+                }
+                self.excess(&self.clamped_spline(h), h)
+            }
+        };
+        before.infeasible = excess.iter().any(|e| *e > EXCESS_FOR_ELASTIC_START);
+        if excess.iter().all(|e| *e <= within) {
+            // Only the solver's tolerance stands in the way.
+            excess.fill(1.0 + MARGIN);
+        }
+        excess.iter_mut().filter(|e| **e <= within).for_each(|e| *e = 1.0);
+        Err(excess)
+    }
+
+    /// The free minimiser of (4): H v = g by elimination; H is diagonally dominant.
+    fn clamped_spline(&self, h: &[f64]) -> Vec<f64> {
+        let n = h.len();
+        let dp = &self.displacement_mm;
+        let mut v = vec![0.0; n + 1];
+        // Forward elimination of nodes 1 .. n-1; v_0 = v_n = 0.
+        let mut upper = vec![0.0; n];
+        let mut a = 1.0 / h[0];
+        for i in 1..n {
+            let b = 1.0 / h[i];
+            let pivot = 1.0 / (4.0 * (a + b) - 2.0 * a * upper[i - 1]);
+            let g = 6.0 * (dp[i - 1] * a * a + dp[i] * b * b);
+            upper[i] = 2.0 * b * pivot;
+            v[i] = (g - 2.0 * a * v[i - 1]) * pivot;
+            a = b;
+        }
+        for i in (1..n).rev() {
+            v[i] -= upper[i] * v[i + 1];
+        }
+        v
+    }
+
+    /// Factor by which the time of each segment should grow: the velocity is inversely
+    /// proportional to it, the acceleration to its square, the jerk to its cube.
+    pub(super) fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
+        (0..h.len()).map(|i| self.excess_of(i, v, h)).collect()
+    }
+
+    fn excess_of(&self, i: usize, v: &[f64], h: &[f64]) -> f64 {
+        let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
+        let (start, end) = accelerations(dp, v0, v1, h);
+        let a = (start.abs().max(end.abs()) / self.max_acceleration).sqrt();
+        let excess = a.max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity);
+        if self.max_jerk.is_infinite() {
+            return excess;
+        }
+        excess.max(((end - start).abs() / (h * self.max_jerk)).cbrt())
+    }
+
+    /// Signs that the velocity of each node may have: [negative, positive].
+    fn allowed_signs(&self, i: usize) -> [bool; 2] {
+        let n = self.displacement_mm.len();
+        if i == 0 || i == n {
+            return [false, false];
+        }
+        if self.mode == Mode::Smooth {
+            return [true, true];
+        }
+        let (before, after) = (self.displacement_mm[i - 1], self.displacement_mm[i]);
+        [before < 0.0 && after < 0.0, before > 0.0 && after > 0.0]
+    }
+
+    fn is_monotone(&self, v: &[f64], h: &[f64]) -> bool {
+        let sign_ok = |i: usize| {
+            let [negative, positive] = self.allowed_signs(i);
+            (v[i] >= 0.0 || negative) && (v[i] <= 0.0 || positive)
+        };
+        let middle_ok = |i: usize| {
+            let dp = self.displacement_mm[i];
+            dp * (3.0 * dp / h[i] - v[i] - v[i + 1]) >= 0.0
+        };
+        (0..v.len()).all(sign_ok) && (0..h.len()).all(middle_ok)
+    }
+
+    /// (4) under the bounds of the mode and of the machine; `None` when there is no solution.
+    ///
+    /// Most segments are far from the machine's limits. A segment gets their rows when the motion
+    /// without exceeds them, with more and more of its neighbours; the velocity, whose largest
+    /// value lies anywhere in the segment, is bounded at its middle first and then wherever the
+    /// limit was exceeded.
+    fn quadratic_program(
+        &self,
+        h: &[f64],
+        bounds: Bounds,
+        before: &mut Rounds,
+    ) -> Option<Vec<f64>> {
+        let n = h.len();
+        let exceeds = |v: &[f64], i: usize| self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN;
+        if (0..=n).all(|i| self.allowed_signs(i) == [false, false]) {
+            // The axis rests in every control point.
+            let v = vec![0.0; n + 1];
+            let kept = bounds != Bounds::Hard || !parallel(n).any(|i| exceeds(&v, i));
+            return kept.then_some(v);
+        }
+        let mut limited = Limited { segment: vec![false; n], velocity_at: BTreeMap::new() };
+        before.limited.iter().for_each(|i| limited.segment[*i] = true);
+        let mut reach = 2;
+        for _ in 0..MAX_PROGRAMS {
+            let add = |i: usize, rows: &mut chain::Rows| self.rows(i, h, &limited, rows);
+            let v = chain::solve(self.program(h, bounds), add).ok()?;
+            let v = self.exact_at_fixed_nodes(v);
+            let mut complete = true;
+            let mut with_rows: Vec<usize> = Vec::new();
+            let exceeding: Vec<usize> = parallel(n).filter(|i| exceeds(&v, *i)).collect();
+            for i in exceeding {
+                if !limited.segment[i] {
+                    with_rows.push(i);
+                } else if bounds == Bounds::Hard {
+                    let (peak, u) = peak_velocity(self.displacement_mm[i], v[i], v[i + 1], h[i]);
+                    let known = limited.times(i).any(|k| (k - u).abs() < 1e-9);
+                    if peak <= self.max_velocity || known {
+                        return None;
+                    }
+                    limited.velocity_at.entry(i).or_default().push(u);
+                    complete = false;
+                }
+            }
+            for i in with_rows {
+                for near in i.saturating_sub(reach)..(i + reach + 1).min(n) {
+                    if !limited.segment[near] {
+                        limited.segment[near] = true;
+                        before.limited.push(near);
+                    }
+                }
+                complete = false;
+            }
+            if complete {
+                return Some(v);
+            }
+            reach *= 4;
+        }
+        None
+    }
+
+    /// Price of elastic bounds, from the largest energy and the largest mean velocity of the axis:
+    /// the energy hardly counts against it.
+    fn elastic_price(&self, h: &[f64]) -> f64 {
+        let (n, dp) = (h.len(), &self.displacement_mm);
+        let of = |i: usize| 4.0 / h[i];
+        let energy = (1..n).map(|i| of(i - 1) + of(i)).fold(of(0).max(of(n - 1)), f64::max);
+        let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
+        let mean_s = h.iter().sum::<f64>() / n as f64;
+        energy * mean * mean / (ELASTIC_ENERGY * mean_s)
+    }
+
+    /// (4), and how its bounds may be exceeded.
+    ///
+    /// Elastic bounds: the limits of segment i may be exceeded by the fraction e_i >= 0, a
+    /// variable of its own, at the price of h_i e_i, about twice the time that it costs to mend.
+    /// The excesses are then few and cheap.
+    fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
+        let (n, dp) = (h.len(), &self.displacement_mm);
+        // Of the segments at a node.
+        let sum = |node: usize, of: &dyn Fn(usize) -> f64| {
+            (node.saturating_sub(1)..(node + 1).min(n)).map(of).sum()
+        };
+        let nodes = || parallel(n + 1);
+        let diagonal = nodes().map(|node| sum(node, &|i| 4.0 / h[i])).collect();
+        let linear = nodes().map(|node| sum(node, &|i| 6.0 * dp[i] / (h[i] * h[i]))).collect();
+        let beside = parallel(n).map(|i| 2.0 / h[i]).collect();
+        let price = match bounds {
+            Bounds::Hard => Vec::new(),
+            Bounds::Elastic { price } => h.iter().map(|h| price * h).collect(),
+        };
+        let free = nodes().map(|i| self.allowed_signs(i) != [false, false]).collect();
+        chain::Program { diagonal, beside, linear, free, price }
+    }
+
+    /// Rows of segment i: its signs, and the limits of the machine where it is limited.
+    fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::Rows) {
+        let dp = self.displacement_mm[i];
+        if self.mode == Mode::Monotone {
+            // v_i >= 0 or v_i <= 0;  sign(dp) (v0 + v1) <= 3 |dp| / h
+            match self.allowed_signs(i) {
+                [false, true] => rows.add([-1.0, 0.0], 0.0, 0.0),
+                [true, false] => rows.add([1.0, 0.0], 0.0, 0.0),
+                _ => {}
+            }
+            let sign = dp.signum();
+            if dp != 0.0 {
+                rows.add([sign, sign], 0.0, 3.0 * dp.abs() / h[i]);
+            }
+        }
+        if !limited.segment[i] {
+            return;
+        }
+        // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
+        let (d, a, v_max) = (dp / h[i], self.max_acceleration * h[i], self.max_velocity);
+        let mut both = |row: [f64; 2], constant: f64, bound: f64| {
+            rows.add(row, bound, bound - constant);
+            rows.add(row.map(|v| -v), bound, bound + constant);
+        };
+        both([-4.0, -2.0], 6.0 * d, a);
+        both([2.0, 4.0], -6.0 * d, a);
+        both([1.0, 0.0], 0.0, v_max);
+        both([0.0, 1.0], 0.0, v_max);
+        if self.max_jerk.is_finite() {
+            // |6 (v0 + v1) - 12 dp/h| <= j h^2
+            both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
+        }
+        for u in limited.times(i) {
+            // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
+            let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
+            both([w * w - m, u * u - m], 3.0 * m * d, v_max);
+        }
+    }
+
+    /// Velocities that are fixed at zero are zero, and none has a forbidden sign by the solver's
+    /// tolerance.
+    fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
+        for (i, v) in v.iter_mut().enumerate() {
+            let [negative, positive] = self.allowed_signs(i);
+            *v = v.clamp(
+                if negative { f64::NEG_INFINITY } else { 0.0 },
+                if positive { f64::INFINITY } else { 0.0 },
+            );
+        }
+        v
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::break_times;
+
+    /// A limit that is never active, within a few orders of magnitude of the numbers.
+    const FREE: f64 = 1e4;
+
+    fn problem(points: &[f64], mode: Mode, max_acceleration: f64) -> AxisProblem<'static> {
+        let displacement_mm = points.windows(2).map(|w| w[1] - w[0]).collect();
+        let max_jerk = f64::INFINITY;
+        AxisProblem { displacement_mm, mode, max_velocity: FREE, max_acceleration, max_jerk }
+    }
+
+    fn velocities(points: &[f64], h: &[f64], mode: Mode, max_acceleration: f64) -> Vec<f64> {
+        solve(&problem(points, mode, max_acceleration), h).unwrap().velocity
+    }
+
+    fn solve(problem: &AxisProblem, h: &[f64]) -> Result<Solved, Vec<f64>> {
+        problem.solve(h, || problem.elastic_price(h), &mut Rounds::default())
+    }
+
+    fn close(a: &[f64], b: &[f64], tolerance: f64) {
+        assert_eq!(a.len(), b.len());
+        assert!(a.iter().zip(b).all(|(x, y)| (x - y).abs() < tolerance), "{a:?} {b:?}");
+    }
+
+    #[test]
+    fn smooth_is_the_clamped_cubic_spline() {
+        // Solved by hand: 4 v1 + v2 = 9, v1 + 4 v2 = 9.
+        let v = velocities(&[0.0, 1.0, 3.0, 4.0], &[1.0; 3], Mode::Smooth, FREE);
+        close(&v, &[0.0, 1.8, 1.8, 0.0], 1e-14);
+        let a: Vec<(f64, f64)> = [1.0, 2.0, 1.0]
+            .iter()
+            .enumerate()
+            .map(|(i, dp)| accelerations(*dp, v[i], v[i + 1], 1.0))
+            .collect();
+        for (found, expected) in a.iter().zip([(2.4, 1.2), (1.2, -1.2), (-1.2, -2.4)]) {
+            assert!((found.0 - expected.0).abs() + (found.1 - expected.1).abs() < 1e-13, "{a:?}");
+        }
+        assert!((peak_velocity(2.0, 1.8, 1.8, 1.0).0 - 2.1).abs() < 1e-14);
+        let v = velocities(&[0.0, 1.0, 2.0, 3.0, 2.0], &[1.0; 4], Mode::Smooth, FREE);
+        close(&v, &[0.0, 1.178_571_43, 1.285_714_29, -0.321_428_57, 0.0], 1e-8);
+    }
+
+    #[test]
+    fn monotone_never_reverses_and_has_the_least_energy() {
+        // Minimisers of (4) under the signs, from the optimality conditions of each case; the
+        // interior point method reaches 1e-14 of the objective, 1e-7 of the velocity.
+        let mono = |p: &[f64], h: &[f64], a: f64| velocities(p, h, Mode::Monotone, a);
+        close(&mono(&[0.0, 1.0, 2.0, 3.0, 2.0], &[1.0; 4], FREE), &[0.0, 1.2, 1.2, 0.0, 0.0], 1e-6);
+        let (p, h) = ([0.0, 1.0, 2.0, 3.0, 4.0], [1.0, 0.3, 1.0, 1.0]);
+        close(&mono(&p, &h, FREE), &[0.0, 3.0, 2.75, 0.25, 0.0], 1e-6);
+        close(&mono(&p, &h, 8.0), &[0.0, 3.0, 2.9, 0.1, 0.0], 1e-6);
+        close(&mono(&[0.0, 1.0, 1.0, 3.0], &[1.0, 0.5, 2.0], FREE), &[0.0; 4], 1e-12);
+    }
+
+    #[test]
+    fn the_parts_are_the_whole() {
+        // Runs of a few segments to and fro with rests between; limits that some of them reach.
+        let wave = |i: i32| (f64::from(i) * 0.37).sin() + 0.4 * (f64::from(i) * 1.9).sin();
+        let dp: Vec<f64> = (0..700).map(|i| if i % 31 == 0 { 0.0 } else { wave(i) }).collect();
+        let h: Vec<f64> = (0..700).map(|i| 0.6 + 0.2 * f64::from(i * 7 % 5)).collect();
+        let mut p = problem(&break_times(&dp), Mode::Monotone, 0.0);
+        // Loose; active here and there; too tight for some parts.
+        for (limit, feasible) in [(40.0, true), (15.0, true), (8.0, false)] {
+            p.max_acceleration = limit;
+            let mut parts = p.parts();
+            p.solve_parts(&h, &mut parts);
+            let solved = parts.iter().filter(|part| matches!(part.solved, Some(Ok(_)))).count();
+            match solve(&p, &h) {
+                Ok(whole) => {
+                    assert!(feasible && solved == parts.len() && solved > 5, "{limit} {solved}");
+                    // The root of the tolerance of 1e-14 where a bound is only just active.
+                    close(&joined(parts).velocity, &whole.velocity, 1e-6);
+                }
+                Err(whole) => {
+                    assert!(!feasible && solved > 0 && solved < parts.len(), "{limit} {solved}");
+                    let excess = excess_of_parts(&[parts, Vec::new()], h.len()).unwrap();
+                    // The tolerance of the elastic program, whose largest term is the price.
+                    close(&excess, &whole, 1e-5);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_quadratic_program_without_active_bounds_is_the_tridiagonal_solution() {
+        let p = [0.0, 0.7, 1.9, 2.4, 2.2, -1.0, -1.5, 0.3];
+        let h = [0.3, 0.4, 0.11, 0.7, 0.9, 0.25, 0.6];
+        let problem = problem(&p, Mode::Smooth, FREE);
+        let (a, b) = (
+            problem.clamped_spline(&h),
+            problem.quadratic_program(&h, Bounds::Hard, &mut Rounds::default()).unwrap(),
+        );
+        // The interior point method starts from the same elimination: nothing is active.
+        close(&a, &b, 1e-12);
+    }
+
+    #[test]
+    fn an_active_limit_holds_and_costs_energy_but_no_time() {
+        let p = [0.0, 1.0, 3.0, 4.0];
+        let h = [1.0; 3];
+        let free = velocities(&p, &h, Mode::Smooth, FREE);
+        let bounded = solve(&problem(&p, Mode::Smooth, 2.2), &h).unwrap();
+        assert_eq!(bounded.solver, Solver::QuadraticProgram);
+        let energy = |v: &[f64]| -> f64 {
+            (0..3)
+                .map(|i| {
+                    let (a, b) = accelerations(p[i + 1] - p[i], v[i], v[i + 1], 1.0);
+                    (a * a + a * b + b * b) / 3.0
+                })
+                .sum()
+        };
+        assert!(
+            problem(&p, Mode::Smooth, 2.2)
+                .excess(&bounded.velocity, &h)
+                .iter()
+                .all(|e| *e < 1.0 + 1e-6)
+        );
+        assert!(energy(&bounded.velocity) > energy(&free));
+        // Below 2 no velocities exist: 1 mm from rest, 2 mm, 1 mm to rest in 1 s each.
+        assert!(solve(&problem(&p, Mode::Smooth, 1.5), &h).is_err());
+    }
+
+    #[test]
+    fn stretching_costs_no_more_time_than_stopping_in_between() {
+        // 1 mm from rest in 1 ms, then 1 mm in 1 s: the second segment can brake with ease.
+        let mut h = vec![1.0 / 250.0, 1.0];
+        let mut p = problem(&[0.0, 1.0, 2.0], Mode::Smooth, 2000.0);
+        p.max_velocity = 250.0;
+        for _ in 0..40 {
+            match solve(&p, &h) {
+                Ok(_) => break,
+                Err(e) => h.iter_mut().zip(e).for_each(|(h, e)| *h *= 1.002 * e.clamp(1.0, 1.5)),
+            }
+        }
+        assert!(solve(&p, &h).is_ok());
+        // From rest 1 mm takes at least sqrt(2 / 2000) = 31.6 ms, and sqrt(6 / 2000) = 54.8 ms to
+        // rest: what the second segment gets is less than the difference.
+        assert!(h[0] > 0.0316 && h[0] < 0.0549 && h[1] < 1.0233, "{h:?}");
+    }
+
+    #[test]
+    fn the_peak_between_nodes_is_bounded_not_only_the_nodes() {
+        // Rest to rest: the nodes are at zero, the middle at 1.5 times the mean velocity.
+        let mut one = problem(&[0.0, 1.0], Mode::Smooth, FREE);
+        one.max_velocity = 1.49;
+        let excess = solve(&one, &[1.0]).unwrap_err();
+        assert!((excess[0] - 1.5 / 1.49).abs() < 1e-12);
+        one.max_velocity = 1.51;
+        assert!(solve(&one, &[1.0]).is_ok());
+    }
+}

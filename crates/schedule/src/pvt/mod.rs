@@ -1,0 +1,234 @@
+//! Position-velocity-time: cubic segments through the control points at the dwell times.
+//!
+//! The tool passes control point `p_i` at the time that the dwell times give; only its velocities
+//! `v_i` there are free. Segment `i` from `p` to `p + dp` in the time `h` is the cubic Hermite
+//! polynomial, with `u` the local time,
+//!
+//! ```text
+//! p(u) = p + v0 u + (3 dp/h^2 - (2 v0 + v1)/h) u^2 + (-2 dp/h^3 + (v0 + v1)/h^2) u^3    (1)
+//! a+ = 6 dp/h^2 - (4 v0 + 2 v1)/h       acceleration at its start                      (2)
+//! a- = -6 dp/h^2 + (2 v0 + 4 v1)/h      acceleration at its end
+//! v(u) = quadratic Bezier curve of (v0, V, v1),  V = 3 dp/h - v0 - v1                   (3)
+//! ```
+//!
+//! and the velocities minimise the acceleration energy, a tridiagonal problem per axis:
+//!
+//! ```text
+//! min sum_i integral_0^h a^2 du = v' H v - 2 g' v + const                               (4)
+//! H_ii = 4/h_i + 4/h_{i+1},  H_{i,i+1} = 2/h_{i+1},  g_i = 6 dp_i/h_i^2 + 6 dp_{i+1}/h_{i+1}^2
+//! ```
+//!
+//! with `v_0 = v_N = 0`. Its free minimiser has `a-` = `a+` at every node: the clamped cubic
+//! spline. Where a limit is exceeded, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
+//! segments as a quadratic program; where that has no solution, the program with the least excess
+//! over the limits says which segments need more time, and the report how much they got.
+//!
+//! Modes: *smooth* is (4); *monotone* adds that no axis reverses inside a segment, so the tool
+//! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
+//! where they differ), and `sign(dp) V >= 0`. A node at which the velocity is fixed at zero parts the
+//! axis: neither (4) nor a bound couples what is on its two sides, so the parts are solved one by one,
+//! and after a round of stretching only those whose times have changed.
+//!
+//! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. Where the machine
+//! limits it, *monotone* has it as rows of its program; its acceleration still steps at the nodes,
+//! which no limit on jerk allows, and the claim says so. *smooth* must not use a program then: an
+//! active row makes the acceleration step. It is the spline whose acceleration too starts and ends
+//! at zero. That takes one more node, at no given place, in the middle of the first and of the last
+//! segment; with `tau = h/2`, the jerk `j` of the first half is, from rest to `v` at `dp`,
+//!
+//! ```text
+//! j = 3 dp / (2 tau^3) - v / (2 tau^2),   a- = 6 v/h - 12 dp/h^2                        (5)
+//! ```
+//!
+//! and (5) replaces (2) in the equations `a- = a+`. (One segment from rest to rest: four quarters
+//! of `j = 32 dp/h^3` with the signs + - - +.) It is slowed where it exceeds a limit; every limit is
+//! then kept, with continuous acceleration, but not in the least time.
+//!
+//! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18,
+//! in the node velocities instead of polynomial coefficients: positions and times are then exact,
+//! where the source's least squares trades them against accelerations, unit against unit.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | h | `duration_s` | (N) | s |
+//! | dp | `displacement_mm` | (N) | mm |
+//! | v | `velocity_mm_per_s` | (N+1) | mm/s |
+
+mod axis;
+mod jerk_limited;
+mod mode;
+mod timing;
+
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
+use rayon::prelude::*;
+use serde::Serialize;
+
+pub use self::{
+    axis::Solver,
+    mode::{Mode, ModeChoice},
+    timing::Stretched,
+};
+pub(crate) use timing::least_time;
+
+use self::{
+    axis::{AxisProblem, excess_of_parts, joined},
+    timing::{MAX_ROUNDS, Timing, parallel, too_short, worst},
+};
+use crate::{ScheduleError, check_lengths, hermite::coefficients};
+
+/// How to schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// What the motion shall be like.
+    pub mode: Mode,
+    /// Give segments more time where the limits need it; else such dwell times are refused.
+    pub stretch: bool,
+}
+
+/// What was done.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Segments that were given more time, in order.
+    pub stretched: Vec<Stretched>,
+    /// Time that the stretching added with the tool on, s.
+    pub added_tool_on_s: f64,
+    /// Time that the stretching added with the tool lifted, s.
+    pub added_tool_off_s: f64,
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+    /// Solver of (4) for [x, y] in the last round.
+    pub solver: [Solver; 2],
+    /// Rounds of stretching.
+    pub rounds: usize,
+}
+
+/// The motion and what was done to get it.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// What was done.
+    pub report: Report,
+}
+
+/// Rounds after which everything is slowed together: what a stretched segment asks of its
+/// neighbours can go round, a slower motion as a whole cannot.
+const ROUNDS_BEFORE_UNIFORM_SLOWDOWN: usize = 60;
+
+/// Schedules `path` with the times `dwell` within `limits`.
+pub fn schedule(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Schedule, ScheduleError> {
+    check_lengths(path, dwell)?;
+    // All of it by the threads of rayon: to hand over every part of it would cost more than a part.
+    rayon::scope(|_| schedule_stretched(path, dwell, limits, settings))
+}
+
+fn schedule_stretched(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Schedule, ScheduleError> {
+    let mut timing = Timing::new(path, dwell, limits);
+    if timing.kept.is_empty() {
+        let problem = "is zero everywhere on a path at rest";
+        return Err(Invalid::whole("dwell_s", problem, "give a dwell time").into());
+    }
+    if !settings.stretch
+        && let Some(error) = timing.refusal(path, dwell, limits)
+    {
+        return Err(error);
+    }
+    let axes = [0, 1].map(|axis| {
+        let displacement = |k: usize| path.displacement_mm(timing.kept[k])[axis];
+        let displacement_mm = parallel(timing.kept.len()).map(displacement).collect();
+        AxisProblem::new(displacement_mm, settings.mode, &limits.axes()[axis])
+    });
+    if settings.mode == Mode::Smooth && axes.iter().any(|a| a.max_jerk.is_finite()) {
+        let (trajectory, rounds) =
+            jerk_limited::motion(path, dwell, limits, settings.stretch, &mut timing, &axes)?;
+        let report = Report::new(&timing, path, dwell, [Solver::Tridiagonal; 2], rounds);
+        return Ok(Schedule { trajectory, report });
+    }
+
+    let mut parts = axes.each_ref().map(AxisProblem::parts);
+    for rounds in 0..=MAX_ROUNDS {
+        // Durations as the difference of the break times, so that the segments join to rounding.
+        let break_time_s = break_times(&timing.duration_s);
+        let duration = |k: usize| break_time_s[k + 1] - break_time_s[k];
+        let h: Vec<f64> = parallel(timing.kept.len()).map(duration).collect();
+        let [x, y] = &mut parts;
+        rayon::join(|| axes[0].solve_parts(&h, x), || axes[1].solve_parts(&h, y));
+        let Some(mut excess) = excess_of_parts(&parts, h.len()) else {
+            let [x, y] = parts.map(joined);
+            let report = Report::new(&timing, path, dwell, [x.solver, y.solver], rounds);
+            let velocity = [x.velocity, y.velocity];
+            let segments = parallel(h.len()).map(|k| {
+                let start = path.point_mm()[timing.kept[k]];
+                [0, 1].map(|axis| {
+                    let (v, dp) = (&velocity[axis], axes[axis].displacement_mm[k]);
+                    coefficients(start[axis], dp, v[k], v[k + 1], h[k])
+                })
+            });
+            let trajectory = Trajectory::new(
+                break_time_s,
+                segments.collect(),
+                parallel(h.len()).map(|k| path.tool_on()[timing.kept[k]]).collect(),
+                parallel(h.len()).map(|k| Some(timing.kept[k])).collect(),
+            )?;
+            return Ok(Schedule { trajectory, report });
+        };
+        let (k, worst) = worst(&excess);
+        let segment = timing.kept[k];
+        if !settings.stretch {
+            return Err(too_short(path, dwell, segment, worst));
+        }
+        if rounds == MAX_ROUNDS {
+            return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
+        }
+        if rounds >= ROUNDS_BEFORE_UNIFORM_SLOWDOWN {
+            let of_parts = || parts.iter().flatten();
+            if !of_parts().any(|part| part.rounds.may_rest) {
+                excess.fill(worst);
+            }
+            for part in parts.iter_mut().flatten() {
+                part.rounds.may_rest = part.rounds.unsolved;
+            }
+        }
+        timing.stretch(&excess);
+        for part in parts.iter_mut().flatten() {
+            if excess[part.segments.clone()].iter().any(|e| *e > 1.0) {
+                part.solved = None;
+            }
+        }
+    }
+    unreachable!("the last round returns")
+}
+
+impl Report {
+    fn new(
+        timing: &Timing,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        solver: [Solver; 2],
+        rounds: usize,
+    ) -> Self {
+        let stretched = timing.stretched(path, dwell);
+        let added = |on: bool| {
+            let of = stretched.iter().filter(|s| s.tool_on == on);
+            of.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
+        };
+        Self {
+            added_tool_on_s: added(true),
+            added_tool_off_s: added(false),
+            dropped: timing.dropped(path),
+            stretched,
+            solver,
+            rounds,
+        }
+    }
+}

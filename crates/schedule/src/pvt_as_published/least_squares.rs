@@ -1,0 +1,298 @@
+//! Least squares whose rows couple neighbouring nodes, within bounds.
+//!
+//! ```text
+//! min |J x - r|^2   with   low <= x <= high,   a row of J in the unknowns of two neighbouring nodes
+//! ```
+//!
+//! With unknowns held at bounds, the others are solved for by Givens rotations of the rows; the normal
+//! equations would hold the squares of entries, which vanish in rounding. Which are held is found by
+//! primal-dual active sets, or, where these repeat themselves, one bound at a time from the solution of
+//! an interior point method.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | J, r | `rows` | - | - |
+//! | low, high, x | `low`, `high`, `x` | (`unknowns`) | - |
+
+use clarabel::{
+    algebra::CscMatrix,
+    solver::{
+        DefaultSettingsBuilder, DefaultSolver, IPSolver,
+        SupportedConeT::{NonnegativeConeT, ZeroConeT},
+    },
+};
+
+/// Unknowns per node: v, A, a.
+pub(super) const PER_NODE: usize = 3;
+
+/// Half bandwidth: an unknown of a node meets those of the next one.
+const BAND: usize = 5;
+
+/// Most rounds of the active set method: it ends after 4 to 12 on real paths, and where it has
+/// not ended after 60 it repeats itself.
+pub(super) const MAX_ROUNDS: usize = 60;
+
+/// Most changes of one bound; a random path of 60 segments needs some tens.
+const MAX_CHANGES: usize = 2000;
+
+/// Gradients below this fraction of the right-hand side are rounding.
+const ROUNDING: f64 = 1e-13;
+
+/// Where an unknown is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Side {
+    Low,
+    Free,
+    High,
+}
+
+/// A row `value x[first..] = right` of the least squares.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row {
+    pub(super) first: usize,
+    pub(super) value: [f64; 2 * PER_NODE],
+    pub(super) right: f64,
+}
+
+impl Row {
+    pub(super) fn residual(&self, x: &[f64]) -> f64 {
+        let terms = self.value.iter().zip(&x[self.first..]).map(|(c, x)| c * x);
+        terms.sum::<f64>() - self.right
+    }
+}
+
+/// min |J x - r|^2, rows ascending in `first`.
+#[derive(Clone, Debug)]
+pub(super) struct LeastSquares {
+    pub(super) rows: Vec<Row>,
+    pub(super) unknowns: usize,
+}
+
+impl LeastSquares {
+    /// J'(J x - r) and the diagonal of J'J.
+    pub(super) fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let (mut gradient, mut square) = (vec![0.0; self.unknowns], vec![0.0; self.unknowns]);
+        for row in &self.rows {
+            let residual = row.residual(x);
+            for (k, c) in row.value.iter().enumerate() {
+                gradient[row.first + k] += c * residual;
+                square[row.first + k] += c * c;
+            }
+        }
+        (gradient, square)
+    }
+
+    /// max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|, 0 at the minimum and only there.
+    pub(super) fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
+        let (gradient, square) = self.gradient(x);
+        let scale = self.right_norm();
+        let off = |j: usize| {
+            let wanted = (x[j] - gradient[j] / square[j]).clamp(low[j], high[j]);
+            square[j].sqrt() * (x[j] - wanted).abs()
+        };
+        let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
+        // At rest along the whole axis nothing is asked for.
+        if largest == 0.0 { 0.0 } else { largest / scale }
+    }
+
+    /// The side to which x - gradient / |J_j|^2 points.
+    fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
+        let (gradient, square) = self.gradient(x);
+        (0..self.unknowns)
+            .map(|j| {
+                let wanted = x[j] - gradient[j] / square[j];
+                if low[j] == high[j] || wanted < low[j] {
+                    Side::Low
+                } else if wanted > high[j] {
+                    Side::High
+                } else {
+                    Side::Free
+                }
+            })
+            .collect()
+    }
+
+    /// Primal-dual active sets: solve with the unknowns on their sides, choose the sides anew,
+    /// until they stay. `None` when they do not, or the rows are dependent.
+    pub(super) fn active_set(
+        &self,
+        low: &[f64],
+        high: &[f64],
+        mut side: Vec<Side>,
+    ) -> Option<(Vec<f64>, usize)> {
+        for j in 0..self.unknowns {
+            if low[j] == high[j] {
+                side[j] = Side::Low;
+            }
+        }
+        for round in 1..=MAX_ROUNDS {
+            let fixed = |j: usize| match side[j] {
+                Side::Low => Some(low[j]),
+                Side::High => Some(high[j]),
+                Side::Free => None,
+            };
+            let x = self.solve_with_fixed(fixed)?;
+            let next = self.sides(low, high, &x);
+            if next == side {
+                return Some((x, round));
+            }
+            side = next;
+        }
+        None
+    }
+
+    /// From the feasible x down to the minimum: to the solution of the free unknowns, or to the
+    /// first bound on the way, which holds from then on; there, the bound that keeps most from the
+    /// minimum is given up. The sum of squares never grows.
+    pub(super) fn descend(
+        &self,
+        low: &[f64],
+        high: &[f64],
+        x: Vec<f64>,
+    ) -> Option<(Vec<f64>, usize)> {
+        let mut x = x;
+        let mut side = self.sides(low, high, &x);
+        let bound = |j: usize, side: Side| match side {
+            Side::Low => Some(low[j]),
+            Side::High => Some(high[j]),
+            Side::Free => None,
+        };
+        for (j, x) in x.iter_mut().enumerate() {
+            *x = bound(j, side[j]).unwrap_or(*x);
+        }
+        let scale = self.right_norm();
+        for change in 1..=MAX_CHANGES {
+            let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
+            let (mut step, mut first) = (1.0, None);
+            for j in 0..x.len() {
+                let (at, hit) = match wanted[j] {
+                    w if w < low[j] => (low[j], Side::Low),
+                    w if w > high[j] => (high[j], Side::High),
+                    _ => continue,
+                };
+                let part = (at - x[j]) / (wanted[j] - x[j]);
+                if part < step {
+                    (step, first) = (part, Some((j, hit)));
+                }
+            }
+            if let Some((hit, at)) = first {
+                side[hit] = at;
+                for (j, x) in x.iter_mut().enumerate() {
+                    let moved = *x + step * (wanted[j] - *x);
+                    *x = bound(j, side[j]).unwrap_or_else(|| moved.clamp(low[j], high[j]));
+                }
+                continue;
+            }
+            x = (0..x.len()).map(|j| wanted[j].clamp(low[j], high[j])).collect();
+            let (gradient, square) = self.gradient(&x);
+            let pull = |j: usize| match side[j] {
+                _ if low[j] == high[j] => 0.0,
+                Side::Low => -gradient[j] / square[j].sqrt(),
+                Side::High => gradient[j] / square[j].sqrt(),
+                Side::Free => 0.0,
+            };
+            let most = (0..x.len()).max_by(|a, b| pull(*a).total_cmp(&pull(*b)))?;
+            if pull(most) <= ROUNDING * scale {
+                return Some((x, change));
+            }
+            side[most] = Side::Free;
+        }
+        Some((x, MAX_CHANGES))
+    }
+
+    /// |r|.
+    fn right_norm(&self) -> f64 {
+        self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
+    }
+
+    /// Solves for the unknowns that `fixed` leaves free: Givens rotations of row after row into a
+    /// banded upper triangle, and back substitution.
+    fn solve_with_fixed(&self, fixed: impl Fn(usize) -> Option<f64>) -> Option<Vec<f64>> {
+        let n = self.unknowns;
+        let value: Vec<Option<f64>> = (0..n).map(fixed).collect();
+        // Row k: the columns k, k+1, ...; then the right-hand side.
+        let mut triangle = vec![[0.0_f64; BAND + 1]; n];
+        let mut right = vec![0.0; n];
+        for row in &self.rows {
+            let (mut c, mut b) = (row.value, row.right);
+            for (k, c) in c.iter_mut().enumerate() {
+                if let Some(value) = value[row.first + k] {
+                    b -= *c * value;
+                    *c = 0.0;
+                }
+            }
+            for k in 0..c.len() {
+                if c[k] == 0.0 {
+                    continue;
+                }
+                let own = &mut triangle[row.first + k];
+                let size = own[0].hypot(c[k]);
+                let (cosine, sine) = (own[0] / size, c[k] / size);
+                for l in k..c.len() {
+                    let (upper, lower) = (own[l - k], c[l]);
+                    own[l - k] = cosine * upper + sine * lower;
+                    c[l] = cosine * lower - sine * upper;
+                }
+                let (upper, lower) = (right[row.first + k], b);
+                right[row.first + k] = cosine * upper + sine * lower;
+                b = cosine * lower - sine * upper;
+            }
+        }
+        let mut x = vec![0.0; n];
+        for k in (0..n).rev() {
+            x[k] = match value[k] {
+                Some(value) => value,
+                None => {
+                    let later = (1..=BAND.min(n - 1 - k)).map(|d| triangle[k][d] * x[k + d]);
+                    (right[k] - later.sum::<f64>()) / triangle[k][0]
+                }
+            };
+        }
+        x.iter().all(|x| x.is_finite()).then_some(x)
+    }
+
+    /// The same problem by clarabel, to its tolerance of 1e-8: min |z|^2/2 with J x - z = r.
+    pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
+        let (n, m) = (self.unknowns, self.rows.len());
+        let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (i, row) in self.rows.iter().enumerate() {
+            for (k, value) in row.value.iter().enumerate().filter(|(_, value)| **value != 0.0) {
+                r.push(i);
+                c.push(row.first + k);
+                v.push(*value);
+            }
+            r.push(i);
+            c.push(n + i);
+            v.push(-1.0);
+            bound.push(row.right);
+        }
+        for j in 0..n {
+            for (limit, sign) in [(high[j], 1.0), (low[j], -1.0)] {
+                if limit.is_finite() {
+                    r.push(bound.len());
+                    c.push(j);
+                    v.push(sign);
+                    bound.push(sign * limit);
+                }
+            }
+        }
+        let a = CscMatrix::new_from_triplets(bound.len(), n + m, r, c, v);
+        let residuals: Vec<usize> = (n..n + m).collect();
+        let p =
+            CscMatrix::new_from_triplets(n + m, n + m, residuals.clone(), residuals, vec![1.0; m]);
+        let settings = DefaultSettingsBuilder::default().verbose(false).build().expect("valid");
+        let cones = [ZeroConeT(m), NonnegativeConeT(bound.len() - m)];
+        let q = vec![0.0; n + m];
+        let Ok(mut solver) = DefaultSolver::new(&p, &q, &a, &bound, &cones, settings) else {
+            return vec![0.0; n];
+        };
+        solver.solve();
+        // Any point within the bounds is a start for `descend`, the last one of a run that made too
+        // little progress too.
+        let clamped = |j: usize| {
+            let x = solver.solution.x[j];
+            if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }
+        };
+        (0..n).map(clamped).collect()
+    }
+}

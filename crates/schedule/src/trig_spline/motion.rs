@@ -1,0 +1,300 @@
+//! The passes as cubics in time, joined by links with the tool off; each proven within the limits: steps
+//! 3 to 6 of [`super`].
+
+use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
+
+use super::{
+    passes::{MARGIN, Pass, Straight, along},
+    report::Report,
+    spline::Piece,
+};
+use crate::{
+    hermite::{accelerations, coefficients, peak_velocity},
+    shortest_cubic::{State, shortest_cubic},
+};
+
+/// The trajectory so far.
+pub(super) struct Motion<'a> {
+    path: &'a ToolPath,
+    dwell: &'a DwellTime,
+    limits: &'a Limits,
+    tolerance_mm: f64,
+    pub(super) report: Report,
+    /// Pieces that are not proven: number of the pass, first node.
+    pub(super) unproven: Vec<(usize, usize)>,
+    /// The segments so far.
+    pub(super) made: TrajectoryBuilder,
+    /// Where the motion is, and how fast.
+    now: State,
+}
+
+impl<'a> Motion<'a> {
+    /// Along all passes; `report` is what was done to them.
+    pub(super) fn along(
+        path: &'a ToolPath,
+        dwell: &'a DwellTime,
+        limits: &'a Limits,
+        tolerance_mm: f64,
+        passes: &[Pass],
+        report: Report,
+    ) -> Self {
+        let now = State { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] };
+        let (unproven, made) = (Vec::new(), TrajectoryBuilder::default());
+        let mut motion = Self { path, dwell, limits, tolerance_mm, report, unproven, made, now };
+        motion.walk(passes);
+        motion
+    }
+
+    fn walk(&mut self, passes: &[Pass]) {
+        let mut next = 0;
+        for (number, pass) in passes.iter().enumerate() {
+            let start = pass.start();
+            if next == pass.run.start {
+                self.run_up(start);
+            } else {
+                self.lift(next..pass.run.start, start);
+            }
+            self.pass(number, pass);
+            next = pass.run.end;
+        }
+        let rest = |p: [f64; 2]| State { position_mm: p, velocity_mm_per_s: [0.0; 2] };
+        if next < self.path.len() {
+            self.lift(next..self.path.len(), rest(self.path.point_mm()[self.path.len()]));
+        } else {
+            self.brake();
+        }
+    }
+
+    /// From rest to the start of the first pass, along its extension backwards.
+    fn run_up(&mut self, start: State) {
+        let (speed, direction) = polar(start.velocity_mm_per_s);
+        if speed > 0.0 {
+            let a = self.acceleration_along(direction);
+            let (t, distance) = (speed / a, 0.5 * speed * speed / a);
+            let c = [0, 1].map(|x| {
+                let u = direction[x];
+                [start.position_mm[x] - u * distance, 0.0, 0.5 * u * a, 0.0]
+            });
+            self.link(t, c, None);
+        }
+        self.now = start;
+    }
+
+    /// To rest after the end of the last pass.
+    fn brake(&mut self) {
+        let (speed, direction) = polar(self.now.velocity_mm_per_s);
+        if speed > 0.0 {
+            let a = self.acceleration_along(direction);
+            let c = [0, 1].map(|x| {
+                [
+                    self.now.position_mm[x],
+                    self.now.velocity_mm_per_s[x],
+                    -0.5 * direction[x] * a,
+                    0.0,
+                ]
+            });
+            self.link(speed / a, c, None);
+        }
+    }
+
+    fn acceleration_along(&self, direction: [f64; 2]) -> f64 {
+        (1.0 - MARGIN) * along(direction, self.limits.max_acceleration_mm_per_s2())
+    }
+
+    /// Segments with the tool off: a link each, at rest in between.
+    fn lift(&mut self, run: std::ops::Range<usize>, end: State) {
+        for i in run.clone() {
+            let rest =
+                State { position_mm: self.path.point_mm()[i + 1], velocity_mm_per_s: [0.0; 2] };
+            let to = if i + 1 == run.end { end } else { rest };
+            match shortest_cubic(self.now, to, self.limits, self.dwell.dwell_s()[i]) {
+                Some(link) => self.link(link.duration_s, link.coefficient_mm, Some(i)),
+                None => self.report.dropped.push(i),
+            }
+            self.now = to;
+        }
+    }
+
+    fn link(&mut self, duration_s: f64, c: [[f64; 4]; 2], dwell_index: Option<usize>) {
+        // A shorter one would vanish in the rounding of the break times.
+        if duration_s <= 64.0 * f64::EPSILON * self.dwell.total_s() {
+            return;
+        }
+        self.made.push(duration_s, c, false, dwell_index);
+        self.report.links += 1;
+        self.report.link_s += duration_s;
+    }
+
+    fn pass(&mut self, number: usize, pass: &Pass) {
+        if pass.straights.is_empty() {
+            // Nothing but standing.
+            for i in pass.run.clone() {
+                let t = self.dwell.dwell_s()[i];
+                let p = self.path.point_mm()[i];
+                if t > 0.0 {
+                    self.made.push(t, p.map(|p| [p, 0.0, 0.0, 0.0]), true, Some(i));
+                } else {
+                    self.report.dropped.push(i);
+                }
+            }
+            return;
+        }
+        let last = pass.nodes.len() - 1;
+        let (first_straight, last_straight) = (&pass.straights[0], pass.straights.len() - 1);
+        self.plateau(first_straight, 0.0, 0.5 * first_straight.length, pass.nodes[0].density);
+        for k in 0..last {
+            if !self.piece(pass, k) {
+                self.unproven.push((number, k));
+            }
+            if pass.nodes[k + 1].half_length_mm > 0.0 {
+                self.blend(pass, k + 1);
+            }
+        }
+        let s = &pass.straights[last_straight];
+        self.plateau(s, 0.5 * s.length, s.length, pass.nodes[last].density);
+        self.now = pass.end();
+    }
+
+    /// Constant density from `from` to `to` along a straight.
+    fn plateau(&mut self, s: &Straight, from: f64, to: f64, density: f64) {
+        let c = [0, 1]
+            .map(|a| [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]);
+        self.made.push((to - from) * density, c, true, Some(s.index));
+    }
+
+    /// The parabola at corner node k, in two halves.
+    fn blend(&mut self, pass: &Pass, k: usize) {
+        let (node, s) = (&pass.nodes[k], &pass.straights[pass.straight_of[k]]);
+        let next = &pass.straights[pass.straight_of[k] + 1];
+        let (b, v) = (node.half_length_mm, 1.0 / node.density);
+        let half_s = b * node.density;
+        // p(u) = corner - b u1 + v u1 u + (u2 - u1) v^2/(4 b) u^2
+        let c = [0, 1].map(|a| {
+            let (u1, u2) = (s.direction[a], next.direction[a]);
+            [next.start[a] - b * u1, v * u1, (u2 - u1) * v * v / (4.0 * b), 0.0]
+        });
+        let middle = c.map(|c| {
+            [c[0] + half_s * (c[1] + half_s * c[2]), c[1] + 2.0 * c[2] * half_s, c[2], 0.0]
+        });
+        self.made.push(half_s, c, true, Some(s.index));
+        self.made.push(half_s, middle, true, Some(next.index));
+    }
+
+    /// Step 5 for the piece from node k to the next one; whether it is proven within the limits.
+    fn piece(&mut self, pass: &Pass, k: usize) -> bool {
+        let (a, b) = (&pass.nodes[k], &pass.nodes[k + 1]);
+        let own = &pass.straights[pass.straight_of[k]];
+        // Where the piece starts and along what; a piece between two dwell points is cut where the
+        // first segment ends.
+        let next = pass.straights.get(pass.straight_of[k] + 1);
+        let (straight, offset) = match next {
+            Some(next) if a.half_length_mm > 0.0 => (next, a.half_length_mm),
+            _ => (own, 0.5 * own.length),
+        };
+        let limited = pass.piece(k);
+        let fit = Fit {
+            shape: limited.shape,
+            // A corner's is that of two directions.
+            max_velocity: 1.0 / if a.half_length_mm > 0.0 { b.fastest } else { a.fastest },
+            max_acceleration: limited.max_acceleration / (1.0 - MARGIN),
+            tolerance_mm: self.tolerance_mm,
+        };
+        let parts = match next {
+            Some(next) if a.half_length_mm == 0.0 && b.half_length_mm == 0.0 => {
+                let cut = 0.5 * own.length / fit.shape.length_mm;
+                vec![(0.0, cut, own.index), (cut, 1.0, next.index)]
+            }
+            _ => vec![(0.0, 1.0, straight.index)],
+        };
+        let mut proven = !limited.is_too_fast([0.0; 2]);
+        for (from, to, index) in parts {
+            for cubic in fit.cubics(from, to) {
+                proven &= cubic.within_limits;
+                let error_mm = &mut self.report.fit_error_mm;
+                *error_mm = error_mm.max(cubic.error_mm);
+                let c = [0, 1].map(|x| {
+                    let u = straight.direction[x];
+                    let [c0, c1, c2, c3] = cubic.coefficient_mm;
+                    [straight.start[x] + u * (offset + c0), u * c1, u * c2, u * c3]
+                });
+                self.made.push(cubic.duration_s, c, true, Some(index));
+            }
+        }
+        proven
+    }
+}
+
+/// Magnitude and direction.
+fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
+    let speed = v[0].hypot(v[1]);
+    (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
+}
+
+/// How a piece is fitted.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    shape: Piece,
+    max_velocity: f64,
+    max_acceleration: f64,
+    tolerance_mm: f64,
+}
+
+/// A cubic in local time for a part of a piece.
+#[derive(Clone, Copy, Debug)]
+struct Cubic {
+    duration_s: f64,
+    /// Distance from the start of the piece.
+    coefficient_mm: [f64; 4],
+    error_mm: f64,
+    /// The largest velocity and acceleration of the cubic, at its own extrema.
+    within_limits: bool,
+}
+
+/// Most halvings of a piece: the error falls by 16 with each, the swing of the acceleration by 4.
+const MAX_HALVINGS: usize = 20;
+
+/// Inner points at which the error is looked at; that of Hermite interpolation has one hump.
+const FIT_POINTS: usize = 9;
+
+/// Part of the tolerance that the error at these points may take: between two of them the hump
+/// u^2 (1-u)^2 is higher by 2 % at most.
+const FIT_SAFETY: f64 = 0.95;
+
+impl Fit {
+    /// Cubics from the part `from` to the part `to` of the length.
+    fn cubics(&self, from: f64, to: f64) -> Vec<Cubic> {
+        let (mut done, mut open) = (Vec::new(), vec![(from, to, 0)]);
+        while let Some((from, to, halvings)) = open.pop() {
+            let cubic = self.cubic(from, to);
+            let good = cubic.within_limits && cubic.error_mm <= FIT_SAFETY * self.tolerance_mm;
+            if good || halvings == MAX_HALVINGS {
+                done.push(cubic);
+            } else {
+                let middle = 0.5 * (from + to);
+                open.push((middle, to, halvings + 1));
+                open.push((from, middle, halvings + 1));
+            }
+        }
+        done
+    }
+
+    /// The Hermite cubic between the two parts of the length.
+    fn cubic(&self, from: f64, to: f64) -> Cubic {
+        let piece = &self.shape;
+        let [v0, v1] = [from, to].map(|x| 1.0 / piece.density_s_per_mm_at(x));
+        let h = piece.elapsed_s(from, to);
+        let dp = piece.length_mm * (to - from);
+        let c = coefficients(piece.length_mm * from, dp, v0, v1, h);
+        let error_mm = (1..=FIT_POINTS)
+            .map(|i| {
+                let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
+                let u = piece.elapsed_s(from, x);
+                (c[0] + u * (c[1] + u * (c[2] + u * c[3])) - piece.length_mm * x).abs()
+            })
+            .fold(0.0, f64::max);
+        let (start, end) = accelerations(dp, v0, v1, h);
+        let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
+            && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
+        Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits }
+    }
+}

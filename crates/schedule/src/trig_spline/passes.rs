@@ -1,0 +1,358 @@
+//! The passes of a path: maximal runs of segments with the tool on, their corners, and the densities
+//! that give every segment its dwell time. The numbers of equations and steps are those of [`super`].
+
+use std::{f64::consts::PI, ops::Range};
+
+use planish_numerics::linear::tridiagonal::{self, Row};
+use planish_types::{DensityNodes, DwellDensity, DwellTime, Invalid, Limits, ToolPath};
+
+use super::{
+    report::Report,
+    spline::{Limited, Piece},
+};
+use crate::shortest_cubic::State;
+
+/// Part of the limits that the repair leaves free: the fitted cubics, whose acceleration swings
+/// about that of the spline, then need no more than a few cuts near its peak.
+pub(super) const MARGIN: f64 = 1e-4;
+
+/// Directions closer than this are the same: it makes a velocity step of 1e-7 mm/s at 100 mm/s.
+const SAME_DIRECTION: f64 = 1e-9;
+
+/// Directions are the same only where the tool, keeping to the first to the middle of the second
+/// segment, is not farther from that than this, mm: a tenth of what is taken for rounding when a
+/// motion is judged.
+const SAME_LINE_MM: f64 = 1e-7;
+
+/// A blend takes at most this fraction of the shorter of its two segments.
+const LARGEST_BLEND: f64 = 0.25;
+
+/// A blend at the end of a segment.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Corner {
+    /// b.
+    half_length_mm: f64,
+    /// u2 - u1.
+    turn: [f64; 2],
+}
+
+/// A dwell point or a corner.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Node {
+    pub(super) density: f64,
+    /// Smallest density that its velocity, and the acceleration of a corner, allow.
+    pub(super) least: f64,
+    /// Smallest density that the velocity alone allows, without the margin.
+    pub(super) fastest: f64,
+    /// Length on which the density is constant before and after it; b of a corner, else 0.
+    pub(super) half_length_mm: f64,
+}
+
+/// A straight segment of a pass.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Straight {
+    /// Index in the path.
+    pub(super) index: usize,
+    pub(super) start: [f64; 2],
+    pub(super) direction: [f64; 2],
+    pub(super) length: f64,
+    /// Of the whole path up to here, mm.
+    arc_length: f64,
+    /// Along its direction, mm/s^2; the margin is taken off.
+    max_acceleration: f64,
+    /// Corner at its end.
+    corner: Option<Corner>,
+}
+
+/// A run of segments with the tool on.
+#[derive(Clone, Debug)]
+pub(super) struct Pass {
+    /// Segments [first, end) of the path.
+    pub(super) run: Range<usize>,
+    /// Where it starts.
+    start_mm: [f64; 2],
+    /// Those with a length; none when the tool stands.
+    pub(super) straights: Vec<Straight>,
+    /// Dwell points, and the corners between them.
+    pub(super) nodes: Vec<Node>,
+    /// For each node the straight it is the middle of, or at the end of.
+    pub(super) straight_of: Vec<usize>,
+}
+
+/// Maximal runs of segments with the tool on.
+pub(super) fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = Range<usize>> + '_ {
+    let on = path.tool_on();
+    let mut next = 0;
+    std::iter::from_fn(move || {
+        let first = (next..on.len()).find(|i| on[*i])?;
+        let after = (first..on.len()).find(|i| !on[*i]).unwrap_or(on.len());
+        next = after;
+        Some(first..after)
+    })
+}
+
+/// Largest magnitude along `direction` that keeps `max` on both axes.
+pub(super) fn along(direction: [f64; 2], max: [f64; 2]) -> f64 {
+    let axis = |a: usize| max[a] / direction[a].abs(); // infinite across
+    axis(0).min(axis(1))
+}
+
+impl Pass {
+    pub(super) fn new(
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+        corner_deviation_mm: f64,
+        run: Range<usize>,
+        report: &mut Report,
+    ) -> Self {
+        let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+        let mut arc_length: f64 = (0..run.start).map(|i| path.segment_length_mm(i)).sum();
+        let mut straights: Vec<Straight> = Vec::new();
+        for index in run.clone() {
+            let length = path.segment_length_mm(index);
+            if length > 0.0 {
+                let direction = path.displacement_mm(index).map(|d| d / length);
+                straights.push(Straight {
+                    index,
+                    start: path.point_mm()[index],
+                    direction,
+                    length,
+                    arc_length,
+                    max_acceleration: (1.0 - MARGIN) * along(direction, a_max),
+                    corner: None,
+                });
+            }
+            arc_length += length;
+        }
+        for k in 1..straights.len() {
+            let (before, after) = (straights[k - 1], straights[k]);
+            let turn = [0, 1].map(|a| after.direction[a] - before.direction[a]);
+            let size = turn[0].hypot(turn[1]);
+            let aside_mm = 0.5 * size * before.length.max(after.length);
+            if size > SAME_DIRECTION || aside_mm > SAME_LINE_MM {
+                // deviation = b |u2 - u1| / 4
+                let half_length_mm = (4.0 * corner_deviation_mm / size)
+                    .min(LARGEST_BLEND * before.length.min(after.length));
+                straights[k - 1].corner = Some(Corner { half_length_mm, turn });
+                report.corners += 1;
+                let deviation = 0.25 * half_length_mm * size;
+                report.largest_corner_deviation_mm =
+                    report.largest_corner_deviation_mm.max(deviation);
+            }
+        }
+        let start_mm = path.point_mm()[run.start];
+        let mut pass =
+            Self { run, start_mm, straights, nodes: Vec::new(), straight_of: Vec::new() };
+        if pass.straights.is_empty() {
+            return pass;
+        }
+        let times = pass.times(dwell, report);
+        let densities = pass.densities(&times, report);
+        for (k, s) in pass.straights.iter().enumerate() {
+            let fastest = 1.0 / along(s.direction, v_max);
+            let least = fastest / (1.0 - MARGIN);
+            let density = densities[k];
+            pass.nodes.push(Node { density, least, fastest, half_length_mm: 0.0 });
+            pass.straight_of.push(k);
+            let Some(corner) = s.corner else { continue };
+            let next = &pass.straights[k + 1];
+            let fastest = fastest.max(1.0 / along(next.direction, v_max));
+            let b = corner.half_length_mm;
+            // a = v^2 (u2 - u1) / (2 b)
+            let bend =
+                |a: usize| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt();
+            let least = (fastest / (1.0 - MARGIN)).max(bend(0)).max(bend(1));
+            let weights = corner_weights(s.length, next.length);
+            let density = weights[0] * density + weights[1] * densities[k + 1];
+            pass.nodes.push(Node { density, least, fastest, half_length_mm: b });
+            pass.straight_of.push(k);
+        }
+        pass
+    }
+
+    /// Dwell time of every straight; a segment without length gives its time to the straights
+    /// before and after it.
+    fn times(&self, dwell: &DwellTime, report: &mut Report) -> Vec<f64> {
+        let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
+        let has_length = |i: &usize| self.straights.binary_search_by_key(i, |s| s.index).is_ok();
+        for i in self.run.clone().filter(|i| !has_length(i)) {
+            let t = dwell.dwell_s()[i];
+            if t == 0.0 {
+                report.dropped.push(i);
+                continue;
+            }
+            let after = self.straights.partition_point(|s| s.index < i);
+            let takers = after.saturating_sub(1)..(after + 1).min(times.len());
+            let part = t / takers.len() as f64;
+            times[takers].iter_mut().for_each(|time| *time += part);
+            report.moved_dwell.push(i);
+        }
+        times
+    }
+
+    /// Densities of the dwell points that give every straight its time: row k holds the time that
+    /// a density of 1 at the dwell points k-1, k, k+1 gives straight k.
+    fn densities(&self, times: &[f64], report: &mut Report) -> Vec<f64> {
+        let n = self.straights.len();
+        let mut rows = vec![[0.0; 3]; n];
+        for k in 0..n {
+            rows[k][1] += match (k == 0, k + 1 == n) {
+                (true, true) => self.straights[k].length,
+                (true, false) | (false, true) => 0.5 * self.straights[k].length,
+                (false, false) => 0.0,
+            };
+        }
+        for k in 0..n - 1 {
+            let (s, next) = (&self.straights[k], &self.straights[k + 1]);
+            let [before, after] = match s.corner {
+                Some(corner) => {
+                    // Dwell point, cosine to the corner, plateau b | b, cosine, dwell point:
+                    // (l/2 - b) (d + d_c)/2 + b d_c
+                    let weights = corner_weights(s.length, next.length);
+                    let half = |length: f64, own: usize| {
+                        let rest = 0.5 * length - corner.half_length_mm;
+                        let at_corner = 0.5 * rest + corner.half_length_mm;
+                        let mut weight = weights.map(|w| w * at_corner);
+                        weight[own] += 0.5 * rest;
+                        weight
+                    };
+                    [half(s.length, 0), half(next.length, 1)]
+                }
+                None => {
+                    // Cut at x = l/2 / L: integral of (1) to x, L (M2 x/2 - M1/(2 pi) sin(pi x))
+                    let length = 0.5 * (s.length + next.length);
+                    let x = 0.5 * s.length / length;
+                    let swing = (PI * x).sin() / PI;
+                    let first = [0.5 * length * (x + swing), 0.5 * length * (x - swing)];
+                    [first, [0.5 * length - first[0], 0.5 * length - first[1]]]
+                }
+            };
+            rows[k][1] += before[0];
+            rows[k][2] += before[1];
+            rows[k + 1][0] += after[0];
+            rows[k + 1][1] += after[1];
+        }
+        // A density that falls too low is held, and its row given up; the others stay exact.
+        let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
+        let mut held = vec![false; n];
+        loop {
+            // Every row is diagonally dominant, at least weakly.
+            let d = tridiagonal::solve(n, |k| match held[k] {
+                true => Row::held(least[k]),
+                false => Row { elements: rows[k], right: times[k] },
+            });
+            let low: Vec<usize> =
+                (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
+            if low.is_empty() {
+                report.held_densities += held.iter().filter(|h| **h).count();
+                return d;
+            }
+            low.into_iter().for_each(|k| held[k] = true);
+        }
+    }
+
+    /// The piece from node k to the next one.
+    pub(super) fn piece(&self, k: usize) -> Limited {
+        let (a, b) = (&self.nodes[k], &self.nodes[k + 1]);
+        let (from, to) = (self.arc_length(k), self.arc_length(k + 1));
+        let length_mm = to - b.half_length_mm - (from + a.half_length_mm);
+        let straight = &self.straights[self.straight_of[k]];
+        // After a corner the direction is that of the next straight.
+        let straight = if a.half_length_mm > 0.0 {
+            &self.straights[self.straight_of[k] + 1]
+        } else {
+            straight
+        };
+        Limited {
+            shape: Piece { density_s_per_mm: [a.density, b.density], length_mm },
+            max_acceleration: straight.max_acceleration,
+        }
+    }
+
+    pub(super) fn pieces(&self) -> impl Iterator<Item = Limited> + '_ {
+        (1..self.nodes.len()).map(|k| self.piece(k - 1))
+    }
+
+    /// Arc length of node k from the start of the pass; that of a corner is its middle.
+    fn arc_length(&self, k: usize) -> f64 {
+        let s = &self.straights[self.straight_of[k]];
+        let part = if self.nodes[k].half_length_mm > 0.0 { s.length } else { 0.5 * s.length };
+        s.arc_length - self.straights[0].arc_length + part
+    }
+
+    fn standing(&self) -> State {
+        State { position_mm: self.start_mm, velocity_mm_per_s: [0.0; 2] }
+    }
+
+    pub(super) fn start(&self) -> State {
+        let s = self.straights.first().zip(self.nodes.first());
+        s.map_or_else(
+            || self.standing(),
+            |(s, n)| State {
+                position_mm: s.start,
+                velocity_mm_per_s: s.direction.map(|u| u / n.density),
+            },
+        )
+    }
+
+    pub(super) fn end(&self) -> State {
+        let s = self.straights.last().zip(self.nodes.last());
+        s.map_or_else(
+            || self.standing(),
+            |(s, n)| State {
+                position_mm: [0, 1].map(|a| s.start[a] + s.direction[a] * s.length),
+                velocity_mm_per_s: s.direction.map(|u| u / n.density),
+            },
+        )
+    }
+
+    /// Time of the pass, s.
+    pub(super) fn duration_s(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else { return 0.0 };
+        let half = |s: &Straight| 0.5 * s.length;
+        let plateaus: f64 = self.nodes.iter().map(|n| 2.0 * n.half_length_mm * n.density).sum();
+        half(&self.straights[0]) * first.density
+            + half(&self.straights[self.straights.len() - 1]) * last.density
+            + plateaus
+            + self.pieces().map(|p| p.shape.duration_s()).sum::<f64>()
+    }
+}
+
+/// Weights of the dwell points before and after it in the density of a corner: the nearer has more.
+fn corner_weights(before: f64, after: f64) -> [f64; 2] {
+    [after / (before + after), before / (before + after)]
+}
+
+/// Nodes of all passes that have a length: start, dwell points, three for every corner, end.
+pub(super) fn density_of(
+    path: &ToolPath,
+    passes: &[Pass],
+) -> Result<Option<DwellDensity>, Invalid> {
+    let mut nodes = DensityNodes::default();
+    for (number, pass) in passes.iter().filter(|p| !p.straights.is_empty()).enumerate() {
+        let mut push = |straight: &Straight, along: f64, density: f64, is_corner: bool| {
+            let at = [0, 1].map(|a| straight.start[a] + straight.direction[a] * along);
+            nodes.arc_length_mm.push(straight.arc_length + along);
+            nodes.dwell_density_s_per_mm.push(density);
+            nodes.point_mm.push(at);
+            nodes.pass_idx.push(number as i64);
+            nodes.corner.push(is_corner);
+        };
+        let (first, last) = (&pass.straights[0], &pass.straights[pass.straights.len() - 1]);
+        push(first, 0.0, pass.nodes[0].density, false);
+        for (node, k) in pass.nodes.iter().zip(&pass.straight_of) {
+            let (straight, b) = (&pass.straights[*k], node.half_length_mm);
+            if b == 0.0 {
+                push(straight, 0.5 * straight.length, node.density, false);
+            } else {
+                push(straight, straight.length - b, node.density, false);
+                push(straight, straight.length, node.density, true);
+                push(&pass.straights[*k + 1], b, node.density, false);
+            }
+        }
+        push(last, last.length, pass.nodes[pass.nodes.len() - 1].density, false);
+    }
+    debug_assert!(nodes.arc_length_mm.len() <= 6 * path.len());
+    if nodes.arc_length_mm.is_empty() { Ok(None) } else { DwellDensity::new(nodes).map(Some) }
+}

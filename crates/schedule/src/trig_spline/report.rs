@@ -1,0 +1,50 @@
+//! What was done to the densities and to the motion.
+
+use serde::Serialize;
+
+/// What was done.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Passes: maximal runs of segments with the tool on.
+    pub passes: usize,
+    /// Smallest density before the repair, s/mm.
+    pub smallest_density_s_per_mm: f64,
+    /// Offset that the largest velocity asks for, s/mm.
+    pub feed_offset_s_per_mm: f64,
+    /// What the largest acceleration asks for in addition, s/mm.
+    pub acceleration_offset_s_per_mm: f64,
+    /// Time that the offset added, s.
+    pub offset_added_s: f64,
+    /// Nodes that a local repair raised.
+    pub raised_nodes: usize,
+    /// Dwell points whose density was held at half of its mean: their neighbours differ too much.
+    pub held_densities: usize,
+    /// Time that holding them added, s.
+    pub held_added_s: f64,
+    /// Changes of direction with the tool on, each rounded by a parabola.
+    pub corners: usize,
+    /// Corners at which the tool moves slower than the dwell times ask for.
+    pub slowed_corners: usize,
+    /// Time that slowing at corners added, braking and accelerating included, s.
+    pub corner_added_s: f64,
+    /// Largest distance of the motion from a corner, mm.
+    pub largest_corner_deviation_mm: f64,
+    /// Links with the tool off: lifts, run-ups and the last brake.
+    pub links: usize,
+    /// Time of the links, s.
+    pub link_s: f64,
+    /// Zero-length segments whose time went to their neighbours, in order.
+    pub moved_dwell: Vec<usize>,
+    /// Segments without length and dwell time, left out.
+    pub dropped: Vec<usize>,
+    /// Pieces whose motion could not be proven at first, and were evened out; see step 6.
+    pub evened_pieces: usize,
+    /// Offset of all densities that the proof asked for in the end, s/mm.
+    pub proof_offset_s_per_mm: f64,
+    /// Largest feedrate over its limit along the path, exact.
+    pub feed_use: f64,
+    /// Largest acceleration along the path over its limit, exact, by (3).
+    pub acceleration_use: f64,
+    /// Largest error of the fitted position at 9 points of every cubic, mm.
+    pub fit_error_mm: f64,
+}

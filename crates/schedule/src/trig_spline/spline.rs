@@ -1,0 +1,259 @@
+//! The pieces of the spline, equations (1) to (3) of [`super`], and what raising their densities does to
+//! their acceleration.
+
+use std::f64::consts::PI;
+
+/// Bisections of a density: 2^-60 of the interval is its rounding.
+const BISECTIONS: usize = 60;
+
+/// One piece of the spline, (1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece {
+    /// Densities at its ends, s/mm; > 0.
+    pub density_s_per_mm: [f64; 2],
+    /// Length, mm; > 0.
+    pub length_mm: f64,
+}
+
+impl Piece {
+    fn sum(&self) -> f64 {
+        self.density_s_per_mm[0] + self.density_s_per_mm[1]
+    }
+
+    fn difference(&self) -> f64 {
+        self.density_s_per_mm[1] - self.density_s_per_mm[0]
+    }
+
+    /// e = M1/M2, in (-1, 1).
+    pub fn eccentricity(&self) -> f64 {
+        self.difference() / self.sum()
+    }
+
+    /// T = L M2/2, s.
+    pub fn duration_s(&self) -> f64 {
+        0.5 * self.length_mm * self.sum()
+    }
+
+    /// (1) at the part `x` of the length, s/mm.
+    pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
+        // Half-angle form: no density below the smaller of the two by rounding.
+        let [d1, d2] = self.density_s_per_mm;
+        let (sine, cosine) = ((0.5 * PI * x).sin(), (0.5 * PI * (1.0 - x)).sin());
+        d1 * cosine * cosine + d2 * sine * sine
+    }
+
+    /// (2): the time between the parts `from` and `to` of the length, s, to rounding of itself: where the
+    /// densities of the ends differ by orders of magnitude, a difference of two times of (2) leaves
+    /// no digit of a short one.
+    pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
+        // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
+        //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
+        //   of cos^2(pi x/2):  the same with 1 - m
+        let [d1, d2] = self.density_s_per_mm;
+        let theta = 0.5 * PI * (to - from);
+        let excess = angle_less_sine(theta);
+        let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * theta.sin()) / PI;
+        let (m, rest) = (0.5 * (from + to), 0.5 * ((1.0 - from) + (1.0 - to)));
+        self.length_mm * (d1 * part(rest) + d2 * part(m))
+    }
+
+    /// (2) inverted: the part of the length at the part `m` of the time, by Newton's method kept in
+    /// a bracket by bisection.
+    pub fn progress(&self, m: f64) -> f64 {
+        let e = self.eccentricity();
+        let (mut low, mut high) = (0.0, 1.0);
+        let mut x = m.clamp(0.0, 1.0);
+        for _ in 0..60 {
+            // f = x - e/pi sin(pi x) - m,  f' = 1 - e cos(pi x) > 0
+            let f = x - e / PI * (PI * x).sin() - m;
+            if f.abs() <= f64::EPSILON {
+                break;
+            }
+            if f > 0.0 {
+                high = x
+            } else {
+                low = x
+            }
+            let next = x - f / (1.0 - e * (PI * x).cos());
+            x = if next > low && next < high { next } else { 0.5 * (low + high) };
+        }
+        x
+    }
+
+    /// (3), mm/s^2.
+    pub fn peak_acceleration(&self) -> f64 {
+        let r = self.eccentricity().abs();
+        let [d1, d2] = self.density_s_per_mm;
+        // (3) where 1 - r, 1 + r c and 1 + c would cancel: q = 1 - r = 2 min(d)/M2, s^2 = 1 + 24 r^2,
+        //   1 + r c = 6 q (1 + r)/(5 + s),    1 - |c| = 2 q/(1 + s + 4 r)
+        let q = 2.0 * d1.min(d2) / self.sum();
+        let s = (1.0 + 24.0 * r * r).sqrt();
+        let below_one = 2.0 * q / (1.0 + s + 4.0 * r);
+        let slowest = self.sum() * (6.0 * q * (1.0 + r) / (5.0 + s));
+        // 1 - c^2 = (1 - |c|) (1 + |c|); M2^3 (1 + r c)^3 by factors, which neither under- nor overflow
+        let sine = (below_one * (2.0 - below_one)).sqrt();
+        4.0 * PI * r * sine * (self.sum() / slowest) / (self.length_mm * slowest * slowest)
+    }
+
+    fn raised(&self, by: [f64; 2]) -> Self {
+        let [d1, d2] = self.density_s_per_mm;
+        Self { density_s_per_mm: [d1 + by[0], d2 + by[1]], ..*self }
+    }
+}
+
+/// x - sin x for 0 <= x <= pi/2 to rounding of itself.
+fn angle_less_sine(x: f64) -> f64 {
+    if x > 0.5 {
+        return x - x.sin();
+    }
+    // x^3/3! - x^5/5! + ...; 0.5^18/19! is below rounding.
+    let x2 = x * x;
+    let (mut term, mut sum) = (x * x2 / 6.0, 0.0);
+    for k in 1..=8 {
+        sum += term;
+        term *= -x2 / f64::from((2 * k + 2) * (2 * k + 3));
+    }
+    sum
+}
+
+/// A piece with what the machine allows along it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limited {
+    pub(super) shape: Piece,
+    /// Along the path, mm/s^2; the margin is taken off.
+    pub(super) max_acceleration: f64,
+}
+
+impl Limited {
+    pub(super) fn is_too_fast(&self, by: [f64; 2]) -> bool {
+        self.shape.raised(by).peak_acceleration() > self.max_acceleration
+    }
+
+    /// The smallest offset >= `offset` that keeps the acceleration. Raising both densities by the
+    /// same amount leaves D' and raises D: |D'|/D^3 falls.
+    pub(super) fn offset(&self, offset: f64) -> f64 {
+        if !self.is_too_fast([offset; 2]) {
+            return offset;
+        }
+        // min(d) + delta >= (pi |M1| / (2 L a))^(1/3) is sufficient: |D'| <= pi |M1| / (2 L).
+        let slope = 0.5 * PI * self.shape.difference().abs() / self.shape.length_mm;
+        let bound = (slope / self.max_acceleration).cbrt();
+        bisect(offset, offset.max(bound), |by| !self.is_too_fast([by; 2]))
+    }
+
+    /// How much the smaller density at the end `which` must grow at least. It lowers |D'| and
+    /// raises D everywhere; at equal densities there is no acceleration.
+    pub(super) fn raise(&self, which: usize) -> f64 {
+        let by = |amount: f64| if which == 0 { [amount, 0.0] } else { [0.0, amount] };
+        let all = self.shape.difference().abs();
+        if !self.is_too_fast([0.0; 2]) {
+            return 0.0;
+        }
+        bisect(0.0, all, |amount| !self.is_too_fast(by(amount)))
+    }
+}
+
+/// The smallest value in (low, high] that is `good`; `high` is, and everything above a good value.
+fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if good(middle) { high = middle } else { low = middle }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(d1: f64, d2: f64, length_mm: f64) -> Piece {
+        Piece { density_s_per_mm: [d1, d2], length_mm }
+    }
+
+    #[test]
+    fn the_peak_of_the_acceleration_is_exact() {
+        let p = piece(0.02, 0.05, 0.2);
+        assert!((p.peak_acceleration() - 11_658.766).abs() < 5e-4, "{}", p.peak_acceleration());
+        // a = d(1/D)/dt = -D'/D^3 from differences of (1); the largest of 1e5 samples.
+        let (n, step) = (100_000, 1e-6);
+        let v = |x: f64| 1.0 / p.density_s_per_mm_at(x);
+        let largest = (1..n)
+            .map(|i| {
+                let x = f64::from(i) / f64::from(n);
+                // a = v dv/ds
+                v(x) * (v(x + step) - v(x - step)) / (2.0 * step * p.length_mm)
+            })
+            .fold(0.0, |m: f64, a| m.max(a.abs()));
+        assert!((largest / p.peak_acceleration() - 1.0).abs() < 1e-7, "{largest}");
+        assert_eq!(piece(0.3, 0.3, 1.0).peak_acceleration(), 0.0);
+        // The same backwards; (3) depends on |M1|.
+        assert_eq!(piece(0.05, 0.02, 0.2).peak_acceleration(), p.peak_acceleration());
+    }
+
+    #[test]
+    fn time_is_the_integral_of_the_density_and_is_inverted() {
+        // Kepler's equation at M/pi = 0.3.
+        assert!((piece(0.02, 0.05, 0.2).eccentricity() - 3.0 / 7.0).abs() < 1e-15);
+        assert!((piece(0.02, 0.05, 0.2).progress(0.3) - 0.433_447_626_1).abs() < 1e-10);
+        assert!((piece(0.3, 0.1, 1.0).progress(0.3) - 0.204_600_118_2).abs() < 1e-10);
+        for (d1, d2) in [(1.0, 1.0), (1.0, 3.0), (5.0, 1e-3), (1e-3, 1.999), (1.999, 1e-3)] {
+            let p = piece(d1, d2, 0.7);
+            let n = 1000;
+            // Simpson's rule, exact to rounding for a cosine at this step.
+            let mut t = 0.0;
+            for i in 0..n {
+                let x = |k: f64| (f64::from(i) + k) / f64::from(n);
+                let d = |k: f64| p.density_s_per_mm_at(x(k));
+                t += 0.7 / f64::from(n) * (d(0.0) + 4.0 * d(0.5) + d(1.0)) / 6.0;
+                assert!(
+                    (t - p.elapsed_s(0.0, x(1.0))).abs() < 1e-12 * p.duration_s(),
+                    "{d1} {d2} {i}"
+                );
+                // The residual of the equation; its inverse may be ill-conditioned.
+                let m = p.progress(x(1.0));
+                let found = p.elapsed_s(0.0, m) / p.duration_s();
+                assert!((found - x(1.0)).abs() < 1e-15, "{d1} {d2}: {found} {}", x(1.0));
+            }
+        }
+    }
+
+    #[test]
+    fn the_repair_is_the_smallest_and_idempotent() {
+        let p = Limited { shape: piece(0.02, 0.05, 0.2), max_acceleration: 2000.0 };
+        let offset = p.offset(0.0);
+        // The bound of the source with its corrected coefficient: min(d) >= 0.0490223.
+        assert!(offset > 0.0 && offset <= 0.049_022_3 - 0.02, "{offset}");
+        let peak = |by: f64| p.shape.raised([by; 2]).peak_acceleration();
+        assert!(peak(offset) <= 2000.0 && peak(offset - 1e-12) > 2000.0);
+        let repaired = Limited { shape: p.shape.raised([offset; 2]), ..p };
+        assert_eq!(repaired.offset(0.0), 0.0);
+        let raise = p.raise(0);
+        assert!(p.shape.raised([raise, 0.0]).peak_acceleration() <= 2000.0);
+        assert!(p.shape.raised([raise - 1e-12, 0.0]).peak_acceleration() > 2000.0);
+    }
+
+    #[test]
+    fn short_times_and_small_densities_keep_their_digits() {
+        // Densities 1e9 apart: near the small one D = d1 + d2 sin^2(pi x/2), and over a part w of
+        // the length the time is L (d1 w + d2 pi^2 w^3/12) to w^2.
+        let (d1, d2) = (1e-3, 1e6);
+        let w = 2.0_f64.powi(-20);
+        let expected = 3.0 * (d1 * w + d2 * PI * PI * w.powi(3) / 12.0);
+        let there = piece(d1, d2, 3.0).elapsed_s(0.0, w);
+        // The next term, (pi w/2)^2/5 of the last one, is 1e-12 of the whole.
+        assert!((there / expected - 1.0).abs() < 1e-11, "{there} {expected}");
+        assert_eq!(piece(d2, d1, 3.0).elapsed_s(1.0 - w, 1.0), there);
+        // The parts of a part, from both ends of the cancellation in `angle_less_sine`.
+        for (from, to) in [(0.0, 0.25), (0.1, 0.9), (0.3, 0.31), (0.25, 1.0)] {
+            let p = piece(d1, d2, 3.0);
+            let parts = p.elapsed_s(from, 0.5 * (from + to)) + p.elapsed_s(0.5 * (from + to), to);
+            assert!((p.elapsed_s(from, to) / parts - 1.0).abs() < 1e-14, "{from} {to}");
+        }
+        // (3) for d1/d2 -> 0 at x = pi X/2 sqrt(d2/d1): D = d1 (1 + x^2), a ~ x/(1 + x^2)^3 is
+        // largest at x^2 = 1/5: a = pi sqrt(d2/d1) sqrt(1/5) (5/6)^3 / (L d1^2).
+        let a = PI * (d2 / d1).sqrt() * 0.2_f64.sqrt() * (5.0_f64 / 6.0).powi(3) / (3.0 * d1 * d1);
+        let peak = piece(d1, d2, 3.0).peak_acceleration();
+        // To the order d1/d2.
+        assert!((peak / a - 1.0).abs() < 1e-8, "{peak} {a}");
+    }
+}
