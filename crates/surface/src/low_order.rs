@@ -140,6 +140,10 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
             format!("give at most {MAX_ORDER}"),
         ));
     }
+    if settings.circle.is_some() && settings.family != Family::Zernike {
+        let problem = "has no use without zernike terms";
+        return Err(Invalid::whole("zernike circle", problem, "leave it out"));
+    }
     let map = surface.height_nm();
     let valid_area_mm2 = surface.statistics().valid_count as f64 * grid.pixel_mm2();
     let [x_mm, y_mm] = bounding_box_mm(map, grid);
