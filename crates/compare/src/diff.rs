@@ -7,6 +7,7 @@
 //! over the elements that are not NaN in both. NaN against a number is an infinite difference.
 
 use ndarray::{ArrayD, Dimension};
+use planish_types::Invalid;
 
 /// The elements of an array.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,6 +40,21 @@ impl Difference {
             ),
         }
     }
+}
+
+/// Which of the differences, each with the name of its arrays, are larger than `tolerance`; `None` when
+/// none is.
+pub fn beyond(found: &[(String, Difference)], tolerance: f64) -> Result<Option<String>, Invalid> {
+    if tolerance.is_nan() || tolerance < 0.0 {
+        let remedy = "give a number that is not negative";
+        return Err(Invalid::whole("tolerance", format!("is {tolerance}"), remedy));
+    }
+    let beyond: Vec<String> = found
+        .iter()
+        .filter(|(_, difference)| difference.largest > tolerance)
+        .map(|(name, difference)| format!("{name} by {:e}", difference.largest))
+        .collect();
+    Ok((!beyond.is_empty()).then(|| format!("above {tolerance:e}: {}", beyond.join(", "))))
 }
 
 /// Compares two arrays; the message of an error says why they cannot be compared.
