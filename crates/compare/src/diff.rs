@@ -134,6 +134,19 @@ mod tests {
     }
 
     #[test]
+    fn what_is_beyond_the_tolerance_is_named() {
+        let one = |v: f64| Elements::Float(array![v].into_dyn());
+        let named = |name: &str, b| (name.to_string(), difference(&one(0.0), &one(b)).unwrap());
+        let found = [named("near", 0.5), named("far", 2.0)];
+        assert_eq!(beyond(&found, 2.0), Ok(None));
+        assert_eq!(beyond(&found, 1.0), Ok(Some("above 1e0: far by 2e0".into())));
+        for wrong in [-1.0, NAN] {
+            let message = beyond(&found, wrong).unwrap_err().to_string();
+            assert!(message.contains(&format!("tolerance: is {wrong}")), "{message}");
+        }
+    }
+
+    #[test]
     fn nan_against_a_number_is_infinitely_far() {
         let one = |v: f64| Elements::Float(array![v].into_dyn());
         let d = |a, b| difference(&one(a), &one(b)).unwrap().largest;

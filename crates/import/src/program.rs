@@ -208,6 +208,15 @@ mod tests {
     }
 
     #[test]
+    fn what_is_given_goes_before_the_file_beside_the_program() {
+        let given = Configuration { count_mm: Some([0.5; 2]), ..Configuration::default() };
+        let about = Configuration { program_blake3: Some("ab".into()), ..configuration() };
+        let both = Configuration { count_mm: Some([0.5; 2]), ..about.clone() };
+        assert_eq!(given.completed_by(about.clone()), both);
+        assert_eq!(Configuration::default().completed_by(about.clone()), about);
+    }
+
+    #[test]
     fn the_same_move_in_every_language() {
         let read = |c, text: &str| read(c, text.as_bytes(), &configuration()).unwrap();
         let galil = "' a comment\nPVA=0,0,-1;PVB=0,0,-1\nPVA=1000,0,100\nPVB=0,0,100\nBTAB\n\

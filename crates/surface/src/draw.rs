@@ -265,7 +265,10 @@ mod tests {
         let at = |y| maps_svg(&panels, &MapsSettings { section_y_mm: Some(y), ..settings() });
         assert!(at(0.0).is_ok() && at(5.0).is_ok());
         let message = at(5.1).unwrap_err().to_string();
-        assert!(message.contains("section_y_mm: is 5.1") && message.contains("0 to 2 mm"), "{message}");
+        assert!(
+            message.contains("section_y_mm: is 5.1") && message.contains("0 to 2 mm"),
+            "{message}"
+        );
     }
 
     #[test]

@@ -429,6 +429,24 @@ mod tests {
     }
 
     #[test]
+    fn a_raster_of_one_line_is_told_and_a_usual_turn_can_be_driven() {
+        let surface = map(41, 41, |_, _| true);
+        for (pitch_mm, told) in [(5.0, 0), (30.0, 1)] {
+            let settings = settings(pitch_mm, 1.0, 0.0);
+            let path = raster(&surface, &settings).unwrap();
+            assert_eq!(settings.warnings(&path).len(), told, "{pitch_mm}");
+        }
+        for order in [LineOrder::Sequential, LineOrder::BiStep, LineOrder::Random { seed: 2 }] {
+            for one_directional in [false, true] {
+                let turn = Turn::usual(order, one_directional);
+                let settings =
+                    RasterSettings { turn, order, one_directional, ..settings(5.0, 1.0, 0.0) };
+                assert!(raster(&surface, &settings).is_ok(), "{settings:?}");
+            }
+        }
+    }
+
+    #[test]
     fn the_published_node_pattern_comes_back_exactly() {
         // The reference raster: 26 lines 1 mm apart, nodes at x = -5, -4, .. 97, here on a map
         // whose width is a whole number of mm. The published one starts at the largest y.

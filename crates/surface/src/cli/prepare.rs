@@ -156,7 +156,7 @@ impl PrepareArgs {
                 Begin::Unchanged(status) => return Ok(status),
                 Begin::Run(output) => output,
             };
-        let prepared = prepare(&surface, &settings).map_err(Failure::with_flags)?;
+        let prepared = prepare(&surface, &settings)?;
         let report = &prepared.report;
         output.write(&prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
         let (rows, columns) = report.after.shape;
