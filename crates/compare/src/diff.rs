@@ -7,6 +7,7 @@
 //! over the elements that are not NaN in both. NaN against a number is an infinite difference.
 
 use ndarray::{ArrayD, Dimension};
+use planish_types::Invalid;
 
 /// The elements of an array.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,6 +40,21 @@ impl Difference {
             ),
         }
     }
+}
+
+/// Which of the differences, each with the name of its arrays, are larger than `tolerance`; `None` when
+/// none is.
+pub fn beyond(found: &[(String, Difference)], tolerance: f64) -> Result<Option<String>, Invalid> {
+    if tolerance.is_nan() || tolerance < 0.0 {
+        let remedy = "give a number that is not negative";
+        return Err(Invalid::whole("tolerance", format!("is {tolerance}"), remedy));
+    }
+    let beyond: Vec<String> = found
+        .iter()
+        .filter(|(_, difference)| difference.largest > tolerance)
+        .map(|(name, difference)| format!("{name} by {:e}", difference.largest))
+        .collect();
+    Ok((!beyond.is_empty()).then(|| format!("above {tolerance:e}: {}", beyond.join(", "))))
 }
 
 /// Compares two arrays; the message of an error says why they cannot be compared.
@@ -115,6 +131,19 @@ mod tests {
         assert!(d.line("z").contains("z: largest difference 2e0 at [1, 2] (A 6, B 4), RMS"));
         let d = difference(&a, &a).unwrap();
         assert_eq!((d.largest, d.rms, d.line("z").as_str()), (0.0, 0.0, "z: equal"));
+    }
+
+    #[test]
+    fn what_is_beyond_the_tolerance_is_named() {
+        let one = |v: f64| Elements::Float(array![v].into_dyn());
+        let named = |name: &str, b| (name.to_string(), difference(&one(0.0), &one(b)).unwrap());
+        let found = [named("near", 0.5), named("far", 2.0)];
+        assert_eq!(beyond(&found, 2.0), Ok(None));
+        assert_eq!(beyond(&found, 1.0), Ok(Some("above 1e0: far by 2e0".into())));
+        for wrong in [-1.0, NAN] {
+            let message = beyond(&found, wrong).unwrap_err().to_string();
+            assert!(message.contains(&format!("tolerance: is {wrong}")), "{message}");
+        }
     }
 
     #[test]

@@ -18,8 +18,8 @@ use planish_compare::{
 };
 use planish_handoff::{
     Arrays, Artifact, Failure, Inputs,
-    artifact::{MANIFEST, Manifest},
-    kind::{self, Dtype, Kind},
+    artifact::Manifest,
+    kind::{self, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
 };
 use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory};

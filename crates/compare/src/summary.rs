@@ -296,6 +296,18 @@ impl Summary {
     }
 }
 
+/// Why there is no plan to recommend without reserve in some of the runs, each with its name; `None` when
+/// there is one in each.
+pub fn negative(runs: &[(&str, &Summary)]) -> Option<String> {
+    let several = runs.len() > 1;
+    let named = runs.iter().flat_map(|(name, summary)| {
+        let whose = if several { format!("{name}: ") } else { String::new() };
+        summary.reserves().into_iter().map(move |reserve| format!("{whose}{reserve}"))
+    });
+    let reserves: Vec<String> = named.collect();
+    (!reserves.is_empty()).then(|| reserves.join("; "))
+}
+
 /// `summary.json`: the summary itself for one run, `{"runs": [...]}` for several.
 pub fn to_json(summaries: &[Summary]) -> Value {
     match summaries {

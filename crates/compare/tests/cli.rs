@@ -326,8 +326,8 @@ fn diff_refuses_what_cannot_be_compared() {
         ("dwell", "pipe", "1", "dwell_s.npy: is not a file"),
         ("dwell", "nowhere", "1", "nowhere: cannot read"),
         ("report", "report", "1", "holds no .npy file"),
-        ("two", "two", "-1", "--tolerance is -1"),
-        ("two", "two", "nan", "--tolerance is NaN"),
+        ("two", "two", "-1", "tolerance: is -1"),
+        ("two", "two", "nan", "tolerance: is NaN"),
     ] {
         let run = diff(a, b, tolerance);
         assert_eq!(run.status.code(), Some(2), "{a} {b}: {run:?}");

@@ -55,7 +55,7 @@ pub enum DwellError {
     },
     /// The normal equations are not positive definite.
     #[error(
-        "the dwell times are not determined by the surface; raise --tikhonov (now {tikhonov}) above 0"
+        "the dwell times are not determined by the surface; raise `tikhonov` (now {tikhonov}) above 0"
     )]
     Singular {
         /// Regularisation that was used.

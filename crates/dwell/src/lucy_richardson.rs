@@ -130,6 +130,19 @@ pub struct Report {
     pub pixels_per_cell: usize,
 }
 
+impl Report {
+    /// Why the verdict is negative, where the end is not what was asked for.
+    pub fn negative(&self, settings: &Settings) -> Option<String> {
+        (self.end == End::IterationLimit).then(|| {
+            format!(
+                "not settled: after {} steps ten more still lower the RMS by more than {} of it; give \
+                 `accelerated`, a larger `tolerance`, or `max_iterations` to stop there on purpose",
+                self.iterations, settings.tolerance
+            )
+        })
+    }
+}
+
 /// A dwell point below this fraction of the largest `B' w` stays at the floor.
 const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 
@@ -168,7 +181,7 @@ fn check_size(settings: &Settings) -> Result<(), DwellError> {
         _ => return Ok(()),
     };
     let remedy =
-        format!("give a number from 1 to {MAX_SQUARE_PIXELS} with --unknowns map, or none");
+        format!("give a number from 1 to {MAX_SQUARE_PIXELS} with `unknowns` map, or none");
     Err(planish_types::Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 

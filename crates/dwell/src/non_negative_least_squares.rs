@@ -56,6 +56,18 @@ pub struct Report {
     pub kkt_residual_s: f64,
 }
 
+impl Report {
+    /// Why the verdict is negative, where the end is not what was asked for.
+    pub fn negative(&self) -> Option<String> {
+        (self.end != End::Optimal).then(|| {
+            format!(
+                "not converged after {} changes: a dwell time would still move by {:.1e} s",
+                self.iterations, self.kkt_residual_s
+            )
+        })
+    }
+}
+
 /// Solves (1); at most 6000 dwell points.
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("tikhonov", settings.tikhonov, |a| a >= 0.0, "give a number >= 0")?;

@@ -24,7 +24,10 @@
 
 use ndarray::{Array2, ArrayView2, Axis, Zip};
 use planish_numerics::statistics;
-use planish_types::{DwellTime, Invalid, Surface, Tif, ToolPath};
+use planish_types::{
+    DwellTime, Invalid, Surface, Tif, ToolPath,
+    plausible::{self, Rms},
+};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -54,6 +57,16 @@ pub struct Problem<'a> {
     pub columns: Columns,
     /// Floor of the dwell times.
     pub min_dwell: Bound,
+}
+
+/// The map before the plan, where it counts.
+pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
+    let Some(weight) = weight else { return Rms::of(desired) };
+    let mut height = desired.height_nm().clone();
+    // Whether the shapes agree is for the solver to say.
+    height.iter_mut().zip(weight).filter(|(_, w)| **w == 0.0).for_each(|(z, _)| *z = f64::NAN);
+    let counted = Surface::new(*desired.grid(), height);
+    counted.map_or_else(|_| Rms::of(desired), |surface| Rms::of(&surface))
 }
 
 /// Dwell times, what they do, and what the solver has to say.
@@ -86,6 +99,15 @@ pub struct Outcome {
     pub unreached_pixels: usize,
     /// Mean removal by the floor alone, nm.
     pub floor_removal_nm: f64,
+}
+
+impl Outcome {
+    /// Why the dwell times are no plan although the solver ended well, where they are none: they leave more
+    /// than the map `before` them, say.
+    pub fn drawback(&self, before: Rms) -> Option<String> {
+        let after = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
+        plausible::drawback(before, after, self.total_time_s)
+    }
 }
 
 /// A problem made ready: (1) and the operator.

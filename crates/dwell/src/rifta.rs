@@ -82,11 +82,21 @@ pub struct Report {
     pub map_rms_nm: f64,
 }
 
+impl Report {
+    /// Why the verdict is negative, where the end is not what was asked for.
+    pub fn negative(&self) -> Option<String> {
+        (self.end == End::LiftLimit).then(|| {
+            "not settled: every lift of the map that is allowed was taken, and another would lower the RMS"
+                .to_string()
+        })
+    }
+}
+
 /// Solves by (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     let Settings { margin_tolerance_nm, piston_tolerance_nm, .. } = *settings;
-    check("margin_tolerance", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
-    check("piston_tolerance", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
+    check("margin_tolerance_nm", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
+    check("piston_tolerance_nm", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::for_map(problem)?;

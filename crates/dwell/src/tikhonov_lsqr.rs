@@ -86,6 +86,20 @@ pub struct Report {
     pub clipped: usize,
 }
 
+impl Report {
+    /// Why the verdict is negative, where the end is not what was asked for.
+    pub fn negative(&self) -> Option<String> {
+        if !self.noise_reached {
+            let least = self.searched_rms_nm.iter().copied().fold(f64::INFINITY, f64::min);
+            Some(format!("the least residual of the search is {least:.4} nm RMS, above the noise"))
+        } else if self.end != End::Converged {
+            Some(format!("not converged after {} steps of LSQR", self.iterations))
+        } else {
+            None
+        }
+    }
+}
+
 /// Relative dampings of the search: smallest, largest and number. With eight per decade the residual moves
 /// by less than a percent from one to the next.
 const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
@@ -96,7 +110,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     match settings.damping {
         Damping::Relative(d) => check("damping", d, positive, "give a number > 0")?,
         Damping::Discrepancy(noise) => {
-            check("noise", noise, positive, "give the noise of the map in nm, > 0")?;
+            check("noise_rms_nm", noise, positive, "give the noise of the map in nm, > 0")?;
         }
         Damping::LCurve => {}
     }

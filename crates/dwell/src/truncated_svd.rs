@@ -66,6 +66,14 @@ pub struct Report {
     pub clipped: usize,
 }
 
+impl Report {
+    /// Why the verdict is negative, where the end is not what was asked for.
+    pub fn negative(&self) -> Option<String> {
+        (self.end != End::Converged)
+            .then(|| format!("not converged after {} steps; raise `max_iterations`", self.steps))
+    }
+}
+
 /// Computes (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("cut", settings.cut, |c| c > 0.0 && c < 1.0, "give a number between 0 and 1")?;

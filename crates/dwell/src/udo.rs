@@ -79,10 +79,22 @@ pub struct Report {
     pub rms_nm: Vec<f64>,
 }
 
+impl Report {
+    /// Why the verdict is negative, where the end is not what was asked for.
+    pub fn negative(&self, settings: &Settings) -> Option<String> {
+        let threshold_nm = settings.threshold_nm;
+        let last = self.rms_nm.last()?;
+        let is_missed =
+            self.end == End::IterationLimit || self.end == End::Stopped && threshold_nm > 0.0;
+        is_missed
+            .then(|| format!("the threshold of {threshold_nm} nm is not reached: {last:.4} nm RMS"))
+    }
+}
+
 /// Solves by (1) and (2).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     check("step", settings.step, |s| s > 0.0 && s <= 1.0, "give a number above 0 and at most 1")?;
-    check("threshold", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
+    check("threshold_nm", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
     check_steps(settings.max_iterations)?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let model = Model::new(problem)?;

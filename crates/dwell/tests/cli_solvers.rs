@@ -151,7 +151,7 @@ fn bad_flags_and_verdicts() {
     prepare(tmp.path());
     for (solver, code, expected) in [
         (&["udo", "--step=2"][..], 2, "step: is 2; give a number above 0"),
-        (&["rifta", "--margin-tolerance-nm=nan"], 2, "margin_tolerance: is NaN"),
+        (&["rifta", "--margin-tolerance-nm=nan"], 2, "margin_tolerance_nm: is NaN"),
         (&["lucy-richardson", "--min-dwell-s=30"], 2, "min_dwell[0]: is 30 s; the floor alone"),
         (&["lucy-richardson", "--pixels-per-cell=2"], 2, "pixels_per_cell: is 2, but the unknowns"),
         (&["lucy-richardson", "--unknowns=map", "--pixels-per-cell=0"], 2, "pixels_per_cell: is 0"),

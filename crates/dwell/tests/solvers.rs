@@ -767,7 +767,7 @@ fn bad_settings_are_refused_by_name() {
         .err(),
     ];
     let names =
-        ["total_variation", "margin", "margin_tolerance", "step", "damping", "cut", "tikhonov"];
+        ["total_variation", "margin", "margin_tolerance_nm", "step", "damping", "cut", "tikhonov"];
     for (message, name) in messages.into_iter().zip(names) {
         let message = message.unwrap().to_string();
         assert!(message.starts_with(&format!("{name}: is ")), "{message}");

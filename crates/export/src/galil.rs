@@ -106,7 +106,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
             if p.abs() > MOST_DISTANCE || v.abs() > MOST_VELOCITY {
                 let problem =
                     format!("{name}={p},{v},{t} is beyond 44000000 counts, 22000000 counts/s");
-                return Err(Invalid::at("segment", k, problem, "give a larger --count-mm"));
+                return Err(Invalid::at("segment", k, problem, "give a larger `count_mm`"));
             }
             text += &format!("{name}={p},{v:.0},{t}\n").replace(",-0,", ",0,");
         }

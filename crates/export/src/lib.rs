@@ -202,8 +202,8 @@ impl Job<'_> {
                             "is 0 somewhere; a {} program cannot switch the tool",
                             can.controller
                         );
-                        let remedy = "give --always-on (the tool then removes there too), or use gcode, csv, \
-                                      or pmac with --tool-output";
+                        let remedy = "give `always_on` (the tool then removes there too), or use gcode, csv, \
+                                      or pmac with `tool_output`";
                         return Err(Invalid::whole("tool_on", problem, remedy));
                     }
                     warnings.push(
@@ -216,7 +216,7 @@ impl Job<'_> {
         // A segment that is rounded up by a tick must still fit.
         let longest = (can.ticks[1] - 1) as f64 * can.tick_s;
         let (step_s, remedy) = match self.common.max_step_s {
-            Some(step_s) if step_s < longest => (step_s, "give a longer --max-step-s"),
+            Some(step_s) if step_s < longest => (step_s, "give a longer `max_step_s`"),
             _ => (longest, "give a larger tick"),
         };
         let table = Table::of(self.trajectory, step_s, remedy)?;

@@ -329,8 +329,8 @@ impl Peaks {
 #[derive(Default)]
 struct Worst(Option<(f64, Invalid)>);
 
-const REMEDY: &str = "schedule for this machine with planish-schedule pvt or constant-acceleration \
-                      --corners stop, and see planish-verify";
+const REMEDY: &str = "schedule for this machine with planish-schedule pvt or stop-at-corners, \
+                      and see planish-verify";
 
 impl Worst {
     fn add(&mut self, ratio: f64, make: impl FnOnce() -> Invalid) {

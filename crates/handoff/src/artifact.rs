@@ -15,17 +15,15 @@ use serde_json::Value;
 
 use crate::{
     HandoffError,
-    kind::{ArrayDef, Dtype, Kind},
+    kind::{ArrayDef, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
+    place::{is_absent, parent_of},
     publish,
 };
 
 /// Largest manifest that is read, bytes: what a method reports grows with the segments that it
 /// stretched, some hundred bytes each.
 const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
-
-/// Name of the manifest in an artifact directory.
-pub const MANIFEST: &str = "manifest.json";
 
 /// A noun that can be stored as a directory of arrays.
 pub trait Artifact: Sized {
@@ -192,7 +190,7 @@ pub struct Loaded<T> {
 
 /// Reads the artifact in `dir`; checks kind, version, dtypes, shapes, finiteness and hashes.
 pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
-    publish::finish_interrupted(&publish::parent_of(dir));
+    publish::finish_interrupted(&parent_of(dir));
     loop {
         // A directory that is replaced meanwhile is read as a mixture of the old and the new one,
         // which the hashes reveal: then it is read again.
@@ -282,11 +280,6 @@ fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     };
     let remedy = format!("give a {} directory (see docs/formats.md)", kind.name);
     Err(HandoffError::new(dir, format!("{problem}; {remedy}")))
-}
-
-/// Whether there is nothing of this name; a broken link or an unreadable file is something.
-fn is_absent(path: &Path) -> bool {
-    fs::symlink_metadata(path).is_err_and(|e| e.kind() == ErrorKind::NotFound)
 }
 
 /// The manifest in `dir`, checked against `kind`; `None` when there is none.
@@ -564,35 +557,4 @@ pub(crate) fn is_complete(dir: &Path, manifest: &Manifest) -> Result<bool, Hando
         found += 1;
     }
     Ok(found == known.len())
-}
-
-/// Refuses a directory with anything in it that no artifact of `kind` has: it would be lost.
-pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
-    let is_bare = is_absent(&dir.join(MANIFEST));
-    let entries = fs::read_dir(dir).map_err(|e| HandoffError::io(dir, "read", &e))?;
-    for entry in entries {
-        let entry = entry.map_err(|e| HandoffError::io(dir, "read", &e))?;
-        let name = entry.file_name();
-        let is_directory = entry.file_type().map_or(true, |t| t.is_dir());
-        if is_directory || !kind.file_names().any(|known| *known == *name) {
-            return Err(HandoffError::new(
-                dir,
-                format!(
-                    "holds {}, which no {} has; choose another --out",
-                    name.display(),
-                    kind.name
-                ),
-            ));
-        }
-        if is_bare {
-            return Err(HandoffError::new(
-                dir,
-                format!(
-                    "holds {} and no {MANIFEST}, so Planish did not write it; choose another --out",
-                    name.display()
-                ),
-            ));
-        }
-    }
-    Ok(())
 }

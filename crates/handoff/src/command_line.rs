@@ -76,6 +76,30 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
+/// The message of a library in the words of the command line: a setting that it names in backquotes, such as
+/// `pitch_mm`, is given by the flag of the same name, --pitch-mm.
+pub fn with_flags(message: &str) -> String {
+    let is_name = |word: &str| {
+        word.starts_with(|c: char| c.is_ascii_lowercase())
+            && word.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+    };
+    let (mut text, mut rest) = (String::new(), message);
+    while let Some((before, after)) = rest.split_once('`') {
+        text += before;
+        rest = match after.split_once('`') {
+            Some((name, behind)) if is_name(name) => {
+                text += &format!("--{}", name.replace('_', "-"));
+                behind
+            }
+            _ => {
+                text.push('`');
+                after
+            }
+        };
+    }
+    text + rest
+}
+
 /// The examples of the program, and [`ALSO`].
 fn after_help<C: CommandFactory>() -> String {
     let examples = C::command().get_after_help().map(ToString::to_string);
@@ -141,6 +165,25 @@ mod tests {
         assert_eq!(pair("-1, 2e3"), Ok([-1.0, 2000.0]));
         for wrong in ["", "1,", "1,2,3", "x"] {
             assert!(pair(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn settings_in_backquotes_are_flags() {
+        for (message, told) in [
+            ("give a larger `count_mm`", "give a larger --count-mm"),
+            ("`x` or `y`: both", "--x or --y: both"),
+            (
+                "raise `tikhonov` (now 0), or `smoothness`",
+                "raise --tikhonov (now 0), or --smoothness",
+            ),
+            // No settings: a quoted text, a single backquote, a command.
+            ("`Z map` has `tif", "`Z map` has `tif"),
+            ("in `My File` `pitch_mm` is 1", "in `My File` --pitch-mm is 1"),
+            ("`a`b`", "--ab`"),
+            ("", ""),
+        ] {
+            assert_eq!(with_flags(message), told, "{message}");
         }
     }
 

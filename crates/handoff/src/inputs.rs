@@ -12,9 +12,10 @@ use planish_types::{Limits, MachineFile};
 
 use crate::{
     HandoffError,
-    artifact::{self, Ancestor, Artifact, InputRecord, MANIFEST, Manifest, Seal},
-    kind::{Dtype, Kind},
+    artifact::{self, Ancestor, Artifact, InputRecord, Manifest, Seal},
+    kind::{Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
+    place::parent_of,
     publish,
     shell::warn,
 };
@@ -78,7 +79,7 @@ impl Inputs {
         dir: &Path,
         kind: &Kind,
     ) -> Result<Manifest, HandoffError> {
-        publish::finish_interrupted(&publish::parent_of(dir));
+        publish::finish_interrupted(&parent_of(dir));
         let (manifest, seal) = artifact::read_sealed_manifest(dir, kind)?.ok_or_else(|| {
             HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
         })?;
@@ -249,7 +250,7 @@ fn resolved(path: &Path) -> PathBuf {
         return whole;
     }
     match path.file_name() {
-        Some(name) => resolved(&publish::parent_of(path)).join(name),
+        Some(name) => resolved(&parent_of(path)).join(name),
         None => std::path::absolute(Path::new(".").join(path)).unwrap_or_else(|_| path.into()),
     }
 }

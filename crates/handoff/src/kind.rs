@@ -1,7 +1,8 @@
 //! What every artifact directory holds: the one table that readers, writers and
 //! `docs/formats.md` follow.
 
-use crate::artifact::MANIFEST;
+/// Name of the manifest in an artifact directory.
+pub const MANIFEST: &str = "manifest.json";
 
 /// Element type of a stored array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -66,13 +66,14 @@ pub mod kind;
 mod nouns;
 pub mod npy;
 mod output;
+mod place;
 mod publish;
 mod shell;
 pub mod words;
 
 pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest};
-pub use command_line::{pair, parse};
+pub use command_line::{pair, parse, with_flags};
 pub use inputs::Inputs;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;

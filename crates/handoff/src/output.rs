@@ -15,12 +15,13 @@ use serde_json::{Value, json};
 
 use crate::{
     HandoffError,
-    artifact::{self, Artifact, MANIFEST, Manifest},
+    artifact::{self, Artifact, Manifest},
     command_line,
     flags::OutputArgs,
     inputs::{Inputs, LARGEST_JSON_BYTES, is_same, is_within},
-    kind::Kind,
+    kind::{Kind, MANIFEST},
     npy::ArrayData,
+    place::{parent_of, refuse_foreign_files},
     publish::{self, Staged},
     shell::{Failure, Status, say},
 };
@@ -161,7 +162,7 @@ impl Output {
     ) -> Result<Option<Status>, HandoffError> {
         let Directory { flag, path: dir, kind } = directory;
         inputs.refuse_overlap(flag, dir)?;
-        let parent = publish::parent_of(dir);
+        let parent = parent_of(dir);
         publish::finish_interrupted(&parent);
         publish::remove_abandoned(&parent);
         if !output_exists(flag, dir)? {
@@ -171,7 +172,7 @@ impl Output {
             let problem = format!("is the current directory; give a new directory in it as {flag}");
             return Err(HandoffError::new(dir, problem));
         }
-        artifact::refuse_foreign_files(dir, kind)?;
+        refuse_foreign_files(dir, kind)?;
         let Some(manifest) = artifact::read_manifest(dir, kind)? else {
             return Ok(None); // an empty directory
         };

@@ -18,35 +18,31 @@
 //! own. A file system without advisory locks (some network file systems) keeps all of this but for the
 //! order of two runs into one place.
 
+mod journal;
+mod rename;
+mod sibling;
+mod signals;
+
 use std::{
-    fs::{self, File, TryLockError},
+    fs::{self, File},
     io::{self, ErrorKind, Write},
     path::{Path, PathBuf},
-    sync::{Mutex, MutexGuard, PoisonError},
-    time::Duration,
 };
 
-use serde::{Deserialize, Serialize};
+use crate::{
+    HandoffError,
+    kind::Kind,
+    place::{absolute, create_directories, parent_of, refuse_foreign_files, sync_directory},
+};
+use rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames};
+use sibling::inode;
 
-use crate::{HandoffError, artifact::refuse_foreign_files, kind, kind::Kind};
-
-/// What the names of everything temporary begin with.
-const PREFIX: &str = ".planish-";
-
-/// What stands at the end of a sibling that is not shown yet, and of a journal.
-const TEMPORARY: &str = ".tmp";
-const JOURNAL: &str = ".journal";
-
-/// Temporary siblings of this process, for the handler of signals.
-static SIBLINGS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
-
-/// Held while a run appears: a signal waits until all of it is there.
-static APPEARING: Mutex<()> = Mutex::new(());
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // What the mutexes hold is whole whatever panicked meanwhile.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+pub(crate) use self::{
+    journal::finish_interrupted,
+    sibling::{remove_abandoned, remove_all_siblings},
+    signals::{clean_up_on_signals, wait_for_signal_under_way},
+};
+pub use sibling::is_temporary;
 
 /// A directory or file that is written and not shown yet; removed when it is dropped before that.
 #[derive(Debug)]
@@ -97,7 +93,7 @@ impl Staged {
         create_directories(&parent).map_err(|e| HandoffError::io(&parent, "create", &e))?;
         finish_interrupted(&parent);
         remove_abandoned(&parent);
-        let (sibling, file) = create_sibling(&parent, create)
+        let (sibling, file) = sibling::create(&parent, create)
             .map_err(|e| HandoffError::io(&parent, "create a file there", &e))?;
         Ok(Self { sibling, place, what, file })
     }
@@ -141,8 +137,8 @@ impl Staged {
 impl Drop for Staged {
     fn drop(&mut self) {
         // What was written in vain, or after an exchange what stood there before.
-        remove_sibling(&self.sibling);
-        lock(&SIBLINGS).retain(|sibling| *sibling != self.sibling);
+        sibling::remove(&self.sibling);
+        sibling::forget(&self.sibling);
     }
 }
 
@@ -154,10 +150,10 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     let mut parents: Vec<PathBuf> = staged.iter().map(|s| absolute(&parent_of(&s.place))).collect();
     parents.sort();
     parents.dedup();
-    let _held = hold_without_journals(&parents);
+    let _held = journal::hold_without_journals(&parents);
     // Only now: while this run waited for its turn another may have taken a place.
     staged.iter().try_for_each(Staged::check_place)?;
-    let _appearing = lock(&APPEARING);
+    let _appearing = signals::appearing();
     let mut journals = match staged.len() {
         0 | 1 => Vec::new(),
         _ => write_journals(&staged, &parents)?,
@@ -212,359 +208,16 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     renamed
 }
 
-/// Removes every temporary sibling of this process: it is about to end.
-pub(crate) fn remove_all_siblings() {
-    // Whoever runs out of memory may hold the list.
-    if let Ok(siblings) = SIBLINGS.try_lock() {
-        siblings.iter().for_each(|sibling| remove_sibling(sibling));
-    }
-}
-
-/// Returns unless a signal is ending the process, which then ends by it.
-pub(crate) fn wait_for_signal_under_way() {
-    drop(lock(&SIBLINGS));
-}
-
-/// From now on SIGINT, SIGTERM and SIGHUP end the process as they always do, and its siblings with it.
-#[cfg(unix)]
-pub(crate) fn clean_up_on_signals() {
-    use signal_hook::{consts::signal, iterator::Signals, low_level::emulate_default_handler};
-    let Ok(mut signals) = Signals::new([signal::SIGINT, signal::SIGTERM, signal::SIGHUP]) else {
-        return;
-    };
-    std::thread::spawn(move || {
-        for signal in &mut signals {
-            let _appearing = lock(&APPEARING);
-            // Held to the end: from now on the other threads stage nothing more, nor end the process.
-            let siblings = lock(&SIBLINGS);
-            for sibling in siblings.iter() {
-                // The other threads may still be creating files in it.
-                for _ in 0..MOST_REMOVALS {
-                    remove_sibling(sibling);
-                    if fs::symlink_metadata(sibling).is_err() {
-                        break;
-                    }
-                    std::thread::sleep(Duration::from_millis(1));
-                }
-            }
-            let _ = emulate_default_handler(signal);
-        }
-    });
-}
-
-/// How often a directory is emptied into which another thread is writing.
-#[cfg(unix)]
-const MOST_REMOVALS: usize = 100;
-
-#[cfg(not(unix))]
-pub(crate) fn clean_up_on_signals() {}
-
-// ---- siblings ------------------------------------------------------------------------------------
-
-/// The directory in which `path` stands.
-pub(crate) fn parent_of(path: &Path) -> PathBuf {
-    match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
-        _ => PathBuf::from("."),
-    }
-}
-
-/// Creates `dir` and what lacks above it, each synchronised with the disk.
-pub(crate) fn create_directories(dir: &Path) -> io::Result<()> {
-    if dir.is_dir() {
-        return Ok(());
-    }
-    let parent = parent_of(dir);
-    create_directories(&parent)?;
-    match fs::create_dir(dir) {
-        // By another run a moment ago.
-        Err(e) if e.kind() == ErrorKind::AlreadyExists && dir.is_dir() => Ok(()),
-        Err(e) => Err(e),
-        Ok(()) => sync_directory(&parent),
-    }
-}
-
-/// A new sibling in `parent`, locked and known to the handler of signals. Numbers count up because a
-/// container gives every run the same process id.
-fn create_sibling(
-    parent: &Path,
-    create: impl Fn(&Path) -> io::Result<File>,
-) -> io::Result<(PathBuf, File)> {
-    let mut count = 0;
-    loop {
-        let sibling = parent.join(format!("{PREFIX}{}-{count}{TEMPORARY}", std::process::id()));
-        count += 1;
-        // Under one lock, so that the handler of signals sees it as soon as it is there.
-        let mut siblings = lock(&SIBLINGS);
-        match create(&sibling) {
-            Ok(file) => {
-                siblings.push(sibling.clone());
-                drop(siblings);
-                // Where the file system has no locks, nobody can take it for abandoned either.
-                let locked = !matches!(file.try_lock(), Err(TryLockError::WouldBlock));
-                if locked && is_at(&file, &sibling) {
-                    return Ok((sibling, file));
-                }
-                // Another run took it for abandoned between its creation and the lock.
-                lock(&SIBLINGS).retain(|known| *known != sibling);
-            }
-            // Not found: removed by another run, see above.
-            Err(e) => {
-                let again = matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound);
-                if !again || !parent.is_dir() {
-                    return Err(e);
-                }
-            }
-        }
-    }
-}
-
-/// Whether this is the name of something that a run has not finished, or left when it was killed;
-/// the next run into the same directory clears it away.
-pub fn is_temporary(name: &str) -> bool {
-    name.starts_with(PREFIX) && (name.ends_with(TEMPORARY) || name.ends_with(JOURNAL))
-}
-
-/// Names in `parent` that begin as ours and end with `end`.
-fn temporaries(parent: &Path, end: &str) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(parent) else { return Vec::new() };
-    let names = entries.filter_map(|entry| entry.ok().map(|e| e.file_name()));
-    let ours = names
-        .filter(|name| name.to_str().is_some_and(|n| n.starts_with(PREFIX) && n.ends_with(end)));
-    ours.map(|name| parent.join(name)).collect()
-}
-
-/// Removes the siblings in `parent` whose process is gone: their lock is free.
-pub(crate) fn remove_abandoned(parent: &Path) {
-    for sibling in temporaries(parent, TEMPORARY) {
-        let Ok(file) = File::open(&sibling) else { continue };
-        // A journal that its process left is finished first, by the next run: it needs the siblings.
-        let gone = file.try_lock().is_ok() && is_at(&file, &sibling);
-        if gone && temporaries(parent, JOURNAL).is_empty() {
-            remove_sibling(&sibling);
-        }
-    }
-}
-
-/// Removes a sibling. Of a directory only what an artifact may hold: a file that somebody put into the
-/// old artifact at the moment of the exchange is left there.
-fn remove_sibling(sibling: &Path) {
-    if !sibling.is_dir() {
-        let _ = fs::remove_file(sibling);
-        return;
-    }
-    for entry in fs::read_dir(sibling).into_iter().flatten().flatten() {
-        let name = entry.file_name();
-        let known = kind::ALL.iter().any(|kind| kind.file_names().any(|known| *known == *name));
-        if known {
-            let _ = fs::remove_file(entry.path());
-        }
-    }
-    let _ = fs::remove_dir(sibling);
-}
-
-/// Whether the open `file` is what stands at `path`.
-#[cfg(unix)]
-fn is_at(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    let opened = identity(file);
-    opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
-}
-
-/// What tells an open file or directory from every other: its device and its inode.
-#[cfg(unix)]
-fn identity(file: &File) -> Option<(u64, u64)> {
-    use std::os::unix::fs::MetadataExt;
-    file.metadata().ok().map(|m| (m.dev(), m.ino()))
-}
-
-#[cfg(not(unix))]
-fn identity(_: &File) -> Option<(u64, u64)> {
-    None
-}
-
-#[cfg(not(unix))]
-fn is_at(_: &File, path: &Path) -> bool {
-    path.exists()
-}
-
-/// What a directory holds is on the disk afterwards.
-fn sync_directory(dir: &Path) -> io::Result<()> {
-    match File::open(dir).and_then(|dir| dir.sync_all()) {
-        // A file system that cannot synchronise directories.
-        Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Ok(()),
-        result => result,
-    }
-}
-
-// ---- the journal ---------------------------------------------------------------------------------
-
-/// What is to appear together.
-#[derive(Default, Serialize, Deserialize)]
-struct Journal {
-    renames: Vec<Rename>,
-}
-
-/// One of them.
-#[derive(Serialize, Deserialize)]
-struct Rename {
-    from: PathBuf,
-    to: PathBuf,
-    /// Of what is to appear: it tells whether the rename has been done.
-    inode: u64,
-}
-
-#[cfg(unix)]
-fn inode(path: &Path) -> Option<u64> {
-    use std::os::unix::fs::MetadataExt;
-    fs::symlink_metadata(path).ok().map(|m| m.ino())
-}
-
-#[cfg(not(unix))]
-fn inode(_: &Path) -> Option<u64> {
-    None
-}
-
-/// The path from the root, so that another process finds it.
-fn absolute(path: &Path) -> PathBuf {
-    path.canonicalize().or_else(|_| std::path::absolute(path)).unwrap_or_else(|_| path.into())
-}
-
-/// Holds directories by their advisory locks, always in the same order, so that no two processes wait for
-/// each other. Where the file system has no locks, nothing is held.
-fn hold(directories: &[PathBuf]) -> Vec<File> {
-    let mut opened: Vec<File> = directories.iter().filter_map(|d| File::open(d).ok()).collect();
-    opened.sort_by_key(identity);
-    // One directory under two names would wait for itself.
-    opened.dedup_by(|a, b| identity(a).is_some() && identity(a) == identity(b));
-    opened.retain(|directory| directory.lock().is_ok());
-    opened
-}
-
-/// Holds directories in which no journal of a process that is gone waits to be finished.
-fn hold_without_journals(directories: &[PathBuf]) -> Vec<File> {
-    let mut held = Vec::new();
-    for _ in 0..MOST_ATTEMPTS_TO_FINISH {
-        // Released first: what finishes a journal holds its directories itself.
-        held.clear();
-        directories.iter().for_each(|directory| finish_interrupted(directory));
-        held = hold(directories);
-        let waits = |d: &PathBuf| !temporaries(d, JOURNAL).is_empty();
-        // Without locks a journal may be of a process that lives, which removes it.
-        if held.is_empty() || !directories.iter().any(waits) {
-            break;
-        }
-    }
-    held
-}
-
-/// A process would have to end between its renames as often as this while another waits for its turn;
-/// a journal that is still there cannot be removed, and what it names does not come back.
-const MOST_ATTEMPTS_TO_FINISH: usize = 16;
-
-/// Writes the journal into every directory in which something is to appear.
+/// The journals of what is staged, one in each of the directories in which something appears.
 fn write_journals(staged: &[Staged], parents: &[PathBuf]) -> Result<Vec<PathBuf>, HandoffError> {
-    let rename = |s: &Staged| Rename {
-        from: absolute(&s.sibling),
-        to: absolute(&parent_of(&s.place)).join(s.place.file_name().unwrap_or_default()),
-        inode: inode(&s.sibling).unwrap_or(0),
-    };
-    let journal = Journal { renames: staged.iter().map(rename).collect() };
-    let bytes = serde_json::to_vec(&journal).expect("a journal serialises");
-    let write = |parent: &PathBuf| {
-        let io = |e| HandoffError::io(parent, "write a journal there", &e);
-        // Complete before it is called a journal.
-        let (sibling, mut file) =
-            create_sibling(parent, |path| File::create_new(path)).map_err(io)?;
-        let name = sibling.with_extension(&JOURNAL[1..]);
-        let written = file
-            .write_all(&bytes)
-            .and_then(|()| file.sync_all())
-            .and_then(|()| fs::rename(&sibling, &name))
-            .and_then(|()| sync_directory(parent));
-        if written.is_err() {
-            remove_sibling(&sibling);
-        }
-        lock(&SIBLINGS).retain(|known| *known != sibling);
-        written.map(|()| name).map_err(io)
-    };
-    parents.iter().map(write).collect()
-}
-
-/// Finishes what a process that is gone began to show in `parent`; waits for one that is at it.
-pub(crate) fn finish_interrupted(parent: &Path) {
-    for path in temporaries(parent, JOURNAL) {
-        // What cannot be read is left to who can read it; what is no journal asks for nothing.
-        let Ok(bytes) = fs::read(&path) else { continue };
-        let journal: Journal = serde_json::from_slice(&bytes).unwrap_or_default();
-        let mut directories: Vec<PathBuf> =
-            journal.renames.iter().map(|rename| parent_of(&rename.to)).collect();
-        directories.push(parent.to_path_buf());
-        let held = hold(&directories);
-        // Its process, or another that finished it, removed it meanwhile.
-        if held.is_empty() || fs::symlink_metadata(&path).is_err() {
-            continue;
-        }
-        for rename in journal.renames {
-            if inode(&rename.from) != Some(rename.inode) {
-                continue; // it is done
-            }
-            let put = match put_in_place(&rename.from, &rename.to) {
-                Err(e) if is_exchange_unknown(&e) => {
-                    put_in_place_by_plain_renames(&rename.from, &rename.to)
-                }
-                result => result,
-            };
-            if put.is_ok() {
-                let _ = sync_directory(&parent_of(&rename.to));
-            }
-        }
-        let _ = fs::remove_file(&path);
-    }
-}
-
-// ---- one rename ----------------------------------------------------------------------------------
-
-/// `from` becomes `to`; where `to` exists the two are exchanged, in one step. Whether they were.
-#[cfg(target_os = "linux")]
-fn put_in_place(from: &Path, to: &Path) -> io::Result<bool> {
-    use rustix::fs::{CWD, RenameFlags, renameat_with};
-    let exchange = fs::symlink_metadata(to).is_ok();
-    let flags = if exchange { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
-    renameat_with(CWD, from, CWD, to, flags)?;
-    Ok(exchange)
-}
-
-#[cfg(not(target_os = "linux"))]
-fn put_in_place(_: &Path, _: &Path) -> io::Result<bool> {
-    Err(ErrorKind::Unsupported.into())
-}
-
-/// Whether the file system cannot exchange two names.
-fn is_exchange_unknown(error: &io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported)
-}
-
-/// The same in three steps: between the first two the old one stands under a temporary name, and
-/// nothing in its place.
-fn put_in_place_by_plain_renames(from: &Path, to: &Path) -> io::Result<bool> {
-    if fs::symlink_metadata(to).is_err() {
-        return fs::rename(from, to).map(|()| false);
-    }
-    let old = from.with_extension("old.tmp");
-    // Locked, so that no other run takes it for abandoned.
-    let held = File::open(to)?;
-    let _ = held.try_lock();
-    fs::rename(to, &old)?;
-    match fs::rename(from, to) {
-        Ok(()) => fs::rename(&old, from).map(|()| true),
-        Err(e) => fs::rename(&old, to).and(Err(e)),
-    }
+    journal::write(staged.iter().map(|s| (&*s.sibling, &*s.place)), parents)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::time::Duration;
+
+    use super::{journal::hold, *};
 
     fn text(path: &Path) -> String {
         fs::read_to_string(path).unwrap_or_default()

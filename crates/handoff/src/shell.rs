@@ -4,7 +4,7 @@ use std::{fmt::Display, io::Write, panic, process::ExitCode};
 
 use planish_types::text;
 
-use crate::publish;
+use crate::{command_line::with_flags, publish};
 
 /// How a stage that ran ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +23,12 @@ impl Failure {
     /// A failure with this message.
     pub fn new(message: impl Into<String>) -> Self {
         Self(message.into())
+    }
+
+    /// The error of a library, which names its settings, in the words of the command line: see
+    /// [`with_flags`].
+    pub fn with_flags(error: impl std::error::Error) -> Self {
+        Self(with_flags(&error.to_string()))
     }
 }
 

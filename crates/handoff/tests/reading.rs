@@ -6,9 +6,8 @@ mod support;
 use std::{fs, path::Path};
 
 use planish_handoff::{
-    Artifact,
-    artifact::{self, MANIFEST},
-    kind::{self, Kind},
+    Artifact, artifact,
+    kind::{self, Kind, MANIFEST},
 };
 use planish_types::{DwellTime, Removal, Surface, Tif, ToolPath, Trajectory};
 use support::{

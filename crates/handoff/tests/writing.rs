@@ -14,11 +14,9 @@ use std::{
 };
 
 use planish_handoff::{
-    Artifact, Begin, HandoffError, Inputs, Output, OutputFile, Status, Task, Writer,
-    artifact::{self, MANIFEST},
+    Artifact, Begin, HandoffError, Inputs, Output, OutputFile, Status, Task, Writer, artifact,
     flags::OutputArgs,
-    kind,
-    kind::Kind,
+    kind::{self, Kind, MANIFEST},
     npy::ArrayData,
 };
 use planish_types::{DwellTime, Trajectory};

@@ -28,16 +28,16 @@ pub(crate) fn is_datx(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.group(SURFACES).is_ok())
 }
 
-/// Reads the map; `pick.data` names one where the file holds several.
+/// Reads the map; `pick.dataset` names one where the file holds several.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let bad =
         |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
     if pick.x.is_some() || pick.y.is_some() {
-        let remedy = "a datx file has its pitch; leave out --x and --y";
+        let remedy = "a datx file has its pitch; leave out `x` and `y`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
     }
     let file = open(bytes)?;
-    let path = match &pick.data {
+    let path = match &pick.dataset {
         Some(path) => path.clone(),
         None => surface_path(&file)?,
     };
@@ -124,7 +124,7 @@ fn surface_path(file: &Hdf5File) -> Result<String, Invalid> {
         [] => Err(Invalid::whole(NAME, "holds no surface", "export a surface")),
         several => {
             let problem = format!("holds several surfaces: {}", several.join(", "));
-            Err(Invalid::whole(NAME, problem, "choose one with --dataset /Data/Surface/NAME"))
+            Err(Invalid::whole(NAME, problem, "choose one with `dataset` /Data/Surface/NAME"))
         }
     }
 }
@@ -137,7 +137,7 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
         .map(|name| fields.iter().find(|f| f.name == name).map(|f| f.byte_offset as usize));
     let [Some(source), Some(link), Some(destination)] = offsets else { return Ok(None) };
     if set.num_elements().map_err(broken)? > MOST_ARRAYS as u64 {
-        let remedy = "choose the map with --dataset";
+        let remedy = "choose the map with `dataset`";
         return Err(too_many(NAME, MOST_ARRAYS, "rows of /MetaData", remedy));
     }
     let raw = set.read_raw_bytes().map_err(broken)?;
@@ -150,7 +150,7 @@ fn links(file: &Hdf5File) -> Result<Option<Vec<[String; 3]>>, Invalid> {
         let length = bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
         left = left.checked_sub(length).ok_or_else(|| {
             let what = "bytes of text in /MetaData";
-            too_many(NAME, MOST_TEXT_BYTES, what, "choose the map with --dataset")
+            too_many(NAME, MOST_TEXT_BYTES, what, "choose the map with `dataset`")
         })?;
         let bytes = set.resolve_vlen_reference_bytes(bytes, 1).map_err(broken)?;
         Ok(String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_string())

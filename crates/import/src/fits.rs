@@ -21,13 +21,13 @@ const NAME: &str = "FITS file";
 const BLOCK: usize = 2880;
 const CARD: usize = 80;
 
-/// Reads the image of the HDU whose number (0, the primary, first) is `pick.data`, else the first.
+/// Reads the image of the HDU whose number (0, the primary, first) is `pick.dataset`, else the first.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if pick.x.is_some() || pick.y.is_some() {
-        let remedy = "FITS has its coordinates in the header; leave out --x and --y";
+        let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
     }
-    let wanted = match &pick.data {
+    let wanted = match &pick.dataset {
         None => None,
         Some(text) => Some(text.parse::<usize>().map_err(|_| {
             let remedy = "give the number of the HDU, 0 for the primary one";
@@ -37,7 +37,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
     if !bytes.starts_with(b"SIMPLE  =") {
         let problem = "does not start with SIMPLE";
-        return Err(Invalid::whole(NAME, problem, "give a FITS file, or the right --format"));
+        return Err(Invalid::whole(NAME, problem, "give a FITS file, or the right `format`"));
     }
     let (mut at, mut index) = (0, 0);
     while at < bytes.len() {
@@ -51,7 +51,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         }
         if here && wanted.is_some() {
             let problem = format!("has in HDU {index} no image with two axes (NAXISn {sizes:?})");
-            return Err(Invalid::whole(NAME, problem, "give another --dataset"));
+            return Err(Invalid::whole(NAME, problem, "give another `dataset`"));
         }
         at = data_at + blocks(header.data_bytes(&sizes)?);
         index += 1;
@@ -60,7 +60,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             return Err(too_many(NAME, MOST_ARRAYS, "header and data units", remedy));
         }
     }
-    let remedy = "give a file with a map, or another --dataset";
+    let remedy = "give a file with a map, or another `dataset`";
     Err(Invalid::whole(NAME, format!("has no image with two axes in {index} HDU(s)"), remedy))
 }
 
@@ -104,7 +104,7 @@ fn map(
         };
         let to_mm = Unit::stated("CUNIT", &name)?.mm()?;
         if !(step.is_finite() && step != 0.0) {
-            let remedy = "correct the header, or delete CDELT and give --pitch-mm";
+            let remedy = "correct the header, or delete CDELT and give `pitch_mm`";
             return Err(Invalid::whole(NAME, format!("has CDELT{axis} = {step}"), remedy));
         }
         if step < 0.0 {

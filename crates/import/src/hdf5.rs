@@ -61,7 +61,7 @@ pub(crate) fn broken(error: Error) -> Invalid {
 pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     if !is_hdf5(bytes) {
         let problem = "does not start with the signature of HDF5";
-        return Err(Invalid::whole(NAME, problem, "give an HDF5 file, or the right --format"));
+        return Err(Invalid::whole(NAME, problem, "give an HDF5 file, or the right `format`"));
     }
     let options = OpenOptions::default()
         .with_max_read_bytes(8 * most_of(BYTES_PER_PIXEL))
@@ -124,7 +124,7 @@ impl Storage for Metered {
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let file = open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
-    let (arrays, complex) = match &pick.data {
+    let (arrays, complex) = match &pick.dataset {
         // Of a file that is too large to be listed an array can still be named.
         Some(name) => (named(&file, name), None),
         None => matrices(&file)?,
@@ -134,7 +134,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         _ => e,
     })?;
 
-    let name = pick.data.as_deref().unwrap_or_default();
+    let name = pick.dataset.as_deref().unwrap_or_default();
     let set = file.dataset(name).map_err(broken)?;
     let values = matrix(&set, transposed)?;
     let (rows, columns) = values.dim();
@@ -172,7 +172,7 @@ pub(crate) fn choose(
     file: &'static str,
 ) -> Result<Pick, Invalid> {
     if pick.x.is_some() != pick.y.is_some() {
-        return Err(Invalid::whole(file, "one of --x and --y was given", "give both or none"));
+        return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
     }
     let has = |name: &str| arrays.iter().any(|(n, _)| n == name);
     let is_map = |shape: &[u64]| shape.len() == 2 && shape.iter().all(|n| *n > 1);
@@ -180,8 +180,8 @@ pub(crate) fn choose(
         arrays.iter().filter(|(_, shape)| is_map(shape)).map(|(name, _)| name.as_str()).collect();
     let mut chosen = pick.clone();
     let customary = CUSTOMARY[usize::from(pick.is_tif)];
-    if chosen.data.is_none() {
-        chosen.data = match (has(customary[0]), &maps[..]) {
+    if chosen.dataset.is_none() {
+        chosen.dataset = match (has(customary[0]), &maps[..]) {
             (true, _) => Some(customary[0].to_string()),
             (false, [only]) => Some(only.to_string()),
             (false, []) => {
@@ -191,12 +191,12 @@ pub(crate) fn choose(
             (false, several) => {
                 let listed: Vec<&str> = several.iter().copied().take(20).collect();
                 let problem = format!("holds several matrices: {}", listed.join(", "));
-                return Err(Invalid::whole(file, problem, "choose one with --dataset"));
+                return Err(Invalid::whole(file, problem, "choose one with `dataset`"));
             }
         };
     }
     let [z, x, y] = customary;
-    if chosen.x.is_none() && chosen.data.as_deref() == Some(z) && has(x) && has(y) {
+    if chosen.x.is_none() && chosen.dataset.as_deref() == Some(z) && has(x) && has(y) {
         (chosen.x, chosen.y) = (Some(x.to_string()), Some(y.to_string()));
     }
     Ok(chosen)
@@ -261,7 +261,7 @@ fn list(
     let (groups, sets) = group.members().map_err(broken)?;
     *looked_at += groups.len() + sets.len();
     if *looked_at > MOST_ARRAYS {
-        let remedy = "choose an array with --dataset";
+        let remedy = "choose an array with `dataset`";
         return Err(too_many(NAME, MOST_ARRAYS, "groups and arrays", remedy));
     }
     for set in sets {
@@ -293,7 +293,7 @@ fn is_complex(datatype: &Datatype) -> bool {
 
 fn holds_complex(name: &str) -> Invalid {
     let problem = format!("\"{name}\" holds complex numbers");
-    Invalid::whole("dataset", problem, "save their real part, or choose another with --dataset")
+    Invalid::whole("dataset", problem, "save their real part, or choose another with `dataset`")
 }
 
 fn leaf(name: &str) -> &str {
@@ -350,7 +350,7 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
         other if is_complex(other) => return Err(holds_complex(set.name())),
         _ => {
             let problem = format!("\"{}\" does not hold real numbers", set.name());
-            return Err(Invalid::whole("dataset", problem, "choose another with --dataset"));
+            return Err(Invalid::whole("dataset", problem, "choose another with `dataset`"));
         }
     }
     .map_err(broken)?;

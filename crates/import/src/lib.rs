@@ -97,12 +97,21 @@ impl Format {
             None
         }
     }
+
+    /// The format of a text of numbers from the ending of the file's name, in lower case.
+    pub fn of_ending(ending: &str) -> Option<Self> {
+        match ending {
+            "csv" => Some(Self::Csv),
+            "xyz" => Some(Self::Xyz),
+            _ => None,
+        }
+    }
 }
 
 /// Reads the bytes of a file of `format`; `pick` says what to take from a file that holds several.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let several = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits);
-    if let Some(name) = [&pick.data, &pick.x, &pick.y].into_iter().flatten().next()
+    if let Some(name) = [&pick.dataset, &pick.x, &pick.y].into_iter().flatten().next()
         && !several
     {
         let remedy = "only datx, mat5, hdf5 and fits files have names; leave it out";

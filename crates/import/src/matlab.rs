@@ -48,7 +48,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let mut b = Bytes { all: bytes, name: NAME, big_endian: false };
     if !bytes.starts_with(b"MATLAB 5.0") {
         let problem = "does not start with MATLAB 5.0";
-        return Err(Invalid::whole(NAME, problem, "save with -v7, or give the right --format"));
+        return Err(Invalid::whole(NAME, problem, "save with -v7, or give the right `format`"));
     }
     b.big_endian = match b.slice(126, 2)? {
         b"IM" => false,
@@ -59,7 +59,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let find = |name: &str| variables.iter().find(|v| v.name == name);
     let complex = |v: &Variable| {
         let problem = format!("holds complex numbers in \"{}\"", v.name);
-        Invalid::whole(NAME, problem, "save their real part, or choose another with --dataset")
+        Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
     };
     let shapes: Vec<(String, Vec<u64>)> = variables
         .iter()
@@ -86,7 +86,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             .map_err(|_| broken(format!("is truncated in \"{name}\"")))?;
         Ok(matrix.as_standard_layout().into_owned())
     };
-    let name = pick.data.as_deref().unwrap_or_default();
+    let name = pick.dataset.as_deref().unwrap_or_default();
     let values = get(name)?;
     let (rows, columns) = values.dim();
     check_size("matrix", rows, columns)?;

@@ -242,7 +242,7 @@ fn lines(text: &str) -> Result<Reading, Invalid> {
             _ => {
                 let count = text::fields(trimmed).count();
                 let problem = format!("has {count} fields in line {}, not x y z", i + 1);
-                let remedy = "give three numbers per line, or --format csv for a matrix";
+                let remedy = "give three numbers per line, or `format` csv for a matrix";
                 return Err(Invalid::whole(NAME, problem, remedy));
             }
         };

@@ -56,6 +56,19 @@ pub struct Configuration {
     pub program_blake3: Option<String>,
 }
 
+impl Configuration {
+    /// This configuration, and what is absent from it as `about` has it: the file beside the program.
+    pub fn completed_by(self, about: Self) -> Self {
+        Self {
+            start_mm: self.start_mm.or(about.start_mm),
+            count_mm: self.count_mm.or(about.count_mm),
+            sample_s: self.sample_s.or(about.sample_s),
+            feedrate_time_unit_s: self.feedrate_time_unit_s.or(about.feedrate_time_unit_s),
+            program_blake3: self.program_blake3.or(about.program_blake3),
+        }
+    }
+}
+
 /// Reads a program of `controller` into the motion that it makes.
 pub fn read(
     controller: Controller,
@@ -83,7 +96,7 @@ fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     }
     let short: String = expected.chars().take(16).collect();
     let problem = format!(
-        "is {short:?}... in the file of --about, that of the program is \"{}\"...",
+        "is {short:?}... in the file of `about`, that of the program is \"{}\"...",
         &found[..16]
     );
     let remedy = "give the file that was written with this program, or export again";
@@ -147,9 +160,9 @@ fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     })
 }
 
-fn needed<T: Copy>(name: &'static str, flag: &str, value: Option<T>) -> Result<T, Invalid> {
+fn needed<T: Copy>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| {
-        let remedy = format!("give {flag}, or --about with the file beside the program");
+        let remedy = format!("give `{name}`, or `about` with the file beside the program");
         Invalid::whole(name, "is not in such a program", remedy)
     })
 }
@@ -192,6 +205,15 @@ mod tests {
         let quarter = if straight { 0.25 } else { 10.0 / 64.0 };
         assert!((first.position_mm(0.025)[0] - 1.0 - quarter).abs() < 1e-12);
         assert_eq!(trajectory.segment(1).position_mm(0.1), [2.0, -2.0]);
+    }
+
+    #[test]
+    fn what_is_given_goes_before_the_file_beside_the_program() {
+        let given = Configuration { count_mm: Some([0.5; 2]), ..Configuration::default() };
+        let about = Configuration { program_blake3: Some("ab".into()), ..configuration() };
+        let both = Configuration { count_mm: Some([0.5; 2]), ..about.clone() };
+        assert_eq!(given.completed_by(about.clone()), both);
+        assert_eq!(Configuration::default().completed_by(about.clone()), about);
     }
 
     #[test]
@@ -262,9 +284,9 @@ mod tests {
         let nothing = Configuration::default();
         let galil = "PVA=1,0,100\nPVB=1,0,100\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n";
         let said = read(Galil, galil.as_bytes(), &nothing).unwrap_err().to_string();
-        assert!(said.contains("--count-mm"), "{said}");
+        assert!(said.contains("`count_mm`"), "{said}");
         let said = read(Xps, b"0.1, 1, 0, 0, 0\n", &nothing).unwrap_err().to_string();
-        assert!(said.contains("--start-mm"), "{said}");
+        assert!(said.contains("`start_mm`"), "{said}");
     }
 
     #[test]

@@ -68,7 +68,7 @@ impl Unit {
                 None => Err(Invalid::whole(
                     "wavelength_nm",
                     "is not in the file, whose heights are in waves",
-                    "give --wavelength-nm",
+                    "give `wavelength_nm`",
                 )),
             },
         }
@@ -107,7 +107,8 @@ pub enum FirstRow {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pick {
     /// Name or path of the map.
-    pub data: Option<String>,
+    #[serde(rename = "data")]
+    pub dataset: Option<String>,
     /// Name or path of the coordinates along the columns.
     pub x: Option<String>,
     /// Name or path of the coordinates along the rows.
@@ -297,6 +298,14 @@ pub struct Statement {
     pub warnings: Vec<String>,
 }
 
+impl Reading {
+    /// Where the offset 0 of a map of rates is when nobody says it: as the coordinates of the file have it,
+    /// or in the middle where there are none.
+    pub fn usual_tif_origin(&self) -> Origin {
+        if self.coordinates.is_some() { Origin::File } else { Origin::Centre }
+    }
+}
+
 /// The map of a reading, heights in nm.
 pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statement), Invalid> {
     let (grid, values, statement) = map(reading, settings)?;
@@ -319,7 +328,7 @@ fn map(
     let wavelength_nm = wavelength(&reading, settings)?;
     if !(settings.surface_per_value.is_finite() && settings.surface_per_value > 0.0) {
         let problem = format!("is {}", settings.surface_per_value);
-        let remedy = "give a positive factor, and --negate for the other sign";
+        let remedy = "give a positive factor, and `negate` for the other sign";
         return Err(Invalid::whole("surface_per_value", problem, remedy));
     }
     let sign = if settings.negate { -1.0 } else { 1.0 };
@@ -358,13 +367,13 @@ fn unit(
 ) -> Result<(Unit, &'static str), Invalid> {
     match (reading.unit, settings.unit) {
         (None, None) => {
-            Err(Invalid::whole("unit", "is not in the file", "give --unit m, mm, um, nm or waves"))
+            Err(Invalid::whole("unit", "is not in the file", "give `unit` m, mm, um, nm or waves"))
         }
         (None, Some(asked)) => Ok((asked, "asked for")),
         (Some(custom), None) if reading.unit_by_custom => {
             warnings.push(format!(
                 "the file does not state the unit of its heights; writers of this format use \
-                 {custom:?}; give --unit to be sure"
+                 {custom:?}; give `unit` to be sure"
             ));
             Ok((custom, "custom of the format"))
         }
@@ -372,7 +381,7 @@ fn unit(
         (Some(stated), Some(asked)) if asked != stated => Err(Invalid::whole(
             "unit",
             format!("is {stated:?} in the file, {asked:?} was asked for"),
-            "leave out --unit, or correct the file",
+            "leave out `unit`, or correct the file",
         )),
         (Some(stated), _) => Ok((stated, "file")),
     }
@@ -384,7 +393,7 @@ fn wavelength(reading: &Reading, settings: &Settings) -> Result<Option<f64>, Inv
         (Some(a), Some(b)) if (a - b).abs() > 1e-5 * a.abs() => Err(Invalid::whole(
             "wavelength_nm",
             format!("is {a} in the file, {b} was asked for"),
-            "leave out --wavelength-nm, or correct the file",
+            "leave out `wavelength_nm`, or correct the file",
         )),
         (stated, asked) => Ok(asked.or(stated)),
     }
@@ -403,7 +412,7 @@ fn place(
             return Err(Invalid::whole(
                 "coordinate_unit",
                 "was given, but no coordinates are read from the file",
-                "leave out --coordinate-unit, or name the arrays with --x and --y",
+                "leave out `coordinate_unit`, or name the arrays with `x` and `y`",
             ));
         }
         let ([x, y], from) = match (settings.pitch_mm, reading.pitch_mm) {
@@ -411,7 +420,7 @@ fn place(
                 return Err(Invalid::whole(
                     "pitch_mm",
                     "is not in the file",
-                    "give --pitch-mm, the distance of pixel centres",
+                    "give `pitch_mm`, the distance of pixel centres",
                 ));
             }
             (Some(asked), stated) => {
@@ -424,7 +433,7 @@ fn place(
         };
         for pitch in [x, y] {
             if !(pitch.is_finite() && pitch > 0.0) {
-                let remedy = "a pitch is positive; give --pitch-mm";
+                let remedy = "a pitch is positive; give `pitch_mm`";
                 return Err(Invalid::whole("pitch_mm", format!("is {pitch}"), remedy));
             }
         }
@@ -449,11 +458,11 @@ fn place(
             return Err(Invalid::whole(
                 "coordinate_unit",
                 format!("is {a:?} in the file, {b:?} was asked for"),
-                "leave out --coordinate-unit, or correct the file",
+                "leave out `coordinate_unit`, or correct the file",
             ));
         }
         (a, b) => a.or(b).ok_or_else(|| {
-            Invalid::whole("coordinate_unit", "is not in the file", "give --coordinate-unit")
+            Invalid::whole("coordinate_unit", "is not in the file", "give `coordinate_unit`")
         })?,
     };
     let to_mm = unit.mm()?;
@@ -587,9 +596,9 @@ mod tests {
             surface(reading, settings).unwrap_err().to_string()
         };
         let plain = Settings::default();
-        assert!(message(&|r| r.unit = None, &plain).contains("give --unit"));
-        assert!(message(&|r| r.pitch_mm = None, &plain).contains("give --pitch-mm"));
-        assert!(message(&|r| r.unit = Some(Unit::Waves), &plain).contains("--wavelength-nm"));
+        assert!(message(&|r| r.unit = None, &plain).contains("give `unit`"));
+        assert!(message(&|r| r.pitch_mm = None, &plain).contains("give `pitch_mm`"));
+        assert!(message(&|r| r.unit = Some(Unit::Waves), &plain).contains("`wavelength_nm`"));
         assert!(message(&|r| r.pitch_mm = Some([0.1, 0.0]), &plain).contains("pitch_mm: is 0"));
         let asked = Settings { unit: Some(Unit::Nm), ..plain.clone() };
         assert!(message(&|_| (), &asked).contains("Um in the file, Nm was asked for"));
@@ -597,7 +606,7 @@ mod tests {
         assert!(message(&|_| (), &asked).contains("pitch_mm: is -1"));
         let coordinates = Coordinates { x: vec![0.0, 1.0, 2.0], y: vec![1.0, 0.0], unit: None };
         let with = |r: &mut Reading| r.coordinates = Some(coordinates.clone());
-        assert!(message(&with, &plain).contains("give --coordinate-unit"));
+        assert!(message(&with, &plain).contains("give `coordinate_unit`"));
         let asked = Settings { coordinate_unit: Some(Unit::Waves), ..plain.clone() };
         assert!(message(&with, &asked).contains("is waves"));
         assert!(Unit::stated("BUNIT", "furlong").unwrap_err().to_string().contains("furlong"));

@@ -29,7 +29,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         binary(bytes)
     } else {
         let problem = "does not start with aISO-1.0 or bISO-1.0";
-        Err(Invalid::whole(NAME, problem, "give an SDF file, or the right --format"))
+        Err(Invalid::whole(NAME, problem, "give an SDF file, or the right `format`"))
     }
 }
 

@@ -73,7 +73,8 @@ pub struct SpotSettings {
     /// Where the spot is, mm; found by itself when absent.
     pub spot_mm: Option<[f64; 2]>,
     /// Whether the part moved between the measurements.
-    pub alignment: Alignment,
+    #[serde(rename = "alignment")]
+    pub align: Alignment,
     /// What is subtracted from the removal.
     pub baseline: Baseline,
     /// Whether negative rates (noise) become zero.
@@ -134,11 +135,11 @@ pub fn spot(
         None => find(grid, &first, settings.half_size_mm)?,
     };
     let outside = outside(grid, coarse, settings.half_size_mm);
-    let (shift_px, steps) = match (settings.alignment, before) {
+    let (shift_px, steps) = match (settings.align, before) {
         (Alignment::None, _) => ([0.0; 2], 0),
         (Alignment::Shift, Some(before)) => align(grid, before, after, &outside)?,
         (Alignment::Shift, None) => {
-            let remedy = "give --before, or --align none";
+            let remedy = "give `before`, or `align` none";
             return Err(Invalid::whole("align", "there is only one map", remedy));
         }
     };
@@ -146,7 +147,7 @@ pub fn spot(
     let mut ring = masked(&removal, &outside);
     let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
     let no_ring = || {
-        let remedy = "give a smaller --half-size-mm, or --baseline none";
+        let remedy = "give a smaller `half_size_mm`, or `baseline` none";
         Invalid::whole("half_size_mm", "leaves no pixels outside the spot", remedy)
     };
     match settings.baseline {
@@ -168,7 +169,7 @@ pub fn spot(
     if let Some(n) = noise.filter(|n| depth_nm < LEAST_CONTRAST * n.rms) {
         let problem =
             format!("is {depth_nm} nm deep, with {} nm RMS outside it: nothing stands out", n.rms);
-        let remedy = "check --before and after (or --negate), --align, or give --spot-mm X,Y";
+        let remedy = "check `before` and after (or `negate`), `align`, or give `spot_mm` X,Y";
         return Err(Invalid::whole("spot", problem, remedy));
     }
     Ok(Spot {
@@ -225,7 +226,7 @@ fn align(
     outside: &Array2<bool>,
 ) -> Result<([f64; 2], usize), Invalid> {
     let lost = |problem: &str| {
-        let remedy = "give --align none, or maps with structure outside the spot";
+        let remedy = "give `align` none, or maps with structure outside the spot";
         Invalid::whole("align", problem, remedy)
     };
     let (ny, nx) = grid.shape();
@@ -327,7 +328,7 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
         }
     }
     best.1.ok_or_else(|| {
-        Invalid::whole("spot", "was not found: no valid removal", "give --spot-mm X,Y")
+        Invalid::whole("spot", "was not found: no valid removal", "give `spot_mm` X,Y")
     })
 }
 
@@ -345,7 +346,7 @@ fn centroid(
     let peak = within().map(|(_, v)| *v).fold(0.0, f64::max);
     if peak <= 0.0 {
         let problem = format!("has no removal around x {}, y {} mm", near[0], near[1]);
-        let remedy = "check --before and --after (or --negate), or give --spot-mm X,Y";
+        let remedy = "check `before` and after (or `negate`), or give `spot_mm` X,Y";
         return Err(Invalid::whole("spot", problem, remedy));
     }
     let mut sums = [0.0; 3];
@@ -368,7 +369,7 @@ fn cut(
         let inside: Vec<usize> =
             (0..axis.len()).filter(|i| (axis.at(*i) - centre).abs() <= half).collect();
         let (Some(first), Some(last)) = (inside.first(), inside.last()) else {
-            let remedy = "give a larger --half-size-mm";
+            let remedy = "give a larger `half_size_mm`";
             return Err(Invalid::whole("half_size_mm", format!("{half} holds no pixel"), remedy));
         };
         let offsets = Axis::new(axis.at(*first) - centre, axis.step_mm(), last - first + 1)?;
@@ -380,7 +381,7 @@ fn cut(
     let invalid = depth.iter().filter(|v| v.is_nan()).count();
     if invalid > 0 {
         let problem = format!("has {invalid} invalid pixels in the square of the TIF");
-        let remedy = "give a smaller --half-size-mm, or fill them first";
+        let remedy = "give a smaller `half_size_mm`, or fill them first";
         return Err(Invalid::whole("spot", problem, remedy));
     }
     let depth_nm = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -430,7 +431,7 @@ mod tests {
             dwell_s: 25.0,
             half_size_mm: 2.5,
             spot_mm: None,
-            alignment: Alignment::Shift,
+            align: Alignment::Shift,
             baseline: Baseline::Plane,
             clip_negative: false,
         }
@@ -466,7 +467,7 @@ mod tests {
             assert!((v - expected).abs() < 1.1e-2, "{x} {y}: {v} for {expected}");
         }
         // Without alignment the waves stay: d times slopes of 10 nm/mm, over the ring.
-        let still = SpotSettings { alignment: Alignment::None, ..settings() };
+        let still = SpotSettings { align: Alignment::None, ..settings() };
         let made = spot(Some(&before), &after, &still).unwrap();
         assert!(made.outside_rms_nm > 1.0, "{}", made.outside_rms_nm);
     }
@@ -476,8 +477,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(4);
         let depth = dig(CENTRE).mapv(|v| v + random.random_range(-0.5..0.5) + 12.0);
         let depth = Surface::new(grid(), depth).unwrap();
-        let settings =
-            SpotSettings { alignment: Alignment::None, clip_negative: true, ..settings() };
+        let settings = SpotSettings { align: Alignment::None, clip_negative: true, ..settings() };
         let made = spot(None, &depth, &settings).unwrap();
         // 200 nm in 25 s, noise of 0.5 nm at most, the peak within half a pixel of a sample.
         assert!((made.tif.peak_nm_per_s() - 8.0).abs() < 0.03 + 8.0 * 0.0125);
@@ -509,7 +509,7 @@ mod tests {
         let smaller = Surface::new(smaller, Array2::zeros((101, 120))).unwrap();
         assert!(message(Some(&smaller), &dug, settings()).contains("before: has"));
         // Swapped maps: material was added.
-        let still = SpotSettings { alignment: Alignment::None, ..settings() };
+        let still = SpotSettings { align: Alignment::None, ..settings() };
         let swapped = message(Some(&dug), &flat, still);
         assert!(swapped.contains("nothing stands out"), "{swapped}");
     }

@@ -10,7 +10,7 @@ pub(crate) fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<&'a str, I
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     match std::str::from_utf8(bytes) {
         Ok(text) if !text.contains('\0') => Ok(text),
-        _ => Err(Invalid::whole(name, "is not text", "give the right --format, or export as text")),
+        _ => Err(Invalid::whole(name, "is not text", "give the right `format`, or export as text")),
     }
 }
 

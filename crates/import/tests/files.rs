@@ -230,7 +230,7 @@ fn mat_by_its_customary_names() {
     assert_eq!((c.x, c.y), (vec![0.0, 0.5, 1.0], vec![2.0, 1.0]));
     let tif = Pick { is_tif: true, ..Pick::default() };
     let said = read(Format::Mat5, &mat_map(), &tif).unwrap_err().to_string();
-    assert!(said.contains("several matrices: Z, X, Y") && said.contains("--dataset"), "{said}");
+    assert!(said.contains("several matrices: Z, X, Y") && said.contains("`dataset`"), "{said}");
 }
 
 #[test]

@@ -48,7 +48,8 @@ use planish_dwell::{
 use planish_schedule::{ScheduleError, constant_acceleration, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, plausible::Rms,
+    DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory,
+    plausible::{self, Rms},
 };
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
@@ -162,6 +163,26 @@ pub struct Refined {
     pub end: End,
     /// Dwell times of the best round that are at a bound: the floor, or the need of the machine.
     pub at_bound: usize,
+}
+
+impl Refined {
+    /// Why the verdict is negative, where it is. To stop at the largest number of rounds is no reason when
+    /// that number was asked for.
+    pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
+        let best = &self.iterates[self.best];
+        if !best.limits_respected {
+            Some("no round keeps the limits of the machine".into())
+        } else if self.end == End::RoundLimit && !rounds_asked_for {
+            Some(format!(
+                "not converged: {} rounds were done before they ceased to improve; the best plan is kept, \
+                 and `max_rounds` allows more, or says that these are enough",
+                self.iterates.len()
+            ))
+        } else {
+            let after = Rms { rms_nm: best.rms_nm, detilted_nm: best.detilted_nm };
+            plausible::drawback(Rms::of(desired), after, best.total_time_s)
+        }
+    }
 }
 
 /// By what the smoothness falls from one correction to the next: half a decade.

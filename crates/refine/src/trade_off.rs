@@ -10,12 +10,15 @@
 //! pixels lies: a pit of a few pixels would ask for a layer of its depth all over the mirror.
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
-use planish_types::{End, Limits, Surface, Tif, ToolPath, text::fixed};
+use planish_types::{End, Invalid, Limits, Surface, Tif, ToolPath, text::fixed};
 
 use crate::{Iterate, RefineError, Settings, refine};
 
 /// Fraction of the pixels that are below z_min.
 pub const IGNORED: f64 = 1e-3;
+
+/// Most prices: a curve of more points looks the same, and takes days.
+const MOST_PRICES: usize = 1000;
 
 /// One price.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +29,12 @@ pub struct Point {
     pub best: Iterate,
     /// Why its refinement ended.
     pub end: End,
+}
+
+/// Why the verdict on a trade-off is negative, where it is.
+pub fn negative(points: &[Point]) -> Option<String> {
+    let kept = points.iter().all(|p| p.best.limits_respected);
+    (!kept).then(|| "some plan exceeds the limits of the machine".to_string())
 }
 
 /// (1), s.
@@ -40,11 +49,16 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
 
 /// Prices from nothing to 3 % of what the whole correction gains per second of (1), in `count`
 /// steps of equal ratio over three and a half decades.
-pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Vec<f64> {
+pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, Invalid> {
+    if count > MOST_PRICES {
+        let remedy = format!("give at most {MOST_PRICES}: every price is a refinement");
+        return Err(Invalid::whole("prices", format!("is {count}"), remedy));
+    }
     let rms = desired.statistics().rms;
     let whole = 0.5 * rms * rms / least_time_s(desired, tif).max(f64::MIN_POSITIVE);
     let exponent = |k: usize| -5.0 + 3.5 * k as f64 / (count.max(2) - 1) as f64;
-    std::iter::once(0.0).chain((0..count).map(|k| whole * 10_f64.powf(exponent(k)))).collect()
+    let priced = (0..count).map(|k| whole * 10_f64.powf(exponent(k)));
+    Ok(std::iter::once(0.0).chain(priced).collect())
 }
 
 /// A refinement per price, each from the dwell times of the one before.

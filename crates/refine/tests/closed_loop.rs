@@ -156,7 +156,7 @@ fn the_operator_of_constant_accelerations_is_their_own() {
 fn a_price_on_time_buys_time_and_its_curve_is_drawn() {
     let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
     let how = settings(pvt::Mode::Monotone);
-    let prices = trade_off::prices(&desired, &tif, 4);
+    let prices = trade_off::prices(&desired, &tif, 4).unwrap();
     assert_eq!((prices.len(), prices[0]), (5, 0.0));
     let points = trade_off::trade_off(&desired, &tif, &path, &machine, &prices, &how).unwrap();
     for pair in points.windows(2) {

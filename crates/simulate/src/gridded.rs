@@ -50,15 +50,16 @@
 use std::{ops::Range, sync::Mutex};
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft::pair_convolution::{PairConvolution, is_quick_size, quick_size};
+use planish_numerics::fft::pair_convolution::{is_quick_size, quick_size};
 use planish_types::{Grid, Invalid, Tif, Trajectory, budget};
 use rayon::prelude::*;
 
 use crate::{
     Numerics,
+    kernel::Kernel,
     lattice::{Lattice, has_border, interpolation_error, least_subdivision, sample_anew},
-    quadrature::Cutter,
-    tile::{Border, Tile, Workspace},
+    quadrature::{Cutter, Reach},
+    tile::{Tile, Workspace},
 };
 
 /// Wanted error of the TIF on a lattice that is not its own, relative to its peak: 1e-3 nm in a
@@ -75,12 +76,8 @@ const BYTES_PER_SAMPLE: usize = 64;
 
 /// What depends on the TIF and the map only: for many trajectories.
 pub struct Plan {
-    pub(crate) x: Lattice,
-    pub(crate) y: Lattice,
+    kernel: Kernel,
     tif_interpolation_error: f64,
-    pub(crate) convolution: PairConvolution,
-    /// `None` where nothing spills.
-    pub(crate) border: Option<Border>,
     /// Pixels per strip along x and per band along y.
     pixels: [usize; 2],
     /// Buffers that no thread uses at the moment.
@@ -113,22 +110,13 @@ impl Plan {
         };
         let spills = has_border(tif, &x, &y, &samples);
         let (pixels, size) = layout(&x, &y, spills);
-        let convolution = PairConvolution::new(samples.view(), size);
-        let border = spills.then(|| Border::new(&x, &y, samples.view(), size));
-        Ok(Self {
-            x,
-            y,
-            tif_interpolation_error,
-            convolution,
-            border,
-            pixels,
-            idle: Mutex::default(),
-        })
+        let kernel = Kernel::new(x, y, samples.view(), size, spills);
+        Ok(Self { kernel, tif_interpolation_error, pixels, idle: Mutex::default() })
     }
 
     /// Removal (ny, nx) of `trajectory`, nm.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
-        let mut removal = Array2::zeros((self.y.pixels, self.x.pixels));
+        let mut removal = Array2::zeros((self.kernel.y.pixels, self.kernel.x.pixels));
         let numerics = self.add_to(removal.view_mut(), trajectory);
         (removal, numerics)
     }
@@ -148,7 +136,7 @@ impl Plan {
                 let (part, right) = whole.split_at(NdAxis(1), strips[0].len() + strips[1].len());
                 band = Some(right);
                 if !segments.is_empty() {
-                    jobs.push((Tile::new(self, rows.clone(), strips), segments, part));
+                    jobs.push((Tile::new(&self.kernel, rows.clone(), strips), segments, part));
                 }
             }
         }
@@ -159,7 +147,7 @@ impl Plan {
             .with_max_len(1)
             .map(|(tile, segments, part)| {
                 let work = idle().pop();
-                let mut work = work.unwrap_or_else(|| Workspace::new(self));
+                let mut work = work.unwrap_or_else(|| Workspace::new(&self.kernel));
                 let points = tile.run(trajectory, segments, part, &mut work, alone);
                 idle().push(work);
                 points
@@ -167,19 +155,19 @@ impl Plan {
             .sum();
         Numerics {
             quadrature_points,
-            subdivision: [self.x.subdivision, self.y.subdivision],
+            subdivision: [self.kernel.x.subdivision, self.kernel.y.subdivision],
             tif_interpolation_error: self.tif_interpolation_error,
         }
     }
 
     /// Rows of the map, band by band.
     fn bands(&self) -> Vec<Range<usize>> {
-        parts(self.y.pixels, self.pixels[1])
+        parts(self.kernel.y.pixels, self.pixels[1])
     }
 
     /// Columns of the map, two strips for each tile; the last may be empty.
     fn strips(&self) -> Vec<[Range<usize>; 2]> {
-        let n = self.x.pixels;
+        let n = self.kernel.x.pixels;
         let strips = parts(n, self.pixels[0]);
         strips
             .chunks(2)
@@ -189,37 +177,20 @@ impl Plan {
 
     /// For each band the segments, in the order of time, from which the tool may reach it.
     fn reaching(&self, bands: &[Range<usize>], trajectory: &Trajectory) -> Vec<Vec<Reach>> {
-        let cutter = Cutter::new([self.x.cells(), self.y.cells()]);
+        let cutter = Cutter::new([self.kernel.x.cells(), self.kernel.y.cells()]);
         let reach = |segment: usize| {
             let s = trajectory.segment(segment);
-            s.tool_on.then(|| Reach { segment, range: cutter.range(&s) })
+            s.tool_on.then(|| cutter.reach(segment, &s))
         };
         let all: Vec<Reach> =
             (0..trajectory.len()).into_par_iter().with_min_len(256).filter_map(reach).collect();
         bands
             .par_iter()
             .map(|rows| {
-                let window = self.y.window(rows);
+                let window = self.kernel.y.window(rows);
                 all.iter().filter(|r| r.is_in(1, &window)).copied().collect()
             })
             .collect()
-    }
-}
-
-/// Smallest and largest lattice coordinate [x, y] of a segment.
-#[derive(Clone, Copy, Debug)]
-pub struct Reach {
-    /// Index in the trajectory.
-    pub segment: usize,
-    range: [[f64; 2]; 2],
-}
-
-impl Reach {
-    /// Whether some of it may be in the cells `window` along an axis.
-    pub fn is_in(&self, axis: usize, window: &Range<i64>) -> bool {
-        let [low, high] = self.range[axis];
-        // One cell more than rounding needs.
-        high >= (window.start - 1) as f64 && low <= (window.end + 1) as f64
     }
 }
 

@@ -1,5 +1,7 @@
 //! The lattice of nodes on which the map and the TIF are, and the TIF's samples there.
 
+use std::ops::Range;
+
 use ndarray::Array2;
 use planish_numerics::keys;
 use planish_types::{Axis, Tif};
@@ -90,6 +92,39 @@ impl Lattice {
     /// Sources reach from node -last to node nodes(): one more than outputs and samples need.
     pub fn source_nodes(&self) -> usize {
         self.nodes().saturating_add(self.last as usize + 1)
+    }
+
+    /// Nodes of a source from which the tool reaches `pixels`.
+    pub fn nodes_of(&self, pixels: &Range<usize>) -> usize {
+        match pixels.len() {
+            0 => 0,
+            n => (n - 1) * self.subdivision + self.samples(),
+        }
+    }
+
+    /// Node 0 of that source.
+    pub fn first_node(&self, pixels: &Range<usize>) -> i64 {
+        (pixels.start * self.subdivision) as i64 - self.last as i64
+    }
+
+    /// The pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
+    pub fn pixel(&self, q: i64, pixels: &Range<usize>) -> Option<usize> {
+        let q = usize::try_from(q).ok()?;
+        let i = if self.subdivision == 1 {
+            q
+        } else {
+            q.is_multiple_of(self.subdivision).then_some(q / self.subdivision)?
+        };
+        (i >= pixels.start && i < pixels.end).then(|| i - pixels.start)
+    }
+
+    /// Cells that spread seconds to that source.
+    pub fn window(&self, pixels: &Range<usize>) -> Range<i64> {
+        let first = self.first_node(pixels);
+        match self.nodes_of(pixels) {
+            0 => first..first,
+            n => first - 2..first + n as i64 + 1,
+        }
     }
 
     /// Whether the node k beyond the tool's cell, at the offset f in it, is beyond R's edges:

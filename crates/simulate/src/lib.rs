@@ -24,12 +24,16 @@
 pub mod direct;
 pub mod frames;
 pub mod gridded;
+mod kernel;
 mod lattice;
 pub mod quadrature;
 mod tile;
 
 use ndarray::Array2;
-use planish_types::{Grid, Invalid, Removal, Surface, Tif, Trajectory};
+use planish_types::{
+    Grid, Invalid, Removal, Surface, Tif, Trajectory,
+    plausible::{self, Rms},
+};
 use serde::Serialize;
 
 /// How the integral is computed.
@@ -52,6 +56,14 @@ pub struct Prediction {
     pub removal: Removal,
     /// How the integral was computed.
     pub numerics: Numerics,
+}
+
+impl Prediction {
+    /// Why nobody should run the motion, which takes `total_time_s`, on the surface `desired`, where this is
+    /// so: it leaves more than there is, say.
+    pub fn drawback(&self, desired: &Surface, total_time_s: f64) -> Option<String> {
+        plausible::drawback(Rms::of(desired), Rms::of(self.removal.residual()), total_time_s)
+    }
 }
 
 /// How an integral was computed.

@@ -15,6 +15,8 @@
 //!
 //! of Keys' weights, which sum to its duration.
 
+use std::ops::Range;
+
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
 use planish_types::Segment;
 
@@ -48,6 +50,23 @@ pub struct Window {
     pub high: [i64; 2],
 }
 
+/// Smallest and largest lattice coordinate [x, y] of a segment.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// Index in the trajectory.
+    pub segment: usize,
+    range: [[f64; 2]; 2],
+}
+
+impl Reach {
+    /// Whether some of it may be in the cells `window` along an axis.
+    pub fn is_in(&self, axis: usize, window: &Range<i64>) -> bool {
+        let [low, high] = self.range[axis];
+        // One cell more than rounding needs.
+        high >= (window.start - 1) as f64 && low <= (window.end + 1) as f64
+    }
+}
+
 /// A piece of the motion within one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
@@ -74,12 +93,13 @@ impl Cutter {
         Self { cells, rule: gauss_legendre(), cuts: Vec::new() }
     }
 
-    /// Smallest and largest lattice coordinate [x, y] of `segment`.
-    pub fn range(&self, segment: &Segment<'_>) -> [[f64; 2]; 2] {
-        self.on_lattice(segment).map(|c| {
+    /// How far `segment`, which has the index `index`, goes on the lattice.
+    pub fn reach(&self, index: usize, segment: &Segment<'_>) -> Reach {
+        let range = self.on_lattice(segment).map(|c| {
             let r = polynomial::range(&c, segment.duration_s);
             [r.min, r.max]
-        })
+        });
+        Reach { segment: index, range }
     }
 
     /// Calls `each` with the pieces of `segment` in the window, in the order of time.

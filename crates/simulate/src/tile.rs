@@ -5,105 +5,18 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft::{
-    Complex64,
-    pair_convolution::{LineConvolution, LineWorkspace},
-};
+use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
+use planish_numerics::fft::{Complex64, pair_convolution::LineWorkspace};
 use planish_types::Trajectory;
 use rayon::prelude::*;
 
 use crate::{
-    gridded::{Plan, Reach},
-    lattice::{BorderNode, Lattice},
-    quadrature::{Cutter, Piece, Window},
+    kernel::{Border, Edge, Kernel, MAX_BORDER},
+    quadrature::{Cutter, Piece, Reach, Window},
 };
 
 /// Columns of the map that are written together: a cache line.
 const COLUMNS: usize = 8;
-
-/// Most nodes of one axis that get something from beyond the samples: three at either edge, and
-/// one more where the upper edge is between two nodes.
-const MAX_BORDER: usize = 8;
-
-/// What removes the spill of (2).
-pub struct Border {
-    rows: Edge,
-    columns: Edge,
-    /// The samples at the corners; `None` where they are lost in the rounding of the peak.
-    corners: Option<Vec<[[f64; MAX_BORDER]; 4]>>,
-}
-
-/// The edges of R along one axis.
-struct Edge {
-    nodes: Vec<BorderNode>,
-    /// With the samples of [`Lattice::border_samples`], along the other axis.
-    convolution: LineConvolution,
-}
-
-impl Edge {
-    fn new(g: ArrayView2<f64>, across: &Lattice, size: usize) -> Self {
-        let rows: Vec<usize> = across.border_samples().iter().map(|j| (j + 1) as usize).collect();
-        let kernels = g.select(NdAxis(0), &rows);
-        Self { nodes: across.border(), convolution: LineConvolution::new(kernels.view(), size) }
-    }
-}
-
-impl Border {
-    /// For transforms of the shape `size`.
-    pub fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>, size: (usize, usize)) -> Self {
-        let (rows, columns) = (Edge::new(g, y, size.1), Edge::new(g.t(), x, size.0));
-        // corners[slot of j][a][slot of kx] = g[j][kx - (a - 1)]
-        let (samples_x, samples_y) = (x.border_samples(), y.border_samples());
-        let mut corners = vec![[[0.0; MAX_BORDER]; 4]; samples_y.len()];
-        for (j, table) in samples_y.iter().zip(&mut corners) {
-            for (kx, node) in columns.nodes.iter().enumerate() {
-                for &(slot, a) in &node.terms {
-                    table[a][kx] = g[[(j + 1) as usize, (samples_x[slot] + 1) as usize]];
-                }
-            }
-        }
-        let largest = corners.iter().flatten().flatten().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let peak = g.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let corners = (largest > f64::EPSILON * peak).then_some(corners);
-        Self { rows, columns, corners }
-    }
-}
-
-impl Lattice {
-    /// Nodes of a source from which the tool reaches `pixels`.
-    fn nodes_of(&self, pixels: &Range<usize>) -> usize {
-        match pixels.len() {
-            0 => 0,
-            n => (n - 1) * self.subdivision + self.samples(),
-        }
-    }
-
-    /// Node 0 of that source.
-    fn first_node(&self, pixels: &Range<usize>) -> i64 {
-        (pixels.start * self.subdivision) as i64 - self.last as i64
-    }
-
-    /// The pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
-    fn pixel(&self, q: i64, pixels: &Range<usize>) -> Option<usize> {
-        let q = usize::try_from(q).ok()?;
-        let i = if self.subdivision == 1 {
-            q
-        } else {
-            q.is_multiple_of(self.subdivision).then_some(q / self.subdivision)?
-        };
-        (i >= pixels.start && i < pixels.end).then(|| i - pixels.start)
-    }
-
-    /// Cells that spread seconds to that source.
-    pub fn window(&self, pixels: &Range<usize>) -> Range<i64> {
-        let first = self.first_node(pixels);
-        match self.nodes_of(pixels) {
-            0 => first..first,
-            n => first - 2..first + n as i64 + 1,
-        }
-    }
-}
 
 /// Buffers of a thread.
 pub struct Workspace {
@@ -115,11 +28,11 @@ pub struct Workspace {
 }
 
 impl Workspace {
-    /// For any tile of `plan`.
-    pub fn new(plan: &Plan) -> Self {
+    /// For any tile of `kernel`.
+    pub fn new(kernel: &Kernel) -> Self {
         Self {
-            field: Array2::zeros(plan.convolution.size()),
-            cutter: Cutter::new([plan.x.cells(), plan.y.cells()]),
+            field: Array2::zeros(kernel.convolution.size()),
+            cutter: Cutter::new([kernel.x.cells(), kernel.y.cells()]),
             pieces: Vec::new(),
             cells: Vec::new(),
         }
@@ -128,7 +41,7 @@ impl Workspace {
 
 /// Rows and two strips of columns of the map.
 pub struct Tile<'a> {
-    plan: &'a Plan,
+    kernel: &'a Kernel,
     rows: Range<usize>,
     strips: [Range<usize>; 2],
     /// Cells that spread seconds to the tile.
@@ -139,17 +52,17 @@ pub struct Tile<'a> {
 }
 
 impl<'a> Tile<'a> {
-    /// The tile of `plan` with these pixels.
-    pub fn new(plan: &'a Plan, rows: Range<usize>, strips: [Range<usize>; 2]) -> Self {
-        let [left, right] = [0, 1].map(|s| plan.x.window(&strips[s]));
-        let y = plan.y.window(&rows);
+    /// The tile of `kernel` with these pixels.
+    pub fn new(kernel: &'a Kernel, rows: Range<usize>, strips: [Range<usize>; 2]) -> Self {
+        let [left, right] = [0, 1].map(|s| kernel.x.window(&strips[s]));
+        let y = kernel.y.window(&rows);
         let window = Window {
             low: [left.start, y.start],
             high: [if right.is_empty() { left.end } else { right.end }, y.end],
         };
-        let first_y = plan.y.first_node(&rows);
-        let first_x = [0, 1].map(|s| plan.x.first_node(&strips[s]));
-        Self { plan, rows, strips, window, first_y, first_x }
+        let first_y = kernel.y.first_node(&rows);
+        let first_x = [0, 1].map(|s| kernel.x.first_node(&strips[s]));
+        Self { kernel, rows, strips, window, first_y, first_x }
     }
 
     /// Adds the removal of the `segments` to `out`, the pixels of the tile; returns the number of
@@ -167,9 +80,9 @@ impl<'a> Tile<'a> {
             return points;
         }
         // R = E - E ly - E lx + E ly lx                                              (2)
-        let y = &self.plan.y;
+        let y = &self.kernel.y;
         let rows = y.nodes_of(&self.rows);
-        self.plan.convolution.convolve(work.field.view_mut(), rows, alone);
+        self.kernel.convolution.convolve(work.field.view_mut(), rows, alone);
         let valid = work.field.outer_iter().skip(y.samples() - 1).step_by(y.subdivision);
         for (mut row, line) in out.outer_iter_mut().zip(valid) {
             self.add_row(
@@ -178,7 +91,7 @@ impl<'a> Tile<'a> {
                 1.0,
             );
         }
-        if let Some(border) = &self.plan.border {
+        if let Some(border) = &self.kernel.border {
             self.subtract_rows(&border.rows, work, out.view_mut(), alone);
             self.subtract_columns(&border.columns, work, out.view_mut(), alone);
             if let Some(corners) = &border.corners {
@@ -197,7 +110,7 @@ impl<'a> Tile<'a> {
         work: &mut Workspace,
     ) -> (usize, bool) {
         let Workspace { field, cutter, pieces, cells } = work;
-        let keep = self.plan.border.is_some();
+        let keep = self.kernel.border.is_some();
         let width = field.ncols();
         field.fill(Complex64::default());
         pieces.clear();
@@ -231,7 +144,7 @@ impl<'a> Tile<'a> {
 
     /// Whether the points of this cell are counted here: in every cell by one tile.
     fn owns(&self, cell: [i64; 2]) -> bool {
-        let overlap = [self.plan.x.samples(), self.plan.y.samples()].map(|n| n as i64 + 2);
+        let overlap = [self.kernel.x.samples(), self.kernel.y.samples()].map(|n| n as i64 + 2);
         let first = [self.strips[0].start, self.rows.start];
         (0..2).all(|a| first[a] == 0 || cell[a] >= self.window.low[a] + overlap[a])
     }
@@ -244,13 +157,13 @@ impl<'a> Tile<'a> {
     /// Node of the piece's cell in a strip, if it spreads seconds there.
     fn column(&self, piece: &Piece, part: usize) -> Option<i64> {
         let c = piece.cell[0] - self.first_x[part];
-        let nodes = self.plan.x.nodes_of(&self.strips[part]) as i64;
+        let nodes = self.kernel.x.nodes_of(&self.strips[part]) as i64;
         (nodes > 0 && c >= -2 && c <= nodes).then_some(c)
     }
 
     /// Adds `sign` times the valid part of a convolved line to a row of the tile.
     fn add_row(&self, row: &mut [f64], line: &[Complex64], sign: f64) {
-        let x = &self.plan.x;
+        let x = &self.kernel.x;
         let (left, right) = row.split_at_mut(self.strips[0].len());
         let valid = &line[x.samples() - 1..];
         if x.subdivision == 1 {
@@ -272,7 +185,7 @@ impl<'a> Tile<'a> {
         mut out: ArrayViewMut2<f64>,
         alone: bool,
     ) {
-        let y = &self.plan.y;
+        let y = &self.kernel.y;
         let cells = ByCell::new(cells, 1, self.window.low[1]..self.window.high[1]);
         let first = self.rows.start;
         out.axis_iter_mut(NdAxis(0))
@@ -355,7 +268,7 @@ impl<'a> Tile<'a> {
         work: &mut LineWorkspace,
         spill: &mut [Complex64],
     ) {
-        let (x, y) = (&self.plan.x, &self.plan.y);
+        let (x, y) = (&self.kernel.x, &self.kernel.y);
         for (part, strip) in self.strips.iter().enumerate().filter(|(_, s)| c < s.len()) {
             let node = ((strip.start + c) * x.subdivision) as i64;
             for border in &edge.nodes {
@@ -388,7 +301,7 @@ impl<'a> Tile<'a> {
         pieces: &[Piece],
         mut out: ArrayViewMut2<f64>,
     ) {
-        let (x, y) = (&self.plan.x, &self.plan.y);
+        let (x, y) = (&self.kernel.x, &self.kernel.y);
         let [left, right] = &self.strips;
         let columns = left.start..left.end.max(right.end);
         for piece in pieces {

@@ -5,7 +5,7 @@
 
 use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale, Svg, cells, colour, frame::range, svg::put};
-use planish_types::{Axis, Grid, text::fixed};
+use planish_types::{Axis, Grid, Invalid, text::fixed};
 
 use crate::psd::Psd;
 
@@ -51,9 +51,18 @@ pub struct MapsSettings {
     pub outline: Option<Panel>,
 }
 
-/// The maps one after the other, and below them one section through all.
-pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> String {
-    let Some(first) = panels.first() else { return String::new() };
+/// The maps one after the other, and below them one section through all. A section that meets none of the
+/// maps is refused.
+pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Invalid> {
+    let Some(first) = panels.first() else { return Ok(String::new()) };
+    if let Some(y) = settings.section_y_mm {
+        let inside = |p: &Panel| (p.grid.y.start_mm()..=p.grid.y.end_mm()).contains(&y);
+        if !panels.iter().any(inside) {
+            let [low, high] = [first.grid.y.start_mm(), first.grid.y.end_mm()];
+            let remedy = format!("the first goes from {low} to {high} mm");
+            return Err(Invalid::whole("section_y_mm", format!("is {y}, no map is there"), remedy));
+        }
+    }
     let y_mm =
         settings.section_y_mm.unwrap_or(0.5 * (first.grid.y.start_mm() + first.grid.y.end_mm()));
     let common = range(panels.iter().flat_map(|p| p.map.iter().copied()));
@@ -85,7 +94,7 @@ pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> String {
     }
     curves(&mut svg, &frame, &sections);
     frame.title(&mut svg, &format!("section at y = {} mm", fixed(y_mm, 3)));
-    svg.finish([cell[0] * columns as f64, top + HEIGHT + MARGIN[1] + MARGIN[3]])
+    Ok(svg.finish([cell[0] * columns as f64, top + HEIGHT + MARGIN[1] + MARGIN[3]]))
 }
 
 /// The spectra along x and y, and the radial one, on logarithmic axes.
@@ -237,7 +246,7 @@ mod tests {
 
     #[test]
     fn a_map_fills_its_frame_and_has_its_title() {
-        let svg = maps_svg(&[panel("a < b", 2, 2, |r, _| r as f64)], &settings());
+        let svg = maps_svg(&[panel("a < b", 2, 2, |r, _| r as f64)], &settings()).unwrap();
         assert!(svg.contains("translate(64.00 594.00) scale(280.000000 -280.000000)"), "{svg}");
         assert!(svg.contains("a &lt; b"));
     }
@@ -245,9 +254,21 @@ mod tests {
     #[test]
     fn an_invalid_pixel_cuts_the_section() {
         let hole = |r: usize, c: usize| if (r, c) == (1, 2) { f64::NAN } else { c as f64 };
-        let svg = maps_svg(&[panel("hole", 6, 3, hole)], &settings());
+        let svg = maps_svg(&[panel("hole", 6, 3, hole)], &settings()).unwrap();
         let line = svg.split("stroke-width=\"1.5\" d=\"").nth(1).unwrap();
         assert_eq!(line.split('"').next().unwrap().matches('M').count(), 2, "{svg}");
+    }
+
+    #[test]
+    fn a_section_that_meets_no_map_is_refused() {
+        let panels = [panel("one", 2, 3, |r, _| r as f64), panel("two", 2, 6, |r, _| r as f64)];
+        let at = |y| maps_svg(&panels, &MapsSettings { section_y_mm: Some(y), ..settings() });
+        assert!(at(0.0).is_ok() && at(5.0).is_ok());
+        let message = at(5.1).unwrap_err().to_string();
+        assert!(
+            message.contains("section_y_mm: is 5.1") && message.contains("0 to 2 mm"),
+            "{message}"
+        );
     }
 
     #[test]
@@ -255,7 +276,7 @@ mod tests {
         // One valid pixel in the middle of nine: four sides.
         let middle = |r: usize, c: usize| if (r, c) == (1, 1) { 0.0 } else { f64::NAN };
         let outlined = MapsSettings { outline: Some(panel("", 3, 3, middle)), ..settings() };
-        let svg = maps_svg(&[panel("map", 3, 3, |_, _| 1.0)], &outlined);
+        let svg = maps_svg(&[panel("map", 3, 3, |_, _| 1.0)], &outlined).unwrap();
         let d = svg.split("stroke=\"#ffffff\" stroke-width=\"1.5\" d=\"").nth(1).unwrap();
         assert_eq!(d.split('"').next().unwrap().matches('M').count(), 4, "{svg}");
     }

@@ -140,6 +140,10 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
             format!("give at most {MAX_ORDER}"),
         ));
     }
+    if settings.circle.is_some() && settings.family != Family::Zernike {
+        let problem = "has no use without zernike terms";
+        return Err(Invalid::whole("zernike circle", problem, "leave it out"));
+    }
     let map = surface.height_nm();
     let valid_area_mm2 = surface.statistics().valid_count as f64 * grid.pixel_mm2();
     let [x_mm, y_mm] = bounding_box_mm(map, grid);
@@ -423,6 +427,8 @@ mod tests {
         assert!(message(settings(Family::Legendre, 18)).contains("valid pixel(s) for 190 terms"));
         assert!(message(zernike(0.5, 2)).contains("a valid pixel is at 1"));
         assert!(message(zernike(f64::NAN, 2)).contains("radius NaN"));
+        let without_terms = LowOrderSettings { family: Family::Legendre, ..zernike(1.0, 2) };
+        assert!(message(without_terms).contains("zernike circle: has no use"));
         let mut map = Array2::from_elem((41, 41), f64::NAN);
         map.column_mut(7).fill(1.0);
         let line = Surface::new(grid(41, 41), map.clone()).unwrap();

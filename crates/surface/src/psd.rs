@@ -126,7 +126,7 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
             format!("the largest rectangle of valid pixels has {nx} x {ny} px"),
             format!(
                 "give a map with at least {MIN_SAMPLES} x {MIN_SAMPLES} px without a hole \
-                 (planish-surface prepare --fill fills them)"
+                 (prepare with `fill` fills them)"
             ),
         ));
     }

@@ -162,7 +162,7 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
     let note = (after.border_to_peak > NOTEWORTHY_BORDER).then(|| {
         format!(
             "the TIF ends at {:.1} % of its peak: a raster prints that step onto the part; measure a \
-             wider field, or use --subtract-border or --taper-fraction",
+             wider field, or use `subtract_border` or `taper_fraction`",
             100.0 * after.border_to_peak
         )
     });
@@ -458,7 +458,7 @@ fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
         return Err(Invalid::whole(
             "taper",
             "the tool centre is not within the samples",
-            "give a centre (--centre centroid)",
+            "give a centre (`centre` centroid)",
         ));
     }
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {

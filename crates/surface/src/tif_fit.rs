@@ -77,6 +77,13 @@ pub struct FitReport {
     pub converged: bool,
 }
 
+impl FitReport {
+    /// Why the verdict is negative, where it is.
+    pub fn negative(&self) -> Option<String> {
+        (!self.converged).then(|| format!("the fit did not converge in {} steps", self.steps))
+    }
+}
+
 /// One ellipse.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Component {

@@ -86,8 +86,12 @@ const IMPURE: [&str; 14] = [
     "SystemTime",
 ];
 
-/// Crates that still have a circle of modules; one that has lost it must be taken off this list.
-const CIRCULAR: [&str; 3] = ["handoff", "simulate", "toolpath"];
+/// Flags in the sources of libraries that are no settings of theirs: a comment in a program for a
+/// controller, whose reader has the command line before him.
+const FLAGS_FOR_OPERATORS: [(&str, &str); 1] = [("pmac.rs", "--tool-output")];
+
+/// A stage whose library still has flags in its messages.
+const STAGE_WITH_FLAGS: &str = "bspline-feed";
 
 /// Split so that this file does not contain them.
 const UNFINISHED: [&str; 3] =
@@ -150,6 +154,24 @@ fn mentions(source: &str, words: &[&'static str]) -> Vec<&'static str> {
     let code: Vec<&str> = source[..tests].lines().map(without_comment).collect();
     let code = code.join("\n").replace(NAMES_OF_VALUES, "");
     words.iter().copied().filter(|word| contains_word(&code, word)).collect()
+}
+
+/// The flags that the code names, comments and unit tests left out; not those of a command that it
+/// tells to run, whose program stands before them in the line.
+fn flags(source: &str) -> Vec<&str> {
+    let tests = source.find("#[cfg(test)]\nmod tests").unwrap_or(source.len());
+    let mut flags = Vec::new();
+    for line in source[..tests].lines().map(without_comment) {
+        for (at, _) in line.match_indices("--") {
+            let (before, flag) = line.split_at(at);
+            let begins = flag[2..].starts_with(|c: char| c.is_ascii_lowercase());
+            if begins && !before.ends_with('-') && !before.contains("planish-") {
+                let end = flag.find(|c: char| !(c.is_ascii_alphanumeric() || c == '-'));
+                flags.push(&flag[..end.unwrap_or(flag.len())]);
+            }
+        }
+    }
+    flags
 }
 
 /// The line up to `//`; no line of ours has `//` in a string before something that matters.
@@ -389,6 +411,23 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 }
 
 #[test]
+fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
+    let mut complaints = Vec::new();
+    for folder in STAGES.iter().chain(&["refine"]).filter(|stage| **stage != STAGE_WITH_FLAGS) {
+        for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
+            let source = fs::read_to_string(&file).unwrap();
+            for flag in flags(&source) {
+                let known = |(end, known): &(&str, &str)| file.ends_with(end) && flag == *known;
+                if !FLAGS_FOR_OPERATORS.iter().any(known) {
+                    complaints.push(format!("{}: {flag}; name the setting", file.display()));
+                }
+            }
+        }
+    }
+    no_complaints(&complaints);
+}
+
+#[test]
 fn no_two_modules_of_a_library_name_each_other() {
     let mut complaints = Vec::new();
     for folder in packages().keys() {
@@ -411,7 +450,7 @@ fn no_two_modules_of_a_library_name_each_other() {
             }
         }
         let found = circles(&arrows);
-        if found.is_empty() == CIRCULAR.contains(&folder.as_str()) {
+        if !found.is_empty() {
             complaints.push(format!("crates/{folder}: modules in a circle: {found:?}"));
         }
     }
@@ -535,6 +574,20 @@ fn an_impure_library_is_caught() {
         assert_eq!(mentions(source, &IMPURE), found, "{source}");
     }
     assert!(contains_word(concat!("#[ig", "nore = \"slow\"]"), UNFINISHED[2]));
+}
+
+#[test]
+fn a_flag_in_a_library_is_caught() {
+    for (source, found) in [
+        ("let remedy = \"give a larger --count-mm\";", vec!["--count-mm"]),
+        ("\"leave out --x and --y, or \\\n --unit\"", vec!["--x", "--y", "--unit"]),
+        ("let remedy = \"give a larger `count_mm`\"; // --count-mm", vec![]),
+        ("\"run planish-simulate --frames again\"", vec![]),
+        ("let a = b - -c; // ----", vec![]),
+        ("pure();\n#[cfg(test)]\nmod tests { fn f() { g(\"--out\"); } }", vec![]),
+    ] {
+        assert_eq!(flags(source), found, "{source}");
+    }
 }
 
 #[test]

@@ -9,8 +9,8 @@
 //! * [`mod@multi_pitch`]: regions by depth, each a raster of its own pitch.
 //! * [`mod@spiral`]: one line from the inside out, for round parts.
 //!
-//! For any path: [`mod@statistics`] (length, steps, turns, crossings, coverage, least time) and
-//! [`mod@draw`] (a picture).
+//! For any path: [`mod@statistics`] (length, steps, turns, crossings, coverage, least time), [`PathReport`]
+//! (these, and what the user should know) and [`mod@draw`] (a picture).
 
 mod draft;
 pub mod draw;
@@ -19,6 +19,7 @@ pub mod multi_pitch;
 pub mod random_adaptive;
 pub mod raster;
 mod region;
+mod report;
 mod segments;
 pub mod spiral;
 pub mod statistics;
@@ -30,6 +31,8 @@ pub use random_adaptive::{
     Construction, RandomAdaptive, RandomAdaptiveReport, RandomAdaptiveSettings, random_adaptive,
 };
 pub use raster::{LineOrder, RasterSettings, Scan, Turn, raster};
+pub use region::usual_overscan_mm;
+pub use report::PathReport;
 pub use spiral::{SpiralSettings, spiral};
 pub use statistics::{PathStatistics, PitchLimit, pitch_limit, statistics, time_lower_bound_s};
 

@@ -73,6 +73,13 @@ pub struct MazeSettings {
     pub seed: u64,
 }
 
+impl MazeSettings {
+    /// The usual longest segment, mm: a side of a cell, or the radius of rounded corners.
+    pub fn usual_step_mm(pitch_mm: f64, corner_radius_mm: f64) -> f64 {
+        if corner_radius_mm > 0.0 { corner_radius_mm } else { pitch_mm }
+    }
+}
+
 /// A random spanning tree.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]

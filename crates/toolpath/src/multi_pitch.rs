@@ -104,6 +104,23 @@ pub struct MultiPitchReport {
     pub regions: Vec<PitchRegion>,
 }
 
+impl MultiPitchReport {
+    /// What the user should know: classes whose least depth needs a larger feed than the settings allow.
+    pub fn warnings(&self, settings: &MultiPitchSettings) -> Vec<String> {
+        let limit = settings.max_velocity_mm_per_s;
+        let too_fast = self.classes.iter().enumerate().skip(1).filter_map(|(k, class)| {
+            // A little more is the rounding of the pitches.
+            let v = class.least_depth_velocity_mm_per_s.filter(|v| *v > limit * 1.001)?;
+            Some(format!(
+                "class {k} (pitch {:.4} mm) needs up to {v:.4} mm/s, more than {limit} mm/s; give a \
+                 larger `max_pitch_mm`, or expect more removal there than asked for",
+                class.pitch_mm
+            ))
+        });
+        too_fast.collect()
+    }
+}
+
 /// A class of depth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DepthClass {
@@ -229,7 +246,7 @@ fn check(settings: &MultiPitchSettings) -> Result<(), Invalid> {
     let (low, high) = (settings.min_pitch_mm, settings.max_pitch_mm);
     if low > high {
         let problem = format!("is {low}, above the largest pitch of {high} mm");
-        let remedy = "give a smaller --min-pitch-mm or a larger --max-pitch-mm";
+        let remedy = "give a smaller `min_pitch_mm` or a larger `max_pitch_mm`";
         return Err(Invalid::whole("min_pitch_mm", problem, remedy));
     }
     match settings.min_area_mm2 {
@@ -249,7 +266,7 @@ fn check_size(surface: &Surface, pitches: &[f64]) -> Result<(), Invalid> {
     let (size, pitch) = (extent.high - extent.low, pitches[0]);
     if pitch > size * (1.0 + SLACK) {
         let problem = format!("a pitch of {pitch} mm is larger than the aperture, {size} mm in y");
-        let remedy = "give a smaller --max-pitch-mm, or check the units";
+        let remedy = "give a smaller `max_pitch_mm`, or check the units";
         return Err(Invalid::whole("max_pitch_mm", problem, remedy));
     }
     Ok(())

@@ -63,6 +63,9 @@ const MAX_ROUNDING_PASSES: u32 = 4;
 const PITCH_TOLERANCE: f64 = 0.02;
 /// Times that the path is made, at most.
 const TRIALS: usize = 5;
+/// Mesh edge per spacing of the path: with this the length per area of a uniform path with one
+/// rounding pass is that of its spacing (measured, to 2 %).
+const EDGE_PER_SPACING: f64 = 2.4;
 
 type Point = [f64; 2];
 
@@ -126,6 +129,13 @@ pub struct RandomAdaptiveReport {
     pub corners_kept: usize,
     /// Points that stand closer than the wanted step, because the step would have crossed another.
     pub points_kept: usize,
+}
+
+impl RandomAdaptiveReport {
+    /// The pitch where the path is least dense, in whole micrometres, mm.
+    pub fn largest_pitch_mm(&self) -> f64 {
+        (1e3 * self.largest_spacing_mm).ceil() / 1e3
+    }
 }
 
 /// A closed path, its first node not repeated.

@@ -93,6 +93,27 @@ pub struct RasterSettings {
     pub pitch_range_mm: Option<[f64; 2]>,
 }
 
+impl RasterSettings {
+    /// The largest distance between neighbouring lines, mm.
+    pub fn largest_pitch_mm(&self) -> f64 {
+        self.pitch_range_mm.map_or(self.pitch_mm, |[_, most]| most)
+    }
+
+    /// What the user should know of the `path` with these settings: that it has one line only, say.
+    pub fn warnings(&self, path: &ToolPath) -> Vec<String> {
+        let across = self.scan.axes()[1];
+        let w = |p: &[f64; 2]| p[0] * across[0] + p[1] * across[1];
+        let first = w(&path.point_mm()[0]);
+        // Less than any pitch that can be meant, more than rounding.
+        let is_one = path.point_mm().iter().all(|p| (w(p) - first).abs() < 1e-6 * self.pitch_mm);
+        let warning = is_one.then(|| {
+            let pitch_mm = self.pitch_mm;
+            format!("one line only: a pitch of {pitch_mm} mm leaves no room for a second one")
+        });
+        warning.into_iter().collect()
+    }
+}
+
 /// Direction of the lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -157,6 +178,14 @@ pub enum Turn {
     Semicircle,
     /// A straight segment with the tool off.
     Lift,
+}
+
+impl Turn {
+    /// The usual one: lines in one direction or in random order need a lift between them.
+    pub fn usual(order: LineOrder, one_directional: bool) -> Self {
+        let lifts = one_directional || matches!(order, LineOrder::Random { .. });
+        if lifts { Self::Lift } else { Self::Square }
+    }
 }
 
 /// A raster over the valid pixels of `surface`.
@@ -397,6 +426,24 @@ mod tests {
 
     fn lifts(path: &ToolPath) -> usize {
         path.tool_on().iter().filter(|on| !**on).count()
+    }
+
+    #[test]
+    fn a_raster_of_one_line_is_told_and_a_usual_turn_can_be_driven() {
+        let surface = map(41, 41, |_, _| true);
+        for (pitch_mm, told) in [(5.0, 0), (30.0, 1)] {
+            let settings = settings(pitch_mm, 1.0, 0.0);
+            let path = raster(&surface, &settings).unwrap();
+            assert_eq!(settings.warnings(&path).len(), told, "{pitch_mm}");
+        }
+        for order in [LineOrder::Sequential, LineOrder::BiStep, LineOrder::Random { seed: 2 }] {
+            for one_directional in [false, true] {
+                let turn = Turn::usual(order, one_directional);
+                let settings =
+                    RasterSettings { turn, order, one_directional, ..settings(5.0, 1.0, 0.0) };
+                assert!(raster(&surface, &settings).is_ok(), "{settings:?}");
+            }
+        }
     }
 
     #[test]

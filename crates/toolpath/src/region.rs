@@ -2,10 +2,17 @@
 //! and the region that they become when the tool goes beyond them by an overscan.
 
 use ndarray::ArrayView2;
-use planish_types::{Axis, Invalid};
+use planish_types::{Axis, Invalid, Tif};
 
 /// Lengths that agree to this fraction of a pitch or a step are equal: rounding of coordinates.
 pub(crate) const SLACK: f64 = 1e-9;
+
+/// The usual overscan: half the TIF's larger size, which keeps the removal at the edge equal to that
+/// inside, mm.
+pub fn usual_overscan_mm(tif: &Tif) -> f64 {
+    let [x, y] = tif.half_size_mm();
+    x.max(y)
+}
 
 /// The clear aperture as runs of valid pixels, in coordinates along and across the lines.
 pub(crate) struct Aperture {

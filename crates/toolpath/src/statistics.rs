@@ -98,6 +98,13 @@ pub struct PitchLimit {
     pub ripple_mm: f64,
 }
 
+impl PitchLimit {
+    /// The largest pitch that keeps both bounds, mm.
+    pub fn pitch_mm(&self) -> f64 {
+        self.tif_size_sixth_mm.min(self.ripple_mm)
+    }
+}
+
 /// Statistics of `path` over the clear aperture: the valid pixels of `surface`.
 pub fn statistics(path: &ToolPath, surface: &Surface) -> PathStatistics {
     let lengths = |on: bool| {

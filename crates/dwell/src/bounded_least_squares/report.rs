@@ -4,7 +4,10 @@ use std::fmt;
 
 use ndarray::{Array2, Zip};
 use planish_numerics::statistics;
-use planish_types::{DwellTime, End, Invalid};
+use planish_types::{
+    DwellTime, End, Invalid,
+    plausible::{self, Rms},
+};
 use serde::Serialize;
 
 use super::{minimise::Iterate, prepared::BoundedProblem};
@@ -64,6 +67,29 @@ pub struct Report {
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
+}
+
+impl Report {
+    /// Why the verdict is negative, where it is: without its certificate a result is not known to be the
+    /// best, and the best is no plan where it leaves more than the map `before` it.
+    pub fn negative(&self, before: Rms) -> Option<String> {
+        let after = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
+        let gap = self.relative_gap.map_or_else(String::new, |gap| {
+            format!(", and the objective may be {gap:.1e} of itself above its minimum")
+        });
+        let unproven = format!(
+            "after {} iterations a dwell time would still move by {:.1e} s{gap}; raise `tikhonov` or \
+             `smoothness`",
+            self.iterations, self.kkt_residual_s
+        );
+        match self.end {
+            End::Optimal => plausible::drawback(before, after, self.total_time_s),
+            End::Stagnated => {
+                Some(format!("not proven optimal, the steps change nothing any more: {unproven}"))
+            }
+            _ => Some(format!("not converged: {unproven}")),
+        }
+    }
 }
 
 /// Dwell times and what was reached.

@@ -66,9 +66,9 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
             if begun { "does not end with PVA=0,0,0 and PVB=0,0,0" } else { "has no BTAB" };
         return Err(Invalid::whole("program", problem, "it was cut off: write the program again"));
     }
-    let count_mm = needed("count_mm", "--count-mm", configuration.count_mm)?;
-    let sample_s = positive("sample_s", needed("sample_s", "--sample-s", configuration.sample_s)?)?;
-    let start_mm = needed("start_mm", "--start-mm", configuration.start_mm)?;
+    let count_mm = needed("count_mm", configuration.count_mm)?;
+    let sample_s = positive("sample_s", needed("sample_s", configuration.sample_s)?)?;
+    let start_mm = needed("start_mm", configuration.start_mm)?;
     for c in count_mm {
         positive("count_mm", c)?;
     }

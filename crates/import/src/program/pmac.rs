@@ -15,12 +15,8 @@ use super::{Configuration, Knot, finite, needed, positive, through, wrong};
 
 /// The motion of a program.
 pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Invalid> {
-    let start_mm = needed("start_mm", "--start-mm", configuration.start_mm)?;
-    let unit_s = needed(
-        "feedrate_time_unit_s",
-        "--feedrate-time-unit-s",
-        configuration.feedrate_time_unit_s,
-    )?;
+    let start_mm = needed("start_mm", configuration.start_mm)?;
+    let unit_s = needed("feedrate_time_unit_s", configuration.feedrate_time_unit_s)?;
     let unit_s = positive("feedrate_time_unit_s", unit_s)?;
     let mut last =
         Knot { time_s: 0.0, position_mm: start_mm, velocity_mm_per_s: [0.0; 2], tool_on: true };

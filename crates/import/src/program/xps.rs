@@ -10,7 +10,7 @@ use super::{Configuration, Knot, finite, needed, through, wrong};
 
 /// The motion of a program.
 pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Invalid> {
-    let start_mm = needed("start_mm", "--start-mm", configuration.start_mm)?;
+    let start_mm = needed("start_mm", configuration.start_mm)?;
     let mut knots = vec![Knot {
         time_s: 0.0,
         position_mm: start_mm,

@@ -21,6 +21,13 @@ pub struct Settings {
     pub sigma_mm: f64,
 }
 
+impl Settings {
+    /// The usual decay for this margin: to 1 % at its outer edge.
+    pub fn for_margin_mm(margin_mm: f64) -> Self {
+        Self { sigma_mm: margin_mm / 3.0 }
+    }
+}
+
 /// `map` (ny, nx) with a height on every pixel.
 pub(super) fn extend(
     map: &Array2<f64>,

@@ -40,6 +40,13 @@ pub struct Settings {
     pub tolerance_nm: f64,
 }
 
+impl Settings {
+    /// The defaults for this cutoff, 1/mm.
+    pub fn for_cutoff_per_mm(cutoff_per_mm: f64) -> Self {
+        Self { cutoff_per_mm, max_iterations: 300, tolerance_nm: 1e-3 }
+    }
+}
+
 /// `map` (ny, nx) with a height on every pixel.
 pub(super) fn extend(
     map: &Array2<f64>,

@@ -41,6 +41,12 @@ pub struct Settings {
     pub ring: bool,
 }
 
+impl Default for Settings {
+    fn default() -> Self {
+        Self { order: [9, 6], ring: true }
+    }
+}
+
 /// `map` (ny, nx), enlarged by `margin_mm`, with a height on every pixel.
 pub(super) fn extend(
     map: &Array2<f64>,

@@ -74,7 +74,7 @@ pub fn maps(maps: &[(String, &Surface)], block: usize, cut_nm: f64, section_y_mm
         common_scale: true,
         outline: None,
     };
-    maps_svg(&panels, &settings)
+    maps_svg(&panels, &settings).expect("the section goes through the maps")
 }
 
 /// Means over whole blocks; NaN where a pixel is.

@@ -21,7 +21,7 @@ use std::{collections::VecDeque, ops::Range};
 
 use planish_types::{Axis, Invalid, Surface};
 
-use super::RandomAdaptiveSettings;
+use super::{EDGE_PER_SPACING, RandomAdaptiveSettings};
 
 /// Cells per pitch.
 const CELLS_PER_PITCH: f64 = 3.0;
@@ -36,7 +36,7 @@ pub(super) const LOWEST_RATIO: f64 = 0.25;
 pub(super) const HIGHEST_RATIO: f64 = 4.0;
 /// Largest slope of the spacing: 0.3 for mesh edges, so that neighbouring triangles differ by a
 /// third at most.
-const MAX_SLOPE: f64 = 0.3 / super::mesh_tree::EDGE_PER_SPACING;
+const MAX_SLOPE: f64 = 0.3 / EDGE_PER_SPACING;
 
 /// Marks cells outside the region.
 const OUTSIDE: u32 = u32::MAX;

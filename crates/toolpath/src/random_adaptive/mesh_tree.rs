@@ -32,11 +32,8 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use spade::{DelaunayTriangulation, Point2, Triangulation};
 
-use super::{Loop, Point, field::Field, points::mesh_points};
+use super::{EDGE_PER_SPACING, Loop, Point, field::Field, points::mesh_points};
 
-/// Mesh edge per spacing of the path: with this the length per area of a uniform path with one
-/// rounding pass is that of its spacing (measured, to 2 %).
-pub(super) const EDGE_PER_SPACING: f64 = 2.4;
 /// w. The middle of the gap around a vertex is the point that is farthest from the path: with
 /// w = 1 it is 1.01 pitches away in a uniform path, with 1.4 it is 0.9 (measured; more gains
 /// nothing and makes the turns sharper).

@@ -1,4 +1,4 @@
-//! One run, one directory, one owner.
+//! `planish-run start`: one run, one directory, one owner.
 
 use std::{
     fs::{self, File, OpenOptions, TryLockError},
@@ -7,10 +7,9 @@ use std::{
     process,
 };
 
+use clap::Args;
 use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, words};
 use planish_run::owner::{Mirror, Owner};
-
-use crate::Start;
 
 /// Says whose directory it is.
 const OWNER: &str = "run.json";
@@ -18,8 +17,43 @@ const OWNER: &str = "run.json";
 /// to remove it would let two runs lock two files of the same name.
 const LOCK: &str = "run.lock";
 
+#[derive(Args)]
+pub struct Start {
+    /// Directory of the run
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Name of the pipeline
+    #[arg(long, value_name = "NAME")]
+    pipeline: String,
+    /// Mirror from a recipe [JSON]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["surface", "tif"])]
+    fixture: Option<PathBuf>,
+    /// Mirror as it was measured [surface artifact, or a file of an instrument]
+    #[arg(long, value_name = "PATH")]
+    surface: Option<PathBuf>,
+    /// Its tool [tif artifact, or a file of an instrument]
+    #[arg(long, value_name = "PATH")]
+    tif: Option<PathBuf>,
+    /// Machine and its limits [JSON]
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// A setting that holds several flags, as NAME=FLAGS; can be given again. An unclosed quotation
+    /// mark in it is found before anything runs
+    #[arg(long, value_name = "NAME=FLAGS")]
+    flags: Vec<String>,
+    /// What to run, with its arguments
+    #[arg(last = true, required = true, value_name = "COMMAND")]
+    command: Vec<String>,
+}
+
+impl Start {
+    pub fn run(&self) -> Result<Status, Failure> {
+        start(self)
+    }
+}
+
 /// Checks what can be checked, takes the directory and becomes the command.
-pub fn start(arguments: &Start) -> Result<Status, Failure> {
+fn start(arguments: &Start) -> Result<Status, Failure> {
     let Start { out, machine, command, .. } = arguments;
     for flags in &arguments.flags {
         let (name, text) = flags.split_once('=').unwrap_or(("", flags));

@@ -1,4 +1,4 @@
-//! Which stages of a run gave a negative verdict: their manifests say so.
+//! `planish-run verdict`: which stages of a run gave a negative verdict: their manifests say so.
 
 use std::{
     fs,
@@ -6,11 +6,29 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use planish_handoff::{Failure, Manifest, Status, artifact::MANIFEST};
+use clap::Args;
+use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST};
+
+#[derive(Args)]
+pub struct Verdict {
+    /// Directory of the run; the artifacts directly in it count
+    #[arg(long, value_name = "DIR")]
+    run: PathBuf,
+    /// Directory in it whose artifacts count too: the plan that is to be executed. Can be given
+    /// again; the verdicts on other methods, made for comparison, do not count
+    #[arg(long, value_name = "NAME")]
+    plan: Vec<PathBuf>,
+}
+
+impl Verdict {
+    pub fn run(&self) -> Result<Status, Failure> {
+        verdict(&self.run, &self.plan)
+    }
+}
 
 /// The negative verdicts on the artifacts directly in `run` and in each of `plans`, with the programs
 /// that gave them.
-pub fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
+fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     let mut negative = Vec::new();
     for dir in std::iter::once(run.to_path_buf()).chain(plans.iter().map(|p| run.join(p))) {
         for (artifact, manifest) in manifests(&dir)? {

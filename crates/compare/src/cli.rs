@@ -1,0 +1,36 @@
+//! The subcommands, one file each.
+
+mod diff;
+mod dwell;
+mod report;
+
+use clap::Subcommand;
+use planish_handoff::{Failure, Status};
+use planish_types::text::visible;
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Print the results of the methods of one or several runs side by side; write summary.json,
+    /// report.html and figures (SVG)
+    Report(report::Report),
+    /// Print the results of dwell solvers side by side, and write summary.json
+    Dwell(dwell::Dwell),
+    /// Print how far the arrays of two artifacts are apart; exit code 1 above the tolerance
+    Diff(diff::Diff),
+}
+
+impl Command {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let ended = match self {
+            Self::Report(arguments) => arguments.run(),
+            Self::Dwell(arguments) => arguments.run(),
+            Self::Diff(arguments) => arguments.run(),
+        };
+        // Names of files and directories may command the terminal.
+        match ended {
+            Ok(Status::Negative(reason)) => Ok(Status::Negative(visible(&reason).into_owned())),
+            Err(failure) => Err(Failure::new(visible(&failure.to_string()))),
+            done => done,
+        }
+    }
+}

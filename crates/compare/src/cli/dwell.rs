@@ -1,0 +1,52 @@
+//! `planish-compare dwell`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_compare::dwell;
+use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
+use planish_types::text::visible;
+use serde_json::json;
+
+use crate::files;
+
+#[derive(Args)]
+pub struct Dwell {
+    /// Run: a directory with surface/, tool_path/ and solvers/<solver>/ with dwell/,
+    /// position/removal/, executed/{trajectory,removal}/, dwell-wall.json, or only message.txt
+    #[arg(value_name = "RUN_DIR")]
+    run: PathBuf,
+    /// Name of the mirror
+    #[arg(long, value_name = "NAME", default_value = "")]
+    fixture: String,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Dwell {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let Dwell { run, fixture, output } = self;
+        let mut inputs = Inputs::new();
+        let task = task!("dwell", json!({ "fixture": fixture }));
+        let (surface, rows) = files::read_solvers(&mut inputs, run)?;
+        let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
+        let solvers: serde_json::Map<String, serde_json::Value> =
+            rows.iter().map(|(name, row)| (name.clone(), json!(row))).collect();
+        let initial = surface.statistics();
+        let summary = json!({
+            "fixture": fixture,
+            "initial": { "rms_nm": initial.rms, "pv_nm": initial.pv },
+            "solvers": solvers,
+        });
+        let mut bytes = serde_json::to_vec_pretty(&summary)?;
+        bytes.push(b'\n');
+        // The table is wanted every time, also when the file is there already.
+        if let Some(mut writer) = writer {
+            let beside = [("summary.json", bytes)];
+            writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
+        }
+        say(dwell::table(fixture, &surface, &rows));
+        say(visible(&output.out.join("summary.json").to_string_lossy()));
+        Ok(Status::Done)
+    }
+}

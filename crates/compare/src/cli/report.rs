@@ -1,0 +1,115 @@
+//! `planish-compare report`.
+
+use std::{
+    io::{IsTerminal, Write},
+    path::PathBuf,
+};
+
+use clap::{Args, ValueEnum};
+use planish_compare::{
+    chain::Standing,
+    report::{figure::figures, page, sparkline, views},
+    summary::{Summary, negative, to_json},
+    table::{execution_table, table, table_of_runs},
+};
+use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
+use planish_types::text::visible;
+use serde_json::json;
+
+use crate::files::{self, Names};
+
+#[derive(Args)]
+pub struct Report {
+    /// Run: a directory with surface/ and methods/<scheduler>/{trajectory,removal,verdict}/
+    #[arg(required = true, value_name = "RUN_DIR")]
+    runs: Vec<PathBuf>,
+    /// Name of the pipeline [default: the name of the run's directory]
+    #[arg(long, value_name = "NAME")]
+    pipeline: Option<String>,
+    /// Name of the mirror
+    #[arg(long, value_name = "NAME", default_value = "")]
+    fixture: String,
+    /// Map as it was measured, before anything was done to it; shown beside the others [surface
+    /// artifact; of one run only]
+    #[arg(long, value_name = "DIR")]
+    measured: Option<PathBuf>,
+    /// Small plots under the table; auto: where standard output is a terminal
+    #[arg(long, value_enum, default_value = "auto")]
+    plots: Plots,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Plots {
+    Auto,
+    Always,
+    Never,
+}
+
+impl Report {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let Report { runs, pipeline, fixture, measured, plots, output } = self;
+        let mut inputs = Inputs::new();
+        let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
+        let task =
+            task!("report", json!({ "pipeline": pipeline, "fixture": fixture, "runs": names }));
+        let called = Names {
+            pipeline: pipeline.as_deref(),
+            fixture,
+            measured: measured.as_deref().filter(|_| runs.len() == 1),
+        };
+        if measured.is_some() && runs.len() > 1 {
+            let message =
+                format!("--measured is of one run, {} are given; leave it out", runs.len());
+            return Err(Failure::new(message));
+        }
+        let read = runs.iter().enumerate();
+        let read = read.map(|(i, dir)| files::read_run(&mut inputs, i, dir, &called));
+        let read = read.collect::<Result<Vec<_>, _>>()?;
+        let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
+        let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();
+        let status = negative(&runs).map_or(Status::Done, Status::Negative);
+        let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
+
+        let plotted = match plots {
+            Plots::Always => true,
+            Plots::Auto => std::io::stdout().is_terminal(),
+            Plots::Never => false,
+        };
+        // The table is wanted every time, also when the files are there already.
+        let views = if writer.is_some() || plotted { views(read) } else { vec![] };
+        if let Some(mut writer) = writer {
+            let summary = to_json(&summaries);
+            let mut bytes = serde_json::to_vec_pretty(&summary)?;
+            bytes.push(b'\n');
+            let page = page(&views, &summary);
+            let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
+            beside.extend(figures(&views).into_iter().map(|(name, svg)| (name, svg.into_bytes())));
+            writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
+        }
+        say(match &summaries[..] {
+            [one] => table(one),
+            _ => table_of_runs(&runs),
+        });
+        say(execution_table(&runs));
+        if plotted {
+            say(sparkline::plots(&views));
+        }
+        for name in ["summary.json", "report.html"] {
+            say(visible(&output.out.join(name).to_string_lossy()));
+        }
+        for (name, left) in runs.iter().flat_map(|(n, s)| s.left_out.iter().map(move |l| (n, l))) {
+            if left.standing == Standing::OutOfDate {
+                let warning = format!("warning: {name}/methods/{} is out of date", left.name);
+                warn(&format!("{warning}: {}", left.reasons.join("; ")));
+            }
+        }
+        Ok(status)
+    }
+}
+
+/// One line on standard error; a closed pipe is not an error.
+fn warn(message: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", visible(message));
+}

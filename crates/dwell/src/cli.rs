@@ -1,0 +1,187 @@
+//! The subcommands, one file each, and what the solvers that face [`Problem`] have in common.
+
+mod bcls;
+mod bounded_least_squares;
+mod lucy_richardson;
+mod non_negative_least_squares;
+mod rifta;
+mod tikhonov_lsqr;
+mod truncated_svd;
+mod udo;
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use ndarray::Array2;
+use planish_dwell::{
+    DwellError,
+    bounded_least_squares::Bound,
+    columns::Columns,
+    problem::{Outcome, Problem, Solution, rms_before},
+};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
+    say, task, with_flags,
+};
+use planish_types::{DwellTime, End, Surface, Tif, ToolPath, plausible};
+use serde::Serialize;
+use serde_json::json;
+
+#[derive(Subcommand)]
+pub enum Solver {
+    /// Smallest RMS residual with a free piston and bounds on every dwell time
+    BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
+    /// The same within the dwell times that feed and acceleration limits allow
+    Bcls(bcls::Bcls),
+    /// The same with a floor only, one component at a time (Lawson and Hanson); slow
+    NonNegativeLeastSquares(non_negative_least_squares::NonNegativeLeastSquares),
+    /// Damped least squares without bounds; damping given, by discrepancy, or by L-curve
+    TikhonovLsqr(tikhonov_lsqr::TikhonovLsqr),
+    /// Least squares in the space of the large singular values, without bounds
+    TruncatedSvd(truncated_svd::TruncatedSvd),
+    /// Positive multiplicative steps with total-variation smoothing
+    LucyRichardson(lucy_richardson::LucyRichardson),
+    /// Inverse filter with an optimised cap of its gain
+    Rifta(rifta::Rifta),
+    /// Adjoint image of the extended map, refined by its residual
+    Udo(udo::Udo),
+}
+
+impl Solver {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::BoundedLeastSquares(arguments) => arguments.run(),
+            Self::Bcls(arguments) => arguments.run(),
+            Self::NonNegativeLeastSquares(arguments) => arguments.run(),
+            Self::TikhonovLsqr(arguments) => arguments.run(),
+            Self::TruncatedSvd(arguments) => arguments.run(),
+            Self::LucyRichardson(arguments) => arguments.run(),
+            Self::Rifta(arguments) => arguments.run(),
+            Self::Udo(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// What every solver is given.
+#[derive(Args)]
+struct Given {
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
+    #[arg(long, value_name = "FILE")]
+    weight: Option<PathBuf>,
+    /// What a dwell time is spent on
+    #[arg(long, value_enum, default_value = "segment")]
+    columns: Columns,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Settings of a solver with those that all have.
+#[derive(Serialize)]
+struct Resolved<S> {
+    columns: Columns,
+    min_dwell: Bound,
+    #[serde(flatten)]
+    solver: S,
+}
+
+/// The solver's own report with the numbers that all have.
+#[derive(Serialize)]
+struct Reported<'a, R> {
+    #[serde(flatten)]
+    outcome: &'a Outcome,
+    #[serde(flatten)]
+    report: &'a R,
+}
+
+/// The nouns that a solver is given.
+struct Nouns {
+    desired: Surface,
+    tif: Tif,
+    path: ToolPath,
+    weight: Option<Array2<f64>>,
+}
+
+impl Given {
+    fn read(&self, inputs: &mut Inputs) -> Result<Nouns, Failure> {
+        let weight = |inputs: &mut Inputs| {
+            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()
+        };
+        let (desired, tif) = self.mirror.read(inputs)?;
+        Ok(Nouns { desired, tif, path: self.path.read(inputs)?, weight: weight(inputs)? })
+    }
+}
+
+/// What a report says of its end.
+struct Ended {
+    /// How the method ended.
+    end: End,
+    /// Why the verdict is negative, where it is.
+    negative: Option<String>,
+    /// What else there is to tell the user.
+    words: String,
+}
+
+/// Reads, solves, writes, and prints one line.
+fn solve<S: Serialize, R: Serialize>(
+    method: &'static str,
+    given: &Given,
+    floor: &FloorArgs,
+    settings: S,
+    solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
+    ended: impl FnOnce(&R, &S) -> Ended,
+) -> Result<Status, Failure> {
+    let mut inputs = Inputs::new();
+    let resolved = Resolved {
+        columns: given.columns,
+        min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+        solver: settings,
+    };
+    let task = task!(method, &resolved);
+    let nouns = given.read(&mut inputs)?;
+    let mut output =
+        match Output::directory(&given.output, DwellTime::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+    let problem = Problem {
+        desired: &nouns.desired,
+        tif: &nouns.tif,
+        path: &nouns.path,
+        weight: nouns.weight.as_ref(),
+        columns: resolved.columns,
+        min_dwell: resolved.min_dwell,
+    };
+    plausible::check_path(&nouns.desired, &nouns.tif, &nouns.path)?;
+    let solution = solver(&problem, &resolved.solver).map_err(Failure::with_flags)?;
+    let Ended { end, negative, words } = ended(&solution.report, &resolved.solver);
+    let Solution { dwell, outcome, report } = &solution;
+    let before = rms_before(&nouns.desired, nouns.weight.as_ref());
+    let status = status(negative.or_else(|| outcome.drawback(before)));
+    let written = json!({ "end": end, "report": Reported { outcome, report } });
+    output.write(dwell, written, &status)?;
+    let unreached = match outcome.unreached_pixels {
+        0 => String::new(),
+        n => format!("; {n} valid pixels out of reach"),
+    };
+    say(format!(
+        "{method}: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {words}; {} at the floor, {} \
+         out of reach{unreached} -> {}",
+        dwell.dwell_s().len(),
+        outcome.total_time_s,
+        outcome.model_rms_nm,
+        outcome.at_floor,
+        outcome.unreached_points,
+        given.output.out.display()
+    ));
+    Ok(status)
+}
+
+/// Negative for this reason of the library, where there is one.
+fn status(negative: Option<String>) -> Status {
+    negative.map_or(Status::Done, |reason| Status::Negative(with_flags(&reason)))
+}

@@ -1,0 +1,69 @@
+//! `planish-dwell bcls`.
+
+use clap::Args;
+use planish_dwell::{bcls, problem::rms_before};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::MachineArgs, say, task,
+};
+use planish_types::{DwellTime, plausible};
+use serde_json::json;
+
+use super::{Given, Nouns, status};
+
+#[derive(Args)]
+pub struct Bcls {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// Least feed as a fraction of the largest that is reachable on a segment; 0 for none
+    #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
+    least_feed: f64,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = bcls::Settings::default().tikhonov)]
+    tikhonov: f64,
+}
+
+impl Bcls {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = bcls::Settings {
+            columns: self.given.columns,
+            least_feed: self.least_feed,
+            tikhonov: self.tikhonov,
+        };
+        let task = task!("bcls", settings);
+        let mut inputs = Inputs::new();
+        let Nouns { desired, tif, path, weight } = self.given.read(&mut inputs)?;
+        let machine = self.machine.read(&mut inputs)?;
+        let mut output =
+            match Output::directory(&self.given.output, DwellTime::KIND).begin(&task, &inputs)? {
+                Begin::Unchanged(status) => return Ok(status),
+                Begin::Run(output) => output,
+            };
+        plausible::check_path(&desired, &tif, &path)?;
+        let found = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)
+            .map_err(Failure::with_flags)?;
+        let (r, bounds) = (&found.solution.report, &found.report);
+        let status = status(r.negative(rms_before(&desired, weight.as_ref())));
+        let dwell = &found.solution.dwell;
+        output.write(dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
+        say(format!(
+            "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \
+             limit {:.4} mm, {} of the segments are shorter, feeds up to {:.2} mm/s; {} at the least dwell \
+             time, {} at the largest -> {}",
+            dwell.dwell_s().len(),
+            r.total_time_s,
+            r.model_rms_nm,
+            r.algorithm,
+            r.end,
+            r.iterations,
+            bounds.pitch_limit_mm,
+            bounds.below_pitch_limit,
+            bounds.reachable_mm_per_s[1],
+            r.at_lower_bound,
+            r.at_upper_bound,
+            self.given.output.out.display()
+        ));
+        Ok(status)
+    }
+}

@@ -1,0 +1,141 @@
+//! `planish-dwell bounded-least-squares`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_dwell::{
+    bounded_least_squares::{self, Bound, Free, Program, Settings},
+    columns::Columns,
+    problem::rms_before,
+};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
+    say, task,
+};
+use planish_types::{DwellTime, plausible};
+use serde_json::json;
+
+use super::status;
+
+#[derive(Args)]
+pub struct BoundedLeastSquares {
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
+    #[arg(long, value_name = "FILE")]
+    weight: Option<PathBuf>,
+    #[command(flatten)]
+    floor: FloorArgs,
+    /// Largest dwell time of every dwell point, s
+    #[arg(long, value_name = "T", conflicts_with = "max_dwell_s_per_mm")]
+    max_dwell_s: Option<f64>,
+    /// Largest dwell time per length of the segment, s/mm
+    #[arg(long, value_name = "T")]
+    max_dwell_s_per_mm: Option<f64>,
+    /// Least dwell times point by point [dwell artifact]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["min_dwell_s", "min_dwell_s_per_mm"])]
+    min_dwell: Option<PathBuf>,
+    /// Largest dwell times point by point [dwell artifact]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["max_dwell_s", "max_dwell_s_per_mm"])]
+    max_dwell: Option<PathBuf>,
+    /// Price of a second beside half the mean square of the residual, nm^2/s
+    #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
+    time_weight_nm2_per_s: f64,
+    /// What need not be removed
+    #[arg(long, value_enum, default_value = "piston")]
+    free: Free,
+    /// Residual above which a pixel counts linearly instead of squared, nm: robust to pits
+    #[arg(long, value_name = "K")]
+    huber_nm: Option<f64>,
+    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it
+    #[arg(long, value_name = "S")]
+    noise_rms_nm: Option<f64>,
+    /// What a dwell time is spent on
+    #[arg(long, value_enum, default_value = "segment")]
+    columns: Columns,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    tikhonov: f64,
+    /// Weight of the roughness of the dwell-time density along the path
+    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
+    smoothness: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl BoundedLeastSquares {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let defaults = Settings::default();
+        let settings = Settings {
+            columns: self.columns,
+            min_dwell: self.floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+            max_dwell: self
+                .max_dwell_s
+                .map(Bound::Seconds)
+                .or(self.max_dwell_s_per_mm.map(Bound::SecondsPerMm)),
+            tikhonov: self.tikhonov,
+            smoothness: self.smoothness,
+            time_weight_nm2_per_s: self.time_weight_nm2_per_s,
+            free: self.free,
+            huber_nm: self.huber_nm,
+            noise_rms_nm: self.noise_rms_nm,
+            ..defaults
+        };
+        let mut inputs = Inputs::new();
+        let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let path = self.path.read(&mut inputs)?;
+        let weight =
+            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
+        let least: Option<DwellTime> =
+            self.min_dwell.as_ref().map(|dir| inputs.read("min-dwell", dir)).transpose()?;
+        let most: Option<DwellTime> =
+            self.max_dwell.as_ref().map(|dir| inputs.read("max-dwell", dir)).transpose()?;
+        let task = task!("bounded-least-squares", settings);
+        let mut output =
+            match Output::directory(&self.output, DwellTime::KIND).begin(&task, &inputs)? {
+                Begin::Unchanged(status) => return Ok(status),
+                Begin::Run(output) => output,
+            };
+
+        plausible::check_path(&surface, &tif, &path)?;
+        let (lo, hi) =
+            bounded_least_squares::bounds(&path, &settings).map_err(Failure::with_flags)?;
+        let program = Program {
+            places: &settings.columns.places(&path),
+            lo: least.map_or(lo, |least| least.dwell_s().to_vec()),
+            hi: most.map_or(hi, |most| most.dwell_s().to_vec()),
+            guess: None,
+        };
+        let solution = bounded_least_squares::solve_columns(
+            &surface,
+            &tif,
+            &path,
+            weight.as_ref(),
+            &settings,
+            &program,
+        )
+        .map_err(Failure::with_flags)?;
+
+        let r = &solution.report;
+        let status = status(r.negative(rms_before(&surface, weight.as_ref())));
+        output.write(&solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
+        say(format!(
+            "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \
+             iterations, KKT residual {:.1e} s; {} at the lower bound, {} out of reach -> {}",
+            solution.dwell.dwell_s().len(),
+            r.total_time_s,
+            r.model_rms_nm,
+            r.algorithm,
+            r.end,
+            r.iterations,
+            r.kkt_residual_s,
+            r.at_lower_bound,
+            r.unreached_points,
+            self.output.out.display()
+        ));
+        Ok(status)
+    }
+}

@@ -1,0 +1,76 @@
+//! `planish-dwell lucy-richardson`.
+
+use clap::Args;
+use planish_dwell::lucy_richardson;
+use planish_handoff::{Failure, Status, flags::FloorArgs};
+
+use super::{Ended, Given, solve};
+
+#[derive(Args)]
+pub struct LucyRichardson {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: FloorArgs,
+    /// What is solved for
+    #[arg(long, value_enum, default_value = "path")]
+    unknowns: lucy_richardson::Unknowns,
+    /// Weight of the total variation, useful from 0 to 0.02
+    #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
+    total_variation: f64,
+    /// Removal at the lowest pixel, as a fraction of the PV of what is to be removed
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
+    margin: f64,
+    /// Part of the pixels, the lowest ones, that may be cut off as pits
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().pits)]
+    pits: f64,
+    /// End when ten steps lower the RMS by less than this part
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().tolerance)]
+    tolerance: f64,
+    /// Most steps; where a number is given, to stop there is what is wanted [default: 300, and a negative
+    /// verdict where they do not settle]
+    #[arg(long, value_name = "N")]
+    max_iterations: Option<usize>,
+    /// Start every step from a point extrapolated along the last two: fewer steps
+    #[arg(long)]
+    accelerated: bool,
+    /// Solve for the map on squares of this many pixels a side [default: 1, and what the TIF allows
+    /// from a million pixels on]
+    #[arg(long, value_name = "K")]
+    pixels_per_cell: Option<usize>,
+}
+
+impl LucyRichardson {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = lucy_richardson::Settings {
+            unknowns: self.unknowns,
+            total_variation: self.total_variation,
+            margin: self.margin,
+            pits: self.pits,
+            tolerance: self.tolerance,
+            max_iterations: self
+                .max_iterations
+                .unwrap_or(lucy_richardson::Settings::default().max_iterations),
+            stop_at_max: self.max_iterations.is_some(),
+            accelerated: self.accelerated,
+            pixels_per_cell: self.pixels_per_cell,
+        };
+        let solver = lucy_richardson::solve;
+        solve("lucy-richardson", &self.given, &self.least, settings, solver, |r, settings| {
+            let clipped = match r.clipped_tif_samples {
+                0 => String::new(),
+                n => format!(", {n} negative samples of the TIF taken as 0"),
+            };
+            let cells = match r.pixels_per_cell {
+                1 => String::new(),
+                k => format!(" on cells of {k} x {k} pixels"),
+            };
+            let negative = r.negative(settings);
+            Ended {
+                end: r.end,
+                negative,
+                words: format!("{} after {} steps{cells}{clipped}", r.end, r.iterations),
+            }
+        })
+    }
+}

@@ -1,0 +1,34 @@
+//! `planish-dwell non-negative-least-squares`.
+
+use clap::Args;
+use planish_dwell::non_negative_least_squares;
+use planish_handoff::{Failure, Status, flags::FloorArgs};
+
+use super::{Ended, Given, solve};
+
+#[derive(Args)]
+pub struct NonNegativeLeastSquares {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: FloorArgs,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = non_negative_least_squares::Settings::default().tikhonov)]
+    tikhonov: f64,
+}
+
+impl NonNegativeLeastSquares {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = non_negative_least_squares::Settings {
+            tikhonov: self.tikhonov,
+            ..non_negative_least_squares::Settings::default()
+        };
+        let solver = non_negative_least_squares::solve;
+        solve("non-negative-least-squares", &self.given, &self.least, settings, solver, |r, _| {
+            let moves = format!("a dwell time would still move by {:.1e} s", r.kkt_residual_s);
+            let negative = r.negative();
+            let words = format!("{} after {} changes, {moves}", r.end, r.iterations);
+            Ended { end: r.end, negative, words }
+        })
+    }
+}

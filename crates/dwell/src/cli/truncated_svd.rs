@@ -1,0 +1,40 @@
+//! `planish-dwell truncated-svd`.
+
+use clap::Args;
+use planish_dwell::truncated_svd;
+use planish_handoff::{Failure, Status, flags::FloorArgs};
+
+use super::{Ended, Given, solve};
+
+#[derive(Args)]
+pub struct TruncatedSvd {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: FloorArgs,
+    /// Leave out singular values up to this fraction of the largest
+    #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
+    cut: f64,
+    /// Most steps; each keeps a vector of the number of dwell points
+    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_iterations)]
+    max_iterations: usize,
+}
+
+impl TruncatedSvd {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = truncated_svd::Settings {
+            cut: self.cut,
+            max_iterations: self.max_iterations,
+            ..truncated_svd::Settings::default()
+        };
+        let solver = truncated_svd::solve;
+        solve("truncated-svd", &self.given, &self.least, settings, solver, |r, _| {
+            let negative = r.negative();
+            let words = format!(
+                "rank {}, {} after {} steps, level {:.4} s, {} clipped",
+                r.rank, r.end, r.steps, r.level_s, r.clipped
+            );
+            Ended { end: r.end, negative, words }
+        })
+    }
+}

@@ -1,0 +1,46 @@
+//! `planish-dwell udo`.
+
+use clap::Args;
+use planish_dwell::udo;
+use planish_handoff::{Failure, Status, flags::FloorArgs};
+
+use super::{Ended, Given, solve};
+
+#[derive(Args)]
+pub struct Udo {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: FloorArgs,
+    /// How the floor is kept
+    #[arg(long, value_enum, default_value = "model")]
+    floor: udo::Floor,
+    /// Part of the best step that is taken from the second round on
+    #[arg(long, value_name = "BETA", default_value_t = udo::Settings::default().step)]
+    step: f64,
+    /// RMS at which it ends, nm
+    #[arg(long, value_name = "NM", default_value_t = udo::Settings::default().threshold_nm)]
+    threshold_nm: f64,
+    /// Most rounds
+    #[arg(long, value_name = "N", default_value_t = udo::Settings::default().max_iterations)]
+    max_iterations: usize,
+}
+
+impl Udo {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = udo::Settings {
+            floor: self.floor,
+            step: self.step,
+            threshold_nm: self.threshold_nm,
+            max_iterations: self.max_iterations,
+        };
+        solve("udo", &self.given, &self.least, settings, udo::solve, |r, settings| {
+            let negative = r.negative(settings);
+            Ended {
+                end: r.end,
+                negative,
+                words: format!("{} after {} rounds", r.end, r.iterations),
+            }
+        })
+    }
+}

@@ -1,0 +1,134 @@
+//! The subcommands, one file for each controller, and what they have in common.
+
+mod csv;
+mod galil;
+mod gcode;
+mod pmac;
+mod xps;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, Subcommand};
+use planish_export::{Common, Controller, Origin, program};
+use planish_handoff::{
+    Failure, Inputs, OutputFile, Status,
+    flags::{MachineArgs, OutputFileArgs, TrajectoryArgs},
+    pair, say, warn,
+};
+
+#[derive(Debug, Subcommand)]
+pub enum Method {
+    /// Galil DMC, PVT mode: counts, counts/s, samples
+    Galil(galil::Galil),
+    /// Newport XPS, PVT trajectory file: dt, dx, vx, dy, vy
+    Xps(xps::Xps),
+    /// Delta Tau / Omron PMAC, PVT mode
+    Pmac(pmac::Pmac),
+    /// G-code for LinuxCNC and its relatives: straight lines, each in its time
+    Gcode(gcode::Gcode),
+    /// Table of the motion: t, x, vx, y, vy, tool on
+    Csv(csv::Csv),
+}
+
+impl Method {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Galil(arguments) => arguments.run(),
+            Self::Xps(arguments) => arguments.run(),
+            Self::Pmac(arguments) => arguments.run(),
+            Self::Gcode(arguments) => arguments.run(),
+            Self::Csv(arguments) => arguments.run(),
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct CommonArgs {
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// Size of a count, mm: one number, or two for X,Y
+    #[arg(long, value_name = "C", value_parser = pair, default_value = "0.0001", allow_hyphen_values = true)]
+    count_mm: [f64; 2],
+    /// Longest time between two lines, s; longer segments are split [default: what the controller
+    /// allows]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    max_step_s: Option<f64>,
+    /// Leave the tool on where the motion has it off and the program cannot switch it
+    #[arg(long)]
+    always_on: bool,
+    #[command(flatten)]
+    output: OutputFileArgs,
+}
+
+impl CommonArgs {
+    /// Writes the program, and what is to be known of it beside it.
+    fn export(&self, controller: &Controller) -> Result<Status, Failure> {
+        let OutputFileArgs { out, force } = &self.output;
+        let about = PathBuf::from(format!("{}.json", out.display()));
+        let version = env!("CARGO_PKG_VERSION");
+        let mut inputs = Inputs::new();
+        let machine = self.machine.read(&mut inputs)?;
+        let trajectory = self.trajectory.read(&mut inputs)?;
+        let program_file = self.output.begin(&inputs)?;
+        let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
+        refuse_foreign_about(&about)?;
+
+        let digest = inputs.digest("trajectory").unwrap_or_default();
+        let origin = Origin {
+            made_from: format!(
+                "trajectory {}, BLAKE3 {digest}",
+                self.trajectory.trajectory.display()
+            ),
+            made_by: format!("planish-export {version}"),
+        };
+        let common = Common {
+            count_mm: self.count_mm,
+            max_step_s: self.max_step_s,
+            always_on: self.always_on,
+        };
+        let made = program(&trajectory, &machine, controller, &common, &origin)
+            .map_err(Failure::with_flags)?;
+        for warning in &made.about.warnings {
+            warn(warning);
+        }
+        let about_text = format!("{}\n", serde_json::to_string_pretty(&made.about)?);
+        let files = [(program_file, made.text.as_bytes()), (about_file, about_text.as_bytes())];
+        OutputFile::write_together(files)?;
+        let a = &made.about;
+        say(format!(
+            "planish-export: {} segments, {:.4} s, rounded by {:.1e} x {:.1e} mm and {:.1e} s at most -> {}",
+            a.segments,
+            a.total_time_s,
+            a.rounding_mm[0],
+            a.rounding_mm[1],
+            a.rounding_s,
+            out.display()
+        ));
+        Ok(Status::Done)
+    }
+}
+
+/// The name of the file beside the program follows from that of the program; the user did not give it,
+/// so `--force` replaces there only what an export wrote.
+fn refuse_foreign_about(about: &Path) -> Result<(), Failure> {
+    let Ok(found) = fs::metadata(about) else { return Ok(()) };
+    // A pipe would never end.
+    let text = if found.is_file() { fs::read_to_string(about).ok() } else { None };
+    let is_ours = text.is_some_and(|text| {
+        serde_json::from_str::<serde_json::Value>(&text)
+            .is_ok_and(|json| json.get("controller").is_some() && json.get("segments").is_some())
+    });
+    match is_ours {
+        true => Ok(()),
+        false => Err(Failure::new(format!(
+            "{}: would be replaced by what planish-export says of its program, and Planish did not \
+             write it; give another --out",
+            about.display()
+        ))),
+    }
+}

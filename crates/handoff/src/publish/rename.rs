@@ -1,0 +1,44 @@
+//! One rename: what was written becomes what stands in a place.
+
+use std::{
+    fs::{self, File},
+    io::{self, ErrorKind},
+    path::Path,
+};
+
+/// `from` becomes `to`; where `to` exists the two are exchanged, in one step. Whether they were.
+#[cfg(target_os = "linux")]
+pub(super) fn put_in_place(from: &Path, to: &Path) -> io::Result<bool> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    let exchange = fs::symlink_metadata(to).is_ok();
+    let flags = if exchange { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
+    renameat_with(CWD, from, CWD, to, flags)?;
+    Ok(exchange)
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(super) fn put_in_place(_: &Path, _: &Path) -> io::Result<bool> {
+    Err(ErrorKind::Unsupported.into())
+}
+
+/// Whether the file system cannot exchange two names.
+pub(super) fn is_exchange_unknown(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported)
+}
+
+/// The same in three steps: between the first two the old one stands under a temporary name, and
+/// nothing in its place.
+pub(super) fn put_in_place_by_plain_renames(from: &Path, to: &Path) -> io::Result<bool> {
+    if fs::symlink_metadata(to).is_err() {
+        return fs::rename(from, to).map(|()| false);
+    }
+    let old = from.with_extension("old.tmp");
+    // Locked, so that no other run takes it for abandoned.
+    let held = File::open(to)?;
+    let _ = held.try_lock();
+    fs::rename(to, &old)?;
+    match fs::rename(from, to) {
+        Ok(()) => fs::rename(&old, from).map(|()| true),
+        Err(e) => fs::rename(&old, to).and(Err(e)),
+    }
+}

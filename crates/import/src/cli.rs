@@ -1,0 +1,250 @@
+//! The subcommands, one file each, and what those that read maps have in common.
+
+mod program;
+mod surface;
+mod tif;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use ndarray::Array2;
+use planish_handoff::{
+    Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind::Kind, pair, say, warn,
+    with_flags,
+};
+use planish_import::{
+    FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale, Settings, Statement,
+    Unit, read, svg,
+};
+use planish_types::{Grid, Surface, Tif, text::significant};
+
+#[derive(Debug, Subcommand)]
+pub enum Method {
+    /// A height map
+    Surface(surface::SurfaceArgs),
+    /// A tool influence function: a map of rates, of depth after a known time, or a spot before
+    /// and after
+    Tif(tif::TifArgs),
+    /// The program of a motion controller, back into the motion that it makes
+    Program(program::ProgramArgs),
+}
+
+impl Method {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Surface(arguments) => arguments.run(),
+            Self::Tif(arguments) => arguments.run(),
+            Self::Program(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// What is read, and what the user knows of it.
+#[derive(Debug, Args)]
+struct FileArgs {
+    /// File, or directory of .npy
+    file: PathBuf,
+    /// Format [default: by the content; for text of numbers by the ending .csv or .xyz]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
+    /// [default: Z (Ztif for rates), or the only one]
+    #[arg(long, value_name = "NAME")]
+    dataset: Option<String>,
+    /// Array of the coordinates of the columns [default: X (Xtif) beside Z]
+    #[arg(long, value_name = "NAME")]
+    x: Option<String>,
+    /// Array of the coordinates of the rows [default: Y (Ytif) beside Z]
+    #[arg(long, value_name = "NAME")]
+    y: Option<String>,
+    /// Unit of the heights, where the file does not state it
+    #[arg(long, value_enum)]
+    unit: Option<Unit>,
+    /// Wavelength of heights in waves, nm
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    wavelength_nm: Option<f64>,
+    /// Distance of pixel centres along x and y, mm: one number, or two for X,Y
+    #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
+    pitch_mm: Option<[f64; 2]>,
+    /// Unit of the coordinates in the file, where it does not state it
+    #[arg(long, value_enum)]
+    coordinate_unit: Option<Unit>,
+    /// Surface height per height in the file: 0.5 for the wavefront of one reflection
+    #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true)]
+    surface_per_value: f64,
+    /// The file counts material (or removal) as negative
+    #[arg(long)]
+    negate: bool,
+    /// Value that marks an invalid pixel, besides NaN and what the format has
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    no_data: Option<f64>,
+    /// Where the first row of the file is [default: as the format has it]
+    #[arg(long, value_enum)]
+    first_row: Option<FirstRow>,
+    /// Mirror x
+    #[arg(long)]
+    flip_x: bool,
+    /// Mirror y
+    #[arg(long)]
+    flip_y: bool,
+    /// Turn counter-clockwise with y upwards, after mirroring
+    #[arg(long, value_enum, default_value = "0")]
+    rotate_deg: Rotation,
+    /// Draw what was read, as SVG, to compare with the picture on the instrument
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl FileArgs {
+    /// The artifact, and the picture where one is asked for.
+    fn output(&self, kind: &'static Kind) -> Output {
+        let output = Output::directory(&self.output, kind);
+        match &self.picture {
+            Some(path) => output.and_file("--picture", path),
+            None => output,
+        }
+    }
+
+    /// What to take from a file that holds several arrays.
+    fn pick(&self, is_tif: bool) -> Pick {
+        Pick { dataset: self.dataset.clone(), x: self.x.clone(), y: self.y.clone(), is_tif }
+    }
+
+    /// What the user knows of the file.
+    fn settings(&self, origin: Origin) -> Settings {
+        Settings {
+            unit: self.unit,
+            wavelength_nm: self.wavelength_nm,
+            pitch_mm: self.pitch_mm,
+            coordinate_unit: self.coordinate_unit,
+            surface_per_value: self.surface_per_value,
+            negate: self.negate,
+            no_data: self.no_data,
+            first_row: self.first_row,
+            flip_x: self.flip_x,
+            flip_y: self.flip_y,
+            rotation: self.rotate_deg,
+            origin,
+        }
+    }
+
+    /// The format that was given, or that the content or the ending of the file tells; `bytes` are `None`
+    /// for a directory.
+    fn format(&self, bytes: Option<&[u8]>) -> Result<Format, Failure> {
+        let path = &self.file;
+        let Some(bytes) = bytes else { return Ok(Format::Directory) };
+        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        let by_ending = || Format::of_ending(ending.as_deref()?);
+        self.format.or_else(|| Format::of(bytes)).or_else(by_ending).ok_or_else(|| {
+            Failure::new(format!(
+                "{}: is of no format that is known; give --format",
+                path.display()
+            ))
+        })
+    }
+
+    /// The picture that was asked for appears with the map; an older one is replaced with --force.
+    fn put_picture(
+        &self,
+        output: &mut Writer,
+        picture: impl Fn() -> String,
+    ) -> Result<(), Failure> {
+        let Some(path) = &self.picture else { return Ok(()) };
+        Ok(output.write_file(path, picture().as_bytes())?)
+    }
+}
+
+/// A message of the library, with the file that it is about.
+fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
+    Failure::new(format!("{}: {}", path.display(), with_flags(&error.to_string())))
+}
+
+/// The bytes of a file of another program.
+fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Failure> {
+    let bytes = inputs.read_bytes(role, path, MOST_FILE_BYTES)?;
+    match bytes.is_empty() {
+        true => Err(Failure::new(format!("{}: is empty; export it again", path.display()))),
+        false => Ok(bytes),
+    }
+}
+
+/// The bytes of a map; `None` for a directory.
+fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
+    if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
+}
+
+fn open(
+    inputs: &mut Inputs,
+    role: &str,
+    path: &Path,
+    format: Format,
+    bytes: Option<Vec<u8>>,
+    pick: &Pick,
+) -> Result<Reading, Failure> {
+    let Some(bytes) = bytes else {
+        if pick.dataset.is_some() || pick.x.is_some() || pick.y.is_some() {
+            let problem = "is a directory; leave out --dataset, --x and --y";
+            return Err(Failure::new(format!("{}: {problem}", path.display())));
+        }
+        return Ok(match pick.is_tif {
+            false => {
+                let map: Surface = inputs.read(role, path)?;
+                Reading::of_map(map.grid(), map.height_nm())
+            }
+            true => {
+                let map: Tif = inputs.read(role, path)?;
+                Reading::of_map(map.grid(), map.rate_nm_per_s())
+            }
+        });
+    };
+    read(format, &bytes, pick).map_err(|e| about(path, &e))
+}
+
+/// The statement of the library, its warnings in the words of the command line.
+fn in_flags(statement: Statement) -> Statement {
+    let warnings = statement.warnings.iter().map(|warning| with_flags(warning)).collect();
+    Statement { warnings, ..statement }
+}
+
+/// What was done, for the user to check, and the warnings.
+fn report(statement: &Statement, grid: &Grid) {
+    for warning in &statement.warnings {
+        warn(warning);
+    }
+    let format = serde_json::to_value(statement.format).unwrap_or_default();
+    let (ny, nx) = grid.shape();
+    say(format!(
+        "planish-import: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), {} invalid",
+        format.as_str().unwrap_or_default(),
+        significant(grid.x.step_mm(), 10),
+        significant(grid.y.step_mm(), 10),
+        statement.pitch_from,
+        statement.invalid
+    ));
+    say(format!(
+        "planish-import: stored value 1 is {} nm of surface (unit: {}); the first row of the file is \
+         the {}",
+        statement.nm_per_value,
+        statement.unit_from,
+        if statement.first_row == FirstRow::Top { "top" } else { "smallest y" }
+    ));
+}
+
+fn draw(
+    grid: &Grid,
+    map: &Array2<f64>,
+    scale: Scale,
+    file: &Path,
+    statement: &Statement,
+) -> String {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let title = format!(
+        "{name}: {} x {} pixels, {} invalid (grey)",
+        map.ncols(),
+        map.nrows(),
+        statement.invalid
+    );
+    svg(grid, map, scale, &title)
+}

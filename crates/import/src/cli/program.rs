@@ -1,0 +1,85 @@
+//! `planish-import program`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, pair, say, task,
+};
+use planish_import::program::{self, Configuration, Controller};
+use planish_types::Trajectory;
+use serde_json::json;
+
+use super::{about, foreign};
+
+#[derive(Debug, Args)]
+pub struct ProgramArgs {
+    /// Program
+    file: PathBuf,
+    /// Whose program it is
+    #[arg(long, value_enum)]
+    controller: Controller,
+    /// File that planish-export wrote beside the program; the flags below go before it
+    #[arg(long, value_name = "FILE")]
+    about: Option<PathBuf>,
+    /// Where the axes stand before the program, mm
+    #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
+    start_mm: Option<[f64; 2]>,
+    /// Size of a count, mm: one number, or two for X,Y
+    #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
+    count_mm: Option<[f64; 2]>,
+    /// Sample time, s
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    sample_s: Option<f64>,
+    /// Unit of time of a PMAC's velocities, s
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    feedrate_time_unit_s: Option<f64>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl ProgramArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let given = Configuration {
+            start_mm: self.start_mm,
+            count_mm: self.count_mm,
+            sample_s: self.sample_s,
+            feedrate_time_unit_s: self.feedrate_time_unit_s,
+            program_blake3: None,
+        };
+        let configuration = match &self.about {
+            Some(path) => {
+                let bytes = foreign(&mut inputs, "about", path)?;
+                let of_file = serde_json::from_slice(&bytes)
+                    .map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+                given.completed_by(of_file)
+            }
+            None => given,
+        };
+        let controller = self.controller;
+        let resolved = json!({ "controller": controller, "configuration": configuration });
+        let task = task!("program", resolved);
+        let bytes = foreign(&mut inputs, "file", &self.file)?;
+        let mut output =
+            match Output::directory(&self.output, Trajectory::KIND).begin(&task, &inputs)? {
+                Begin::Unchanged(status) => return Ok(status),
+                Begin::Run(output) => output,
+            };
+        let motion =
+            program::read(controller, &bytes, &configuration).map_err(|e| about(&self.file, &e))?;
+        let outcome = json!({
+            "segments": motion.len(),
+            "total_time_s": motion.total_time_s(),
+            "always_on": motion.tool_on().iter().all(|on| *on),
+        });
+        output.write(&motion, outcome, &Status::Done)?;
+        say(format!(
+            "planish-import: {} segments, {:.4} s -> {}",
+            motion.len(),
+            motion.total_time_s(),
+            self.output.out.display()
+        ));
+        Ok(Status::Done)
+    }
+}

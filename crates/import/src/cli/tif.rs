@@ -1,0 +1,135 @@
+//! `planish-import tif`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task};
+use planish_import::{Alignment, Baseline, Origin, Scale, SpotSettings, spot, surface, tif};
+use planish_types::Tif;
+use serde_json::{Value, json};
+
+use super::{FileArgs, about, draw, in_flags, map_bytes, open, report};
+
+#[derive(Debug, Args)]
+pub struct TifArgs {
+    #[command(flatten)]
+    file: FileArgs,
+    /// The values are rates already: height unit per second, on the offsets from the tool centre
+    #[arg(long, required_unless_present = "dwell_s", conflicts_with_all = ["dwell_s", "before"])]
+    rate: bool,
+    /// Where the offset 0 of a map of rates is [default: the file's coordinates, else the middle]
+    #[arg(long, value_enum, requires = "rate")]
+    origin: Option<Origin>,
+    /// Time that the tool rested, s; FILE is the depth of the removal, or the map after it
+    #[arg(long, value_name = "T", requires = "half_size_mm", allow_negative_numbers = true)]
+    dwell_s: Option<f64>,
+    /// Map before, read with the same flags; FILE is the map after
+    #[arg(long, value_name = "FILE")]
+    before: Option<PathBuf>,
+    /// Half the side of the square that becomes the TIF, mm
+    #[arg(long, value_name = "H", requires = "dwell_s", allow_negative_numbers = true)]
+    half_size_mm: Option<f64>,
+    /// Where the spot is, mm [default: where the removal is deepest]
+    #[arg(long, value_name = "X,Y", value_parser = pair, requires = "dwell_s", allow_hyphen_values = true)]
+    spot_mm: Option<[f64; 2]>,
+    /// Whether the part moved between the maps
+    #[arg(long, value_enum, default_value = "none")]
+    align: Alignment,
+    /// What is subtracted from the removal, fitted outside the square
+    #[arg(long, value_enum, default_value = "plane")]
+    baseline: Baseline,
+    /// Set negative rates (noise) to zero
+    #[arg(long, requires = "dwell_s")]
+    clip_negative: bool,
+}
+
+impl TifArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let file = &self.file;
+        let mut inputs = Inputs::new();
+        // Maps of a spot are surfaces.
+        let pick = file.pick(self.rate);
+        let bytes = map_bytes(&mut inputs, "file", &file.file)?;
+        let format = file.format(bytes.as_deref())?;
+        let origin = self.origin.unwrap_or(Origin::File);
+        let mut settings = file.settings(origin);
+        let spot_settings = match (self.dwell_s, self.half_size_mm) {
+            (Some(dwell_s), Some(half_size_mm)) => Some(SpotSettings {
+                dwell_s,
+                half_size_mm,
+                spot_mm: self.spot_mm,
+                align: self.align,
+                baseline: self.baseline,
+                clip_negative: self.clip_negative,
+            }),
+            _ => None,
+        };
+        let resolved = json!({
+            "format": format,
+            "pick": pick,
+            "reading": settings,
+            "origin_given": self.origin.is_some(),
+            "spot": spot_settings,
+        });
+        let task = task!("tif", resolved);
+        let reading = open(&mut inputs, "file", &file.file, format, bytes, &pick)?;
+        let before = match &self.before {
+            Some(path) => {
+                let bytes = map_bytes(&mut inputs, "before", path)?;
+                Some(open(&mut inputs, "before", path, format, bytes, &pick)?)
+            }
+            None => None,
+        };
+        let mut output = match file.output(Tif::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let (made, statement, own) = match &spot_settings {
+            Some(spot_settings) => {
+                let (after, statement) =
+                    surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
+                let before = match (before, &self.before) {
+                    (Some(reading), Some(path)) => {
+                        Some(surface(reading, &settings).map_err(|e| about(path, &e))?.0)
+                    }
+                    _ => None,
+                };
+                let made =
+                    spot(before.as_ref(), &after, spot_settings).map_err(Failure::with_flags)?;
+                let own = serde_json::to_value(&made)?;
+                (made.tif, statement, own)
+            }
+            None => {
+                settings.origin = self.origin.unwrap_or_else(|| reading.usual_tif_origin());
+                let (made, statement) =
+                    tif(reading, &settings).map_err(|e| about(&file.file, &e))?;
+                (made, statement, Value::Null)
+            }
+        };
+        let statement = in_flags(statement);
+        let picture =
+            || draw(made.grid(), made.rate_nm_per_s(), Scale::RateNmPerS, &file.file, &statement);
+        file.put_picture(&mut output, picture)?;
+        let outcome = json!({
+            "reading": statement,
+            "spot": own,
+            "peak_nm_per_s": made.peak_nm_per_s(),
+            "vrr_nm_mm2_per_s": made.vrr_nm_mm2_per_s(),
+        });
+        output.write(&made, outcome, &Status::Done)?;
+        report(&statement, made.grid());
+        if let Some(noise) = own["outside_rms_nm"].as_f64() {
+            say(format!(
+                "planish-import: spot at {} mm, shift {} mm, noise {noise:.4} nm RMS outside it",
+                own["centre_mm"], own["shift_mm"]
+            ));
+        }
+        say(format!(
+            "planish-import: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
+            made.peak_nm_per_s(),
+            made.vrr_nm_mm2_per_s(),
+            file.output.out.display()
+        ));
+        Ok(Status::Done)
+    }
+}

@@ -1,0 +1,42 @@
+//! The commands, one file each, and what they have in common.
+
+mod pareto;
+mod refine;
+
+use clap::Subcommand;
+use ndarray::{Array1, Array2};
+use planish_handoff::{Failure, Status, npy::ArrayData};
+use planish_refine::Iterate;
+
+pub use refine::Refine;
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Refine at rising prices of a second: residual against total time
+    Pareto(pareto::Pareto),
+}
+
+impl Command {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Pareto(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// The arrays of `kind::ITERATIONS`; there is at least one iterate.
+fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData> {
+    let iterates: Vec<&Iterate> = iterates.collect();
+    let column = |f: fn(&Iterate) -> f64| {
+        ArrayData::F64(iterates.iter().map(|i| f(i)).collect::<Array1<f64>>().into_dyn())
+    };
+    let (m, n) = (iterates.len(), iterates[0].dwell_s.len());
+    let dwell = Array2::from_shape_fn((m, n), |(i, j)| iterates[i].dwell_s[j]);
+    let stretched: Array1<i64> = iterates.iter().map(|i| i.stretched as i64).collect();
+    vec![
+        ArrayData::F64(dwell.into_dyn()),
+        column(|i| i.rms_nm),
+        column(|i| i.total_time_s),
+        ArrayData::I64(stretched.into_dyn()),
+    ]
+}

@@ -1,0 +1,93 @@
+//! `planish-refine pareto`: residual against total time.
+
+use clap::Args;
+use planish_dwell::bounded_least_squares::Bound;
+use planish_handoff::{
+    Begin, Failure, Inputs, Output, Status,
+    flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind, say, task,
+};
+use planish_refine::{Scheduler, Settings, trade_off};
+use planish_schedule::pvt::ModeChoice;
+use planish_types::{End, plausible};
+use serde_json::json;
+
+use super::iterations;
+
+/// Refine at rising prices of a second: residual against total time
+///
+/// Writes the plans as iterations and DIR/pareto.svg, and prints the table.
+#[derive(Args)]
+pub struct Pareto {
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    #[command(flatten)]
+    floor: FloorArgs,
+    /// Shape of the PVT motion
+    #[arg(long, value_enum, default_value = "auto")]
+    mode: ModeChoice,
+    /// Prices beside that of nothing
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    prices: usize,
+    /// Most rounds of every refinement but the first
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    max_rounds: usize,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Pareto {
+    /// The plans, their table and their picture.
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut settings = Settings { max_rounds: self.max_rounds, ..Settings::default() };
+        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
+        let mut inputs = Inputs::new();
+        let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let path = self.path.read(&mut inputs)?;
+        let machine = self.machine.read(&mut inputs)?;
+        settings.scheduler = Scheduler::Pvt(self.mode.on(&machine));
+        let task = task!("pareto", json!({ "prices": self.prices, "refine": settings }));
+        let mut output =
+            match Output::directory(&self.output, &kind::ITERATIONS).begin(&task, &inputs)? {
+                Begin::Unchanged(status) => return Ok(status),
+                Begin::Run(output) => output,
+            };
+
+        plausible::check_path(&surface, &tif, &path)?;
+        let prices = trade_off::prices(&surface, &tif, self.prices)?;
+        let points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
+            .map_err(Failure::with_flags)?;
+        let least_time_s = trade_off::least_time_s(&surface, &tif);
+
+        say("| price, nm^2/s | total time, s | residual RMS, nm | limits |");
+        say("|---|---|---|---|");
+        for p in &points {
+            say(format!(
+                "| {:.2e} | {:.1} | {:.4} | {} |",
+                p.time_weight_nm2_per_s,
+                p.best.total_time_s,
+                p.best.rms_nm,
+                if p.best.limits_respected { "kept" } else { "exceeded" }
+            ));
+        }
+        say(format!("volume / VRR: {least_time_s:.1} s"));
+        let arrays = iterations(points.iter().map(|p| &p.best));
+        let picture = trade_off::svg(&points, least_time_s).into_bytes();
+        let ends: Vec<End> = points.iter().map(|p| p.end).collect();
+        let outcome = json!({
+            "end": End::AllPrices,
+            "ends": ends,
+            "time_weight_nm2_per_s": prices,
+            "least_time_s": least_time_s,
+        });
+        let status = trade_off::negative(&points).map_or(Status::Done, Status::Negative);
+        let beside = [("pareto.svg", picture)];
+        output.write_arrays(&kind::ITERATIONS, &arrays, &beside, outcome, &status)?;
+        say(format!("-> {}", self.output.out.display()));
+        Ok(status)
+    }
+}

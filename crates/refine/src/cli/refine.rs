@@ -1,0 +1,163 @@
+//! `planish-refine`: the refinement itself.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use planish_dwell::bounded_least_squares::Bound;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    kind, say, task, with_flags,
+};
+use planish_refine::{Scheduler, Settings, refine};
+use planish_schedule::pvt;
+use planish_types::{DwellTime, Trajectory, plausible};
+use serde::Serialize;
+use serde_json::json;
+
+use super::iterations;
+
+/// The group names its required member: clap leaves a group with flattened members empty.
+#[derive(Args)]
+#[group(args = ["surface"])]
+pub struct Refine {
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// First dwell times [dwell artifact]; without it, bounded least squares
+    #[arg(long, value_name = "DIR")]
+    dwell: Option<PathBuf>,
+    #[command(flatten)]
+    floor: FloorArgs,
+    /// Weight of the distance to the least dwell time, relative to the strongest column
+    #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
+    tikhonov: f64,
+    /// Weight of the roughness of the dwell-time density along the path, in the last corrections
+    #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
+    smoothness: f64,
+    /// Price of a second beside half the mean square of the residual, nm^2/s
+    #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
+    time_weight_nm2_per_s: f64,
+    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it
+    #[arg(long, value_name = "S")]
+    noise_rms_nm: Option<f64>,
+    /// What makes the motion
+    #[arg(long, value_enum, default_value = "pvt")]
+    scheduler: SchedulerKind,
+    /// Shape of the PVT motion
+    #[arg(long, value_enum, default_value = "auto")]
+    mode: pvt::ModeChoice,
+    /// Most rounds; where a number is given, to stop there is what is wanted [default: 50, and a negative
+    /// verdict where they still improve]
+    #[arg(long, value_name = "N")]
+    max_rounds: Option<usize>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SchedulerKind {
+    /// Cubic segments, stretched where the limits ask for it
+    Pvt,
+    /// One constant acceleration, then constant velocity, per segment; no look-ahead
+    ConstantAcceleration,
+}
+
+/// Every setting, and whether the number of rounds was given.
+#[derive(Serialize)]
+struct Resolved {
+    #[serde(flatten)]
+    settings: Settings,
+    stop_at_max_rounds: bool,
+}
+
+impl Refine {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut settings = Settings::default();
+        settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
+        settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
+        settings.dwell.noise_rms_nm = self.noise_rms_nm;
+        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
+        settings.dwell.tikhonov = self.tikhonov;
+        settings.dwell.smoothness = self.smoothness;
+        let method = match self.scheduler {
+            SchedulerKind::Pvt => "pvt",
+            SchedulerKind::ConstantAcceleration => "constant-acceleration",
+        };
+        let mut inputs = Inputs::new();
+        let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let path = self.path.read(&mut inputs)?;
+        let machine = self.machine.read(&mut inputs)?;
+        settings.scheduler = match self.scheduler {
+            SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
+            SchedulerKind::Pvt => Scheduler::Pvt(self.mode.on(&machine)),
+        };
+        let resolved = Resolved { settings, stop_at_max_rounds: self.max_rounds.is_some() };
+        let task = task!(method, resolved);
+        let first =
+            self.dwell.as_ref().map(|dir| flags::read_dwell(dir, &mut inputs)).transpose()?;
+        let parts = [
+            ("dwell", DwellTime::KIND),
+            ("trajectory", Trajectory::KIND),
+            ("iterations", &kind::ITERATIONS),
+        ];
+        let mut output = match Output::directories(&self.output, parts).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+
+        plausible::check_path(&surface, &tif, &path)?;
+        let refined = refine(&surface, &tif, &path, &machine, first, &settings)
+            .map_err(Failure::with_flags)?;
+
+        let best = &refined.iterates[refined.best];
+        let outcome = json!({
+            "best_round": refined.best,
+            "end": refined.end,
+            "at_bound": refined.at_bound,
+            "rms_nm": best.rms_nm,
+            "total_time_s": best.total_time_s,
+        });
+        let status = match refined.negative(&surface, self.max_rounds.is_some()) {
+            None => Status::Done,
+            Some(reason) => Status::Negative(with_flags(&reason)),
+        };
+        output.write(&refined.dwell, outcome.clone(), &status)?;
+        output.write(&refined.trajectory, outcome.clone(), &status)?;
+        let arrays = iterations(refined.iterates.iter());
+        output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
+        for (round, i) in refined.iterates.iter().enumerate() {
+            say(format!(
+                "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",
+                i.rms_nm,
+                i.total_time_s,
+                i.stretched,
+                if i.limits_respected { "" } else { ", limits exceeded" },
+                if round == refined.best { "  <- best" } else { "" }
+            ));
+        }
+        let before = &refined.iterates[0];
+        let mode = match settings.scheduler {
+            Scheduler::Pvt(pvt::Mode::Smooth) => "pvt (smooth)",
+            Scheduler::Pvt(pvt::Mode::Monotone) => "pvt (monotone)",
+            Scheduler::ConstantAcceleration => "constant-acceleration",
+        };
+        say(format!(
+            "{mode}: {} after {} rounds, {} of {} dwell times at a bound: {:.4} nm in {:.2} s before, {:.4} nm \
+             in {:.2} s after -> {}",
+            refined.end,
+            refined.iterates.len(),
+            refined.at_bound,
+            path.len(),
+            before.rms_nm,
+            before.total_time_s,
+            best.rms_nm,
+            best.total_time_s,
+            self.output.out.display()
+        ));
+        Ok(status)
+    }
+}

@@ -1,0 +1,125 @@
+//! The command line.
+
+use clap::{Args, ValueEnum};
+use ndarray::Array1;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, Writer,
+    flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
+    kind,
+    npy::ArrayData,
+    say, task,
+};
+use planish_simulate::{
+    Settings,
+    frames::{Frames, frames},
+    simulate,
+};
+use planish_types::{Removal, Surface, Tif, Trajectory, plausible};
+use serde_json::json;
+
+#[derive(Args)]
+pub struct Simulate {
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    /// How the integral along the motion is computed
+    #[arg(long, value_enum, default_value = "gridded")]
+    method: Method,
+    /// Time steps per segment of the direct method
+    #[arg(long, default_value_t = 16)]
+    steps: usize,
+    /// Write the removal at N equal steps of time instead [frames artifact of at most 20 000 pixels
+    /// a frame]
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Method {
+    /// Exact quadrature and FFT convolution
+    Gridded,
+    /// Midpoint quadrature pixel by pixel: slow, to check the other
+    Direct,
+}
+
+impl Simulate {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = match self.method {
+            Method::Gridded => Settings::Gridded,
+            Method::Direct => Settings::Direct { steps: self.steps },
+        };
+        let method = if self.frames.is_some() { "frames" } else { "simulate" };
+        let task = match self.frames {
+            Some(count) => task!(method, json!({ "method": settings, "frames": count })),
+            None => task!(method, settings),
+        };
+        let mut inputs = Inputs::new();
+        let (trajectory, manifest): (Trajectory, _) =
+            inputs.read_with_manifest("trajectory", &self.trajectory.trajectory)?;
+        let tif: Tif = inputs.read("tif", &self.mirror.tif)?;
+        let surface: Surface = inputs.read("surface", &self.mirror.surface)?;
+        for other in ["tif", "surface"] {
+            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
+        }
+        let kind = if self.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
+        let mut output = match Output::directory(&self.output, kind).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        plausible::check_tool(&surface, &tif)?;
+        if let Some(count) = self.frames {
+            let done = |i| output.progress(i, count);
+            let frames = frames(&trajectory, &tif, &surface, settings, count, done)?;
+            return write_frames(&mut output, frames, &self.output);
+        }
+
+        let prediction = simulate(&trajectory, &tif, &surface, settings)?;
+
+        let residual = prediction.removal.residual();
+        let (statistics, detilted) = (residual.statistics(), residual.detilted_rms_nm());
+        let status = prediction
+            .drawback(&surface, trajectory.total_time_s())
+            .map_or(Status::Done, Status::Negative);
+        let outcome = json!({
+            "rms_nm": statistics.rms,
+            "rms_detilted_nm": detilted,
+            "pv_nm": statistics.pv,
+            "total_time_s": trajectory.total_time_s(),
+            "numerics": prediction.numerics,
+        });
+        output.write(&prediction.removal, outcome, &status)?;
+        say(format!(
+            "residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
+            statistics.rms,
+            detilted,
+            statistics.pv,
+            trajectory.total_time_s(),
+            self.output.out.display()
+        ));
+        Ok(status)
+    }
+}
+
+fn write_frames(
+    writer: &mut Writer,
+    frames: Frames,
+    output: &OutputArgs,
+) -> Result<Status, Failure> {
+    let (x, y) = (frames.grid.x.coordinates(), frames.grid.y.coordinates());
+    let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
+    let (count, stride) = (frames.time_s.len(), frames.stride);
+    let removal = ArrayData::F64(frames.removal_nm.into_dyn());
+    let arrays = [list(frames.time_s), removal, list(x), list(y)];
+    let outcome = json!({ "every_pixel": stride });
+    writer.write_arrays(&kind::FRAMES, &arrays, &[], outcome, &Status::Done)?;
+    let [sx, sy] = stride;
+    let shape = format!("{} x {} pixels", frames.grid.x.len(), frames.grid.y.len());
+    say(format!(
+        "{count} frames of {shape} (one in {sx} columns, {sy} rows) -> {}",
+        output.out.display()
+    ));
+    Ok(Status::Done)
+}

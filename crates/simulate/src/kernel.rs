@@ -1,0 +1,85 @@
+//! The TIF on the lattice, ready to be convolved with a field of seconds.
+
+use ndarray::{ArrayView2, Axis as NdAxis};
+use planish_numerics::fft::pair_convolution::{LineConvolution, PairConvolution};
+
+use crate::lattice::{BorderNode, Lattice};
+
+/// The TIF on the lattice, for tiles of one size.
+pub struct Kernel {
+    /// The lattice along x.
+    pub x: Lattice,
+    /// The lattice along y.
+    pub y: Lattice,
+    /// With the samples on the lattice.
+    pub convolution: PairConvolution,
+    /// `None` where nothing spills.
+    pub border: Option<Border>,
+}
+
+impl Kernel {
+    /// For transforms of the shape `size`; `spills` says whether anything has to be removed at the border.
+    pub fn new(
+        x: Lattice,
+        y: Lattice,
+        samples: ArrayView2<f64>,
+        size: (usize, usize),
+        spills: bool,
+    ) -> Self {
+        let convolution = PairConvolution::new(samples, size);
+        let border = spills.then(|| Border::new(&x, &y, samples, size));
+        Self { x, y, convolution, border }
+    }
+}
+
+/// Most nodes of one axis that get something from beyond the samples: three at either edge, and
+/// one more where the upper edge is between two nodes.
+pub const MAX_BORDER: usize = 8;
+
+/// What removes the spill: (2) of [`crate::gridded`].
+pub struct Border {
+    /// Along y.
+    pub rows: Edge,
+    /// Along x.
+    pub columns: Edge,
+    /// The samples at the corners, by the slots of [`Lattice::border_samples`]; `None` where they are lost in
+    /// the rounding of the peak.
+    pub corners: Option<Vec<[[f64; MAX_BORDER]; 4]>>,
+}
+
+/// The edges of R along one axis.
+pub struct Edge {
+    /// Nodes that get something from beyond the samples.
+    pub nodes: Vec<BorderNode>,
+    /// With the samples of [`Lattice::border_samples`], along the other axis.
+    pub convolution: LineConvolution,
+}
+
+impl Edge {
+    fn new(g: ArrayView2<f64>, across: &Lattice, size: usize) -> Self {
+        let rows: Vec<usize> = across.border_samples().iter().map(|j| (j + 1) as usize).collect();
+        let kernels = g.select(NdAxis(0), &rows);
+        Self { nodes: across.border(), convolution: LineConvolution::new(kernels.view(), size) }
+    }
+}
+
+impl Border {
+    /// For transforms of the shape `size`.
+    fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>, size: (usize, usize)) -> Self {
+        let (rows, columns) = (Edge::new(g, y, size.1), Edge::new(g.t(), x, size.0));
+        // corners[slot of j][a][slot of kx] = g[j][kx - (a - 1)]
+        let (samples_x, samples_y) = (x.border_samples(), y.border_samples());
+        let mut corners = vec![[[0.0; MAX_BORDER]; 4]; samples_y.len()];
+        for (j, table) in samples_y.iter().zip(&mut corners) {
+            for (kx, node) in columns.nodes.iter().enumerate() {
+                for &(slot, a) in &node.terms {
+                    table[a][kx] = g[[(j + 1) as usize, (samples_x[slot] + 1) as usize]];
+                }
+            }
+        }
+        let largest = corners.iter().flatten().flatten().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let peak = g.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let corners = (largest > f64::EPSILON * peak).then_some(corners);
+        Self { rows, columns, corners }
+    }
+}

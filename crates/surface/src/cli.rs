@@ -1,0 +1,71 @@
+//! The subcommands, one file each, and what several of them have.
+
+mod draw;
+mod prepare;
+mod psd;
+mod statistics;
+mod tif;
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use planish_handoff::{Failure, Inputs, Status};
+use planish_surface::low_order::Circle;
+use planish_types::{Removal, Surface};
+
+/// The numbers of a circle on the command line.
+const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
+
+#[derive(Debug, Subcommand)]
+pub enum Method {
+    /// Makes the desired removal: crops to the clear aperture, masks outliers, levels; on request
+    /// fills holes and extends beyond the aperture
+    Prepare(Box<prepare::PrepareArgs>),
+    /// Prints RMS, PV and robust PV of a map, or of a residual, as JSON
+    Statistics(statistics::StatisticsArgs),
+    /// Power spectral densities of a map, or of a residual, and the RMS in bands
+    Psd(psd::PsdArgs),
+    /// Makes a measured tool ready: border, centre, rotation, pitch, taper; or fits a formula to it
+    Tif(tif::TifArgs),
+    /// Draws maps and a section through them as SVG
+    Draw(draw::DrawArgs),
+}
+
+impl Method {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Prepare(arguments) => arguments.run(),
+            Self::Statistics(arguments) => arguments.run(),
+            Self::Psd(arguments) => arguments.run(),
+            Self::Tif(arguments) => arguments.run(),
+            Self::Draw(arguments) => arguments.run(),
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+struct MapArgs {
+    /// Map [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: Option<PathBuf>,
+    /// Predicted removal whose residual is the map [removal artifact]
+    #[arg(long, value_name = "DIR")]
+    removal: Option<PathBuf>,
+}
+
+impl MapArgs {
+    /// The map, or the residual.
+    pub fn read(&self, inputs: &mut Inputs) -> Result<Surface, Failure> {
+        match (&self.surface, &self.removal) {
+            (Some(dir), _) => Ok(inputs.read("surface", dir)?),
+            (None, Some(dir)) => Ok(inputs.read::<Removal>("removal", dir)?.residual().clone()),
+            (None, None) => Err(Failure::new("--surface: is missing; give it or --removal")),
+        }
+    }
+}
+
+/// The circle of the three numbers [`CIRCLE`].
+fn circle(numbers: &[f64]) -> Circle {
+    Circle { centre_mm: [numbers[0], numbers[1]], radius_mm: numbers[2] }
+}

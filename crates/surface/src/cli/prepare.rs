@@ -1,0 +1,314 @@
+//! `planish-surface prepare`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+};
+use planish_surface::{
+    Family, Level, LowOrderSettings, OutlierSettings, PrepareSettings,
+    extension::{self, ExtensionSettings, gaussian_decay, gerchberg_papoulis, polynomial},
+    outliers::half_maximum_width_mm,
+    prepare,
+};
+use planish_types::{ClearAperture, Surface, Tif};
+
+use super::{CIRCLE, circle};
+
+const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
+
+#[derive(Debug, Args)]
+pub struct PrepareArgs {
+    /// Measured map [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// What to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms
+    /// up to --level-order and a constant
+    #[arg(long, value_enum, default_value_t = LevelArg::Piston)]
+    level: LevelArg,
+    /// Highest order of the terms: n of zernike, i + j of legendre and chebyshev; at most 20
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    level_order: Option<u32>,
+    /// Unit circle of the zernike terms, mm [default: about the valid pixels]
+    #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
+    zernike_circle_mm: Option<Vec<f64>>,
+    #[command(flatten)]
+    aperture: ApertureArgs,
+    #[command(flatten)]
+    outliers: OutlierArgs,
+    /// Fill invalid pixels of the clear aperture, or enclosed ones where none is given, smoothly
+    /// from their rims (for programs that cannot skip them; the solvers here do)
+    #[arg(long)]
+    fill: bool,
+    #[command(flatten)]
+    extension: ExtensionArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum LevelArg {
+    None,
+    Piston,
+    Plane,
+    Zernike,
+    Legendre,
+    Chebyshev,
+}
+
+#[derive(Debug, Args)]
+#[group(multiple = false)]
+struct ApertureArgs {
+    /// Clear aperture: pixel centres in this rectangle, mm
+    #[arg(long, num_args = 4, value_names = RECTANGLE, allow_negative_numbers = true)]
+    aperture_rectangle_mm: Option<Vec<f64>>,
+    /// Clear aperture: pixel centres in this circle, mm
+    #[arg(long, num_args = 3, value_names = CIRCLE, allow_negative_numbers = true)]
+    aperture_circle_mm: Option<Vec<f64>>,
+    /// Clear aperture: pixels that are 1 [.npy file (ny, nx)]
+    #[arg(long, value_name = "FILE")]
+    aperture_mask: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct OutlierArgs {
+    /// Mask pits and dust that are narrower than half the tool; needs --tif or --feature-mm
+    #[arg(long, requires = "feature")]
+    mask_outliers: bool,
+    /// Tool influence function whose width at half maximum tells what is narrow [tif artifact]
+    #[arg(long, value_name = "DIR", group = "feature", requires = "mask_outliers")]
+    tif: Option<PathBuf>,
+    /// Full width at half maximum of the tool, mm
+    #[arg(
+        long,
+        value_name = "W",
+        group = "feature",
+        requires = "mask_outliers",
+        allow_negative_numbers = true
+    )]
+    feature_mm: Option<f64>,
+    /// A seed deviates by more than this multiple of the noise (1.4826 MAD) [default: 15]
+    #[arg(long, value_name = "K", requires = "mask_outliers", allow_negative_numbers = true)]
+    outlier_seed_sigmas: Option<f64>,
+    /// A seed grows to pixels above this multiple of the noise [default: 6]
+    #[arg(long, value_name = "K", requires = "mask_outliers", allow_negative_numbers = true)]
+    outlier_grow_sigmas: Option<f64>,
+    /// No seed deviates by less than this, nm [default: 1]
+    #[arg(long, value_name = "NM", requires = "mask_outliers", allow_negative_numbers = true)]
+    outlier_floor_nm: Option<f64>,
+    /// Margin around an outlier, px [default: 3]
+    #[arg(long, value_name = "PX", requires = "mask_outliers", allow_negative_numbers = true)]
+    outlier_dilate_px: Option<usize>,
+}
+
+#[derive(Debug, Args)]
+struct ExtensionArgs {
+    /// Give every pixel beyond the clear aperture a height (for methods by Fourier transform; the
+    /// least-squares solvers need none)
+    #[arg(long, value_enum, value_name = "METHOD", requires = "extend_mm")]
+    extend: Option<ExtendArg>,
+    /// Margin on every side, mm
+    #[arg(long, value_name = "M", requires = "extend", allow_negative_numbers = true)]
+    extend_mm: Option<f64>,
+    /// gaussian-decay: standard deviation, mm [default: a third of the margin]
+    #[arg(long, value_name = "S", requires = "extend", allow_negative_numbers = true)]
+    extend_sigma_mm: Option<f64>,
+    /// gerchberg-papoulis: highest spatial frequency, 1/mm; 1 / (2 FWHM) of the tool is usual
+    #[arg(long, value_name = "F", requires = "extend", allow_negative_numbers = true)]
+    extend_cutoff_per_mm: Option<f64>,
+    /// gerchberg-papoulis: most steps [default: 300]
+    #[arg(long, value_name = "N", requires = "extend", allow_negative_numbers = true)]
+    extend_iterations: Option<usize>,
+    /// gerchberg-papoulis: stop when no height changes by more, nm [default: 1e-3]
+    #[arg(long, value_name = "NM", requires = "extend", allow_negative_numbers = true)]
+    extend_tolerance_nm: Option<f64>,
+    /// polynomial: highest orders along x and y [default: 9 6]
+    #[arg(long, num_args = 2, value_names = ["I", "J"], requires = "extend", allow_negative_numbers = true)]
+    extend_order: Option<Vec<u32>>,
+    /// polynomial: let nothing hold it at the outer edge (only for maps that are polynomials)
+    #[arg(long, requires = "extend")]
+    extend_without_ring: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum ExtendArg {
+    Nearest,
+    GaussianDecay,
+    GerchbergPapoulis,
+    Polynomial,
+}
+
+impl PrepareArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let surface: Surface = inputs.read("surface", &self.surface)?;
+        let settings = PrepareSettings {
+            aperture: self.aperture.read(&mut inputs)?,
+            outliers: self.outliers.read(&mut inputs)?,
+            level: self.level()?,
+            fill: self.fill,
+            extension: self.extension.settings()?,
+        };
+        let task = task!("prepare", &settings);
+        let mut output =
+            match Output::directory(&self.output, Surface::KIND).begin(&task, &inputs)? {
+                Begin::Unchanged(status) => return Ok(status),
+                Begin::Run(output) => output,
+            };
+        let prepared = prepare(&surface, &settings)?;
+        let report = &prepared.report;
+        output.write(&prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
+        let (rows, columns) = report.after.shape;
+        let masked = report.outliers.as_ref().map_or(String::new(), |o| {
+            format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
+        });
+        let filled = report.filled.as_ref().map_or(String::new(), |f| {
+            format!(", {} hole(s) filled ({} px)", f.holes, f.filled_pixels)
+        });
+        let extended = report.extended.as_ref().map_or(String::new(), |e| {
+            format!(
+                ", {} px extended ({:.2} .. {:.2} nm)",
+                e.extended_pixels, e.range_nm[0], e.range_nm[1]
+            )
+        });
+        say(format!(
+            "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
+            report.after.valid_pixels, report.after.rms_nm, report.after.pv_nm
+        ));
+        let notes = [
+            report.removed_low_order.as_ref().and_then(|r| r.note.as_ref()),
+            report.filled.as_ref().and_then(|r| r.note.as_ref()),
+        ];
+        notes.into_iter().flatten().for_each(|note| say(format!("planish-surface: note: {note}")));
+        Ok(Status::Done)
+    }
+
+    fn level(&self) -> Result<Level, Failure> {
+        let low_order = |family| {
+            let order = self.level_order.ok_or_else(|| {
+                Failure::new(
+                    "--level-order: is missing; give the highest order of the terms to subtract",
+                )
+            })?;
+            let circle = self.zernike_circle_mm.as_deref().map(circle);
+            Ok(Level::LowOrder(LowOrderSettings { family, order, circle }))
+        };
+        let level = match self.level {
+            LevelArg::Zernike => return low_order(Family::Zernike),
+            LevelArg::Legendre => return low_order(Family::Legendre),
+            LevelArg::Chebyshev => return low_order(Family::Chebyshev),
+            LevelArg::None => Level::None,
+            LevelArg::Piston => Level::Piston,
+            LevelArg::Plane => Level::Plane,
+        };
+        if self.level_order.is_some() {
+            let remedy = "use it with --level zernike, legendre or chebyshev";
+            return Err(Failure::new(format!("--level-order: has no terms here; {remedy}")));
+        }
+        if self.zernike_circle_mm.is_some() {
+            return Err(Failure::new("--zernike-circle-mm: has no use without zernike terms"));
+        }
+        Ok(level)
+    }
+}
+
+impl ApertureArgs {
+    fn read(&self, inputs: &mut Inputs) -> Result<Option<ClearAperture>, Failure> {
+        if let Some(path) = &self.aperture_mask {
+            return Ok(Some(ClearAperture::Mask(inputs.read_mask("aperture-mask", path)?)));
+        }
+        let rectangle = self
+            .aperture_rectangle_mm
+            .as_ref()
+            .map(|v| ClearAperture::Rectangle { x_mm: [v[0], v[1]], y_mm: [v[2], v[3]] });
+        let circle = self
+            .aperture_circle_mm
+            .as_ref()
+            .map(|v| ClearAperture::Circle { centre_mm: [v[0], v[1]], radius_mm: v[2] });
+        Ok(rectangle.or(circle))
+    }
+}
+
+impl OutlierArgs {
+    fn read(&self, inputs: &mut Inputs) -> Result<Option<OutlierSettings>, Failure> {
+        let feature_mm = match (&self.tif, self.feature_mm) {
+            (Some(dir), _) => half_maximum_width_mm(&inputs.read::<Tif>("tif", dir)?),
+            (None, Some(width)) => width,
+            (None, None) => return Ok(None),
+        };
+        let default = OutlierSettings::for_feature_mm(feature_mm);
+        Ok(Some(OutlierSettings {
+            feature_mm,
+            seed_sigmas: self.outlier_seed_sigmas.unwrap_or(default.seed_sigmas),
+            grow_sigmas: self.outlier_grow_sigmas.unwrap_or(default.grow_sigmas),
+            floor_nm: self.outlier_floor_nm.unwrap_or(default.floor_nm),
+            dilate_px: self.outlier_dilate_px.unwrap_or(default.dilate_px),
+        }))
+    }
+}
+
+impl ExtensionArgs {
+    fn settings(&self) -> Result<Option<ExtensionSettings>, Failure> {
+        let (Some(method), Some(margin_mm)) = (self.extend, self.extend_mm) else {
+            return Ok(None);
+        };
+        self.refuse_flags_of_another(method)?;
+        let method = match method {
+            ExtendArg::Nearest => extension::Method::Nearest,
+            ExtendArg::GaussianDecay => {
+                let usual = gaussian_decay::Settings::for_margin_mm(margin_mm);
+                extension::Method::GaussianDecay(gaussian_decay::Settings {
+                    sigma_mm: self.extend_sigma_mm.unwrap_or(usual.sigma_mm),
+                })
+            }
+            ExtendArg::GerchbergPapoulis => {
+                let cutoff_per_mm = self.extend_cutoff_per_mm.ok_or_else(|| {
+                    Failure::new(
+                        "--extend-cutoff-per-mm: is missing; 1 / (2 FWHM) of the tool is usual",
+                    )
+                })?;
+                let usual = gerchberg_papoulis::Settings::for_cutoff_per_mm(cutoff_per_mm);
+                extension::Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
+                    cutoff_per_mm,
+                    max_iterations: self.extend_iterations.unwrap_or(usual.max_iterations),
+                    tolerance_nm: self.extend_tolerance_nm.unwrap_or(usual.tolerance_nm),
+                })
+            }
+            ExtendArg::Polynomial => {
+                let usual = polynomial::Settings::default();
+                extension::Method::Polynomial(polynomial::Settings {
+                    order: self.extend_order.as_ref().map_or(usual.order, |o| [o[0], o[1]]),
+                    ring: !self.extend_without_ring,
+                })
+            }
+        };
+        Ok(Some(ExtensionSettings { margin_mm, method }))
+    }
+
+    /// A flag of another method would be ignored in silence.
+    fn refuse_flags_of_another(&self, method: ExtendArg) -> Result<(), Failure> {
+        let flags = [
+            ("--extend-sigma-mm", self.extend_sigma_mm.is_some(), ExtendArg::GaussianDecay),
+            (
+                "--extend-cutoff-per-mm",
+                self.extend_cutoff_per_mm.is_some(),
+                ExtendArg::GerchbergPapoulis,
+            ),
+            ("--extend-iterations", self.extend_iterations.is_some(), ExtendArg::GerchbergPapoulis),
+            (
+                "--extend-tolerance-nm",
+                self.extend_tolerance_nm.is_some(),
+                ExtendArg::GerchbergPapoulis,
+            ),
+            ("--extend-order", self.extend_order.is_some(), ExtendArg::Polynomial),
+            ("--extend-without-ring", self.extend_without_ring, ExtendArg::Polynomial),
+        ];
+        if let Some((flag, ..)) = flags.iter().find(|(_, given, of)| *given && *of != method) {
+            return Err(Failure::new(format!(
+                "{flag}: has no use with this --extend; leave it out"
+            )));
+        }
+        Ok(())
+    }
+}

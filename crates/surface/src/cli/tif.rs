@@ -1,0 +1,99 @@
+//! `planish-surface tif`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, with_flags,
+};
+use planish_surface::{
+    tif::{Centre, TifSettings, prepare_tif, tif_statistics},
+    tif_fit,
+};
+use planish_types::Tif;
+use serde_json::json;
+
+#[derive(Debug, Args)]
+pub struct TifArgs {
+    /// Measured tool influence function [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Subtract the mean of the border samples and clip what is then negative
+    #[arg(long)]
+    subtract_border: bool,
+    /// What the offsets are counted from; the samples stay as they are
+    #[arg(long, value_enum, default_value_t = Centre::Given)]
+    centre: Centre,
+    /// Turn counterclockwise about the centre, degrees; multiples of 90 are exact
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    rotate_deg: f64,
+    /// Resample to this pitch, with a sample at the centre, mm
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
+    pitch_mm: Option<f64>,
+    /// Let the outer fraction of the half size go to zero by a cosine, in (0, 1]; 0.15 is usual
+    #[arg(long, value_name = "F", allow_negative_numbers = true)]
+    taper_fraction: Option<f64>,
+    /// Fit a formula to the result and report it
+    #[arg(long, value_enum)]
+    fit: Option<tif_fit::Model>,
+    /// Write the formula's samples instead of the measured ones
+    #[arg(long, requires = "fit")]
+    use_fit: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl TifArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let tif: Tif = inputs.read("tif", &self.tif)?;
+        let settings = TifSettings {
+            subtract_border: self.subtract_border,
+            centre: self.centre,
+            rotate_deg: self.rotate_deg,
+            pitch_mm: self.pitch_mm,
+            taper_fraction: self.taper_fraction,
+        };
+        let model = self.fit;
+        let task = task!("tif", json!({ "tif": settings, "fit": model, "use_fit": self.use_fit }));
+        let mut output = match Output::directory(&self.output, Tif::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let (mut made, mut report) = prepare_tif(&tif, &settings).map_err(Failure::with_flags)?;
+        report.note = report.note.map(|note| with_flags(&note));
+        let mut outcome = serde_json::to_value(&report)?;
+        let mut status = Status::Done;
+        if let Some(model) = model {
+            let (formula, fit) = tif_fit::fit(&made, model)?;
+            outcome["fit"] = serde_json::to_value(&fit)?;
+            status = fit.negative().map_or(Status::Done, Status::Negative);
+            say(format!(
+                "planish-surface: fit: residual {:.3} % of the peak RMS, VRR of the formula {:.4} of the \
+                 samples'",
+                100.0 * fit.residual_rms_to_peak,
+                fit.vrr_ratio
+            ));
+            if self.use_fit {
+                made = formula;
+            }
+        }
+        output.write(&made, outcome, &status)?;
+        let s = tif_statistics(&made);
+        say(format!(
+            "planish-surface: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} \
+             nm mm^2/s, centroid ({:.4}, {:.4}) mm, border {:.2} % of the peak",
+            s.shape.1,
+            s.shape.0,
+            s.pitch_mm[0],
+            s.pitch_mm[1],
+            s.peak_nm_per_s,
+            s.vrr_nm_mm2_per_s,
+            s.centroid_mm[0],
+            s.centroid_mm[1],
+            100.0 * s.border_to_peak
+        ));
+        report.note.iter().for_each(|note| say(format!("planish-surface: note: {note}")));
+        Ok(status)
+    }
+}

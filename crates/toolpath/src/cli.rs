@@ -1,0 +1,125 @@
+//! The subcommands, one file each, and what the methods have in common.
+
+mod draw;
+mod inspect;
+mod maze;
+mod multi_pitch;
+mod random_adaptive;
+mod raster;
+mod spiral;
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, say, warn,
+    with_flags,
+};
+use planish_toolpath::{PathReport, usual_overscan_mm};
+use planish_types::{Surface, Tif, ToolPath, plausible};
+use serde::Serialize;
+
+#[derive(Debug, Subcommand)]
+pub enum Method {
+    /// Parallel lines, back and forth, joined by turn-arounds beyond the aperture
+    Raster(raster::RasterArgs),
+    /// One random closed line through every cell of a lattice, which never crosses itself
+    Maze(maze::MazeArgs),
+    /// One random closed line that never crosses itself, denser where more is to be removed
+    RandomAdaptive(random_adaptive::RandomAdaptiveArgs),
+    /// Regions by the depth to be removed, each a raster of its own pitch
+    MultiPitch(multi_pitch::MultiPitchArgs),
+    /// One line from the inside out, for round parts
+    Spiral(spiral::SpiralArgs),
+    /// Print the statistics of a path as JSON
+    Inspect(inspect::InspectArgs),
+    /// Draw a path as SVG
+    Draw(draw::DrawArgs),
+}
+
+impl Method {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Raster(arguments) => arguments.run(),
+            Self::Maze(arguments) => arguments.run(),
+            Self::RandomAdaptive(arguments) => arguments.run(),
+            Self::MultiPitch(arguments) => arguments.run(),
+            Self::Spiral(arguments) => arguments.run(),
+            Self::Inspect(arguments) => arguments.run(),
+            Self::Draw(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// What every path needs.
+#[derive(Debug, Args)]
+struct RegionArgs {
+    /// Map whose valid pixels (their centres) are the clear aperture [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Tool influence function, for the overscan and the pitch limit [tif artifact]
+    #[arg(long, value_name = "DIR", required_unless_present = "overscan_mm")]
+    tif: Option<PathBuf>,
+    /// Distance between neighbouring lines, mm
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
+    pitch_mm: f64,
+    /// How far the path goes beyond the aperture, mm [default: half the TIF's size]
+    #[arg(long, value_name = "O", allow_negative_numbers = true)]
+    overscan_mm: Option<f64>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// A run of a method: where the path shall go.
+struct Region {
+    inputs: Inputs,
+    output: OutputArgs,
+    surface: Surface,
+    tif: Option<Tif>,
+    overscan_mm: f64,
+}
+
+impl Region {
+    fn read(args: &RegionArgs) -> Result<Self, Failure> {
+        let mut inputs = Inputs::new();
+        let surface = inputs.read("surface", &args.surface)?;
+        let tif: Option<Tif> = args.tif.as_ref().map(|dir| inputs.read("tif", dir)).transpose()?;
+        if let Some(tif) = &tif {
+            plausible::check_tool(&surface, tif)?;
+            plausible::check_pitch(tif, args.pitch_mm)?;
+        }
+        let usual_mm = tif.as_ref().map(usual_overscan_mm);
+        let overscan_mm = args.overscan_mm.or(usual_mm).ok_or_else(|| {
+            Failure::new("overscan: unknown; give --overscan-mm, or --tif for half its size")
+        })?;
+        Ok(Self { inputs, output: args.output.clone(), surface, tif, overscan_mm })
+    }
+
+    fn begin(&self, task: &Task) -> Result<Begin, Failure> {
+        Ok(Output::directory(&self.output, ToolPath::KIND).begin(task, &self.inputs)?)
+    }
+
+    /// Writes the path with what there is to say of it; `own` and `warnings` are those of its method.
+    fn write<R: Serialize>(
+        &self,
+        output: &mut Writer,
+        path: &ToolPath,
+        largest_pitch_mm: f64,
+        own: R,
+        warnings: Vec<String>,
+    ) -> Result<Status, Failure> {
+        let tif = self.tif.as_ref();
+        let mut report = PathReport::new(path, &self.surface, tif, largest_pitch_mm, own, warnings);
+        for warning in &mut report.warnings {
+            *warning = with_flags(warning);
+            warn(&*warning);
+        }
+        output.write(path, serde_json::to_value(&report)?, &Status::Done)?;
+        let s = &report.statistics;
+        say(format!(
+            "planish-toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
+            s.points, s.length_mm, s.passes, s.lifts, s.longest_step_mm
+        ));
+        Ok(Status::Done)
+    }
+}
