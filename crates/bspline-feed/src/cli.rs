@@ -83,8 +83,7 @@ impl Feed {
             Begin::Run(output) => output,
         };
 
-        let plan = plan(&surface, &tif, &path, &machine, &settings)
-            .map_err(Failure::with_flags)?;
+        let plan = plan(&surface, &tif, &path, &machine, &settings).map_err(Failure::with_flags)?;
 
         let r = &plan.report;
         let total_time_s = plan.trajectory.total_time_s();

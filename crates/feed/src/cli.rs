@@ -98,15 +98,13 @@ impl Feed {
         };
 
         plausible::check_path(&surface, &tif, &path)?;
-        let plan = plan(&surface, &tif, &path, &machine, &settings)
-            .map_err(Failure::with_flags)?;
+        let plan = plan(&surface, &tif, &path, &machine, &settings).map_err(Failure::with_flags)?;
 
         let r = &plan.report;
         let rms = Rms::of(plan.removal.residual());
         let total_time_s = plan.trajectory.total_time_s();
         let negative = plan.negative(&surface);
-        let status =
-            negative.map_or(Status::Done, |text| Status::Negative(with_flags(&text)));
+        let status = negative.map_or(Status::Done, |text| Status::Negative(with_flags(&text)));
         let outcome = json!({
             "end": r.end,
             "rms_nm": rms.rms_nm,

@@ -188,8 +188,7 @@ impl Blend {
         let by_deviation =
             if deviation > 0.0 { rounding.deviation_mm / deviation } else { f64::INFINITY };
         // r = L / phi
-        let half_length_mm =
-            (room_mm / cut).min(by_deviation).min(rounding.radius_mm * turn_rad);
+        let half_length_mm = (room_mm / cut).min(by_deviation).min(rounding.radius_mm * turn_rad);
         Self {
             cut_mm: cut * half_length_mm,
             half_length_mm,
@@ -223,9 +222,7 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Vec<Curve> {
             (tx * ny - ty * nx).atan2(tx * nx + ty * ny)
         });
         let blend = match (turn, chords.get(i + 1)) {
-            (Some(turn), Some(next))
-                if (NO_TURN_RAD..=SHARPEST_TURN_RAD).contains(&turn.abs()) =>
-            {
+            (Some(turn), Some(next)) if (NO_TURN_RAD..=SHARPEST_TURN_RAD).contains(&turn.abs()) => {
                 let room_mm = 0.5 * chord.length_mm.min(next.length_mm);
                 Some((turn, next, Blend::widest(turn.abs(), room_mm, rounding)))
             }
@@ -329,7 +326,8 @@ mod tests {
                 corner(turn, Rounding { deviation_mm: 0.1, radius_mm: 100.0 });
             assert!((distance - c.deviation_mm).abs() < 1e-13 && c.deviation_mm <= 0.1 + 1e-15);
             assert!((radius - c.radius_mm).abs() < 1e-12 * radius, "{turn}");
-            let (distance, radius, _) = corner(turn, Rounding { deviation_mm: 9.0, radius_mm: 0.3 });
+            let (distance, radius, _) =
+                corner(turn, Rounding { deviation_mm: 9.0, radius_mm: 0.3 });
             assert!((radius - 0.3).abs() < 1e-13 && distance > 0.0);
         }
         // 90 degrees, L = 1: C = 0.94... by the series of the Fresnel integrals,
@@ -347,7 +345,8 @@ mod tests {
 
     #[test]
     fn the_arc_length_is_that_of_the_curve() {
-        let curve = curves(&path(&[[0.0, 0.0], [2.0, 0.0], [2.5, 1.5], [0.0, 3.0]]), &WIDE).remove(0);
+        let curve =
+            curves(&path(&[[0.0, 0.0], [2.0, 0.0], [2.5, 1.5], [0.0, 3.0]]), &WIDE).remove(0);
         let steps = 20_000;
         let at = |k: usize| curve.at(curve.length_mm() * k as f64 / steps as f64).point_mm;
         let chord = |k: usize| (at(k + 1)[0] - at(k)[0]).hypot(at(k + 1)[1] - at(k)[1]);

@@ -216,14 +216,14 @@ pub fn solve(
             }
         };
         let primal = |s: &Step| {
-            let mut length = longest(&room, &s.density);
+            // The tangents say nearly how far.
+            let mut length = longest(&room, &s.density).min(longest(&c, &s.c));
             loop {
                 let to: Vec<f64> =
                     density.iter().zip(&s.density).map(|(d, s)| d + length * s).collect();
                 let after = rows.slacks(&to);
-                let keeps = |(after, before): (&f64, &f64)| {
-                    *after >= (1.0 - STEP_TO_BOUNDARY) * before
-                };
+                let keeps =
+                    |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
                 if after.iter().zip(&c).all(keeps) || length < f64::EPSILON {
                     return (length, to);
                 }
@@ -385,9 +385,7 @@ mod tests {
             let constraints = rows.constraints(d);
             let mut a: Vec<Vec<(usize, f64)>> = constraints
                 .iter()
-                .map(|row| {
-                    (0..2).filter_map(|k| row.nodes[k].map(|n| (n, -row.by[k]))).collect()
-                })
+                .map(|row| (0..2).filter_map(|k| row.nodes[k].map(|n| (n, -row.by[k]))).collect())
                 .collect();
             a.extend((0..mesh.nodes).map(|j| vec![(j, -1.0)]));
             let mut b: Vec<f64> = constraints.iter().map(|row| row.slack).collect();

@@ -45,9 +45,7 @@ pub enum FeedError {
         axis: &'static str,
     },
     /// The program has no unique solution to rounding.
-    #[error(
-        "the densities are not determined by the surface; raise `tikhonov` (now {tikhonov})"
-    )]
+    #[error("the densities are not determined by the surface; raise `tikhonov` (now {tikhonov})")]
     Singular {
         /// alpha.
         tikhonov: f64,

@@ -7,9 +7,10 @@
 //! c = (r D_j - D_k) / D_0 >= 0, and back                          r = MAX_RATIO                   (4)
 //! ```
 //!
-//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. On a line the acceleration is
-//! linear in time, so its ends decide, on the axis with the smaller A_a / |q'_a|. On a clothoid (1) is imposed at
-//! [`STEPS_PER_CLOTHOID`] places; what may happen between them has a margin, and the motion is judged in the end.
+//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along
+//! the curve the acceleration is linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a
+//! clothoid (1) is also imposed at [`STEPS_PER_CLOTHOID`] places, towards the bend; what may happen between them has
+//! a margin, and the motion is judged in the end.
 //! (4) keeps the cubic of a span monotone: its feeds at both ends are at most three times its mean feed where r is
 //! at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
 
@@ -23,22 +24,21 @@ use crate::{
 
 /// Steps of a clothoid, from its straight to its curved end, between the places of (1): a component of the
 /// acceleration has its largest value before the curved end, where it has turned further to the axis; between two
-/// places it is larger by at most 0.4 %.
-const STEPS_PER_CLOTHOID: usize = 10;
-
-/// Places on the straight part of a clothoid that are left out: with less than this fraction of its curvature the
-/// limits of the line beside it decide.
-const STRAIGHT_FRACTION: f64 = 0.35;
+/// places it is larger by at most 0.6 %.
+const STEPS_PER_CLOTHOID: usize = 8;
 
 /// Fraction of the acceleration that is kept for what happens between the places of (1), and for the cubic pieces
 /// that the motion on a clothoid is made of.
-const CURVED_MARGIN: f64 = 1.2e-2;
+const CURVED_MARGIN: f64 = 2e-2;
 
 /// Fraction of a limit that is kept for rounding: half of what the judge allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
 
 /// r of (4): 5 would still be monotone, but the tool would nearly stand in the middle of the span.
 const MAX_RATIO: f64 = 3.0;
+
+/// A row with more left than this is far from being active, and its curvature counts for nothing.
+const FAR_SLACK: f64 = 0.5;
 
 /// Relative step of the differences of first derivatives that give the second ones.
 const DIFFERENCE: f64 = 1e-4;
@@ -52,7 +52,7 @@ struct Row {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum On {
-    /// A line, at this fraction of the time: `c = 1 - along s''`, s^2/mm.
+    /// Along the curve, at this fraction of the time: `c = 1 - along s''`, s^2/mm.
     Line { tau: f64, along: f64 },
     /// A clothoid, at this length from the start of the span: `c = 1 - across s'^2 - along s''`.
     Place { s_mm: f64, across: f64, along: f64 },
@@ -82,18 +82,12 @@ pub struct Rows<'a> {
 
 impl<'a> Rows<'a> {
     /// For all spans of a mesh, with D_0 of (4), a density of the usual size.
-    pub fn new(
-        curves: &[Curve],
-        mesh: &'a Mesh,
-        limits: &Limits,
-        reference_s_per_mm: f64,
-    ) -> Self {
+    pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
         let mut rows = Vec::new();
         let mut least_density = vec![0.0f64; mesh.nodes];
         let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
         for (i, span) in mesh.spans.iter().enumerate() {
             let samples = samples(&curves[span.curve], span);
-            let straight = samples.iter().any(|s| s.curvature_per_mm == 0.0);
             let mut line = f64::INFINITY;
             for Sample { s_mm, tangent: [tx, ty], curvature_per_mm } in samples {
                 for (axis, t) in limits.axes().iter().zip([tx, ty]) {
@@ -102,12 +96,10 @@ impl<'a> Rows<'a> {
                         least_density[*j] = least_density[*j].max(needed);
                     }
                 }
-                if curvature_per_mm == 0.0 || !straight {
-                    for (most, t) in most.iter().zip([tx, ty]) {
-                        line = line.min(most / t.abs());
-                    }
+                for (most, t) in most.iter().zip([tx, ty]) {
+                    line = line.min(most / t.abs());
                 }
-                // q'' = kappa (-q'_y, q'_x); away from the bend the limit of the line is the stricter one.
+                // q'' = kappa (-q'_y, q'_x); away from the bend the limit along the curve is the stricter one.
                 let bend = [-ty * curvature_per_mm, tx * curvature_per_mm];
                 for (axis, bend) in bend.into_iter().enumerate().filter(|(_, bend)| *bend != 0.0) {
                     let scale = bend.signum() / (most[axis] * (1.0 - CURVED_MARGIN));
@@ -155,7 +147,7 @@ impl<'a> Rows<'a> {
             let span = &self.mesh.spans[row.span];
             let densities = span.densities(density);
             let (slack, by) = row.on.derivatives(span, densities);
-            if let On::Ratio { .. } = row.on {
+            if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
                 return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
             }
             // Second derivatives as differences of the first ones
@@ -205,7 +197,8 @@ impl<'a> Rows<'a> {
     /// At a uniform feed p'' is that feed squared times what it is at 1 mm/s, at rest too.
     pub fn least_uniform_density(&self) -> f64 {
         let at_one = self.slacks(&vec![1.0; self.mesh.nodes]);
-        let limits = self.rows.iter().zip(at_one).filter(|(row, _)| !matches!(row.on, On::Ratio { .. }));
+        let limits =
+            self.rows.iter().zip(at_one).filter(|(row, _)| !matches!(row.on, On::Ratio { .. }));
         limits.map(|(_, c)| 1.0 - c).fold(0.0, f64::max).sqrt()
     }
 }
@@ -258,16 +251,12 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
     for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
         let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
         let steps = if piece.is_straight() { 1 } else { STEPS_PER_CLOTHOID };
-        let most = [0.0, piece.length_mm].map(|s| piece.direction(s).1.abs());
-        let most = most[0].max(most[1]);
         for k in 0..=steps {
             let s = piece.from_mm + piece.length_mm * k as f64 / steps as f64;
             // Where a node stands within the piece, the part on this side of it has its end there.
             let s = s.clamp(from, to);
             let (tangent, curvature_per_mm) = piece.direction(s - piece.from_mm);
-            if curvature_per_mm.abs() >= STRAIGHT_FRACTION * most {
-                found.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
-            }
+            found.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
         }
     }
     found.dedup_by(|b, a| a.s_mm == b.s_mm);
@@ -328,7 +317,10 @@ mod tests {
                 };
                 // Central differences: h^2 of the third derivative, some 1e5, and rounding / h.
                 let difference = (slack(1e-6) - slack(-1e-6)) / 2e-6;
-                assert!((difference - by).abs() < 1e-5 * by.abs().max(1.0), "{i}: {difference} {by}");
+                assert!(
+                    (difference - by).abs() < 1e-5 * by.abs().max(1.0),
+                    "{i}: {difference} {by}"
+                );
             }
             let [a, b, c] = row.bend;
             assert!(a >= 0.0 && c >= 0.0 && b * b <= a * c * (1.0 + 1e-9) + 1e-12);
@@ -337,9 +329,11 @@ mod tests {
         let motion = motion(&curves, &mesh, &path, &density).unwrap();
         let used = motion.use_of_acceleration(mesh.spans.len(), &limits);
         for (span, used) in used.iter().enumerate() {
-            let of_span = rows.rows.iter().zip(&constraints).filter(|(row, _)| {
-                row.span == span && !matches!(row.on, On::Ratio { .. })
-            });
+            let of_span = rows
+                .rows
+                .iter()
+                .zip(&constraints)
+                .filter(|(row, _)| row.span == span && !matches!(row.on, On::Ratio { .. }));
             let known = of_span.map(|(_, c)| 1.0 - c.slack).fold(0.0, f64::max);
             // Regression bound: 0.8 % more on one corner of this rough density, between the places of the rows.
             assert!(*used <= known * 1.02, "span {span}: {used} of {known}");
@@ -356,7 +350,9 @@ mod tests {
         let rows = Rows::new(&curves, &mesh, &limits, 0.1);
         let least = rows.least_uniform_density();
         let slack = |d: f64| rows.slacks(&vec![d; mesh.nodes]).into_iter().fold(1.0, f64::min);
-        assert!(slack(least).abs() < 1e-12 && slack(1.01 * least) > 0.0 && slack(0.99 * least) < 0.0);
+        assert!(
+            slack(least).abs() < 1e-12 && slack(1.01 * least) > 0.0 && slack(0.99 * least) < 0.0
+        );
     }
 
     #[test]

@@ -32,6 +32,9 @@ const NEAREST_NODE_FRACTION: f64 = 0.3;
 /// Steps of the inversion of (3): Newton's method takes some five, bisection as many as a number has bits.
 const MAX_INVERSION_STEPS: usize = 60;
 
+/// A step of the inversion after which the result is exact to rounding.
+const INVERSION_STEP: f64 = 1e-9;
+
 /// Between two nodes, of which one may be a rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
@@ -77,13 +80,8 @@ impl Span {
 
     /// (2), s.
     pub fn duration_s(&self, density: &[f64]) -> f64 {
-        self.duration_of(self.densities(density))
-    }
-
-    /// (2) for the densities of its nodes, s.
-    fn duration_of(&self, densities: [Option<f64>; 2]) -> f64 {
         let l = self.length_mm();
-        match densities {
+        match self.densities(density) {
             [Some(a), Some(b)] => 0.5 * l * (a + b),
             [Some(d), None] | [None, Some(d)] => 2.0 * l * d,
             [None, None] => 0.0,
@@ -170,20 +168,37 @@ impl Span {
         at
     }
 
-    /// Fraction of its time at which it has come to `s` mm from its start: (3) solved by bisection and Newton.
+    /// Fraction of its time at which it has come to `s` mm from its start.
+    ///
+    /// At rest in closed form; else (3) by Newton's method from the time that the density asks for, within brackets,
+    /// because (3) is monotone.
     pub fn tau_at(&self, s_mm: f64, densities: [Option<f64>; 2]) -> f64 {
-        let duration_s = self.duration_of(densities);
+        let f = (s_mm / self.length_mm()).clamp(0.0, 1.0);
+        let (a, b) = match densities {
+            [Some(a), Some(b)] => (a, b),
+            [None, _] => return f.sqrt(),
+            [_, None] => return 1.0 - (1.0 - f).sqrt(),
+        };
+        // s / l = (3 - 2 t) t^2 + (t - 2 t^2 + t^3) p + (t^3 - t^2) q,  p = v_a T / l, q = v_b T / l
+        let (p, q) = (0.5 * (1.0 + b / a), 0.5 * (1.0 + a / b));
+        let (c2, c3) = (3.0 - 2.0 * p - q, p + q - 2.0);
         let (mut low, mut high) = (0.0, 1.0);
-        let mut tau = (s_mm / self.length_mm()).clamp(0.0, 1.0);
+        let mut tau = f * (2.0 * a + (b - a) * f) / (a + b);
         for _ in 0..MAX_INVERSION_STEPS {
-            let at = self.at(tau, densities);
-            if at.s_mm < s_mm { low = tau } else { high = tau }
-            let newton = tau + (s_mm - at.s_mm) / (at.feed_mm_per_s * duration_s);
-            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
-            if (next - tau).abs() <= f64::EPSILON {
-                return next;
+            let off = ((c3 * tau + c2) * tau + p) * tau - f;
+            if off < 0.0 {
+                low = tau
+            } else {
+                high = tau
             }
+            let newton = tau - off / ((3.0 * c3 * tau + 2.0 * c2) * tau + p);
+            let next = if (low..=high).contains(&newton) { newton } else { 0.5 * (low + high) };
+            let step = (next - tau).abs();
             tau = next;
+            // The next step of Newton's method would be of the order of the square of this one.
+            if step < INVERSION_STEP {
+                break;
+            }
         }
         tau
     }
@@ -254,7 +269,8 @@ impl Mesh {
     /// (1): the time at every Gauss point for the densities of the nodes, s.
     pub fn times_s(&self, density: &[f64]) -> Vec<f64> {
         let of = |point: &Point| {
-            let part = |(node, weight): (&Option<usize>, f64)| node.map_or(0.0, |j| weight * density[j]);
+            let part =
+                |(node, weight): (&Option<usize>, f64)| node.map_or(0.0, |j| weight * density[j]);
             point.nodes.iter().zip(point.weight).map(part).sum()
         };
         self.points.iter().map(of).collect()
@@ -408,7 +424,8 @@ mod tests {
         let tif = Tif::new(g, rate).unwrap();
         let axis = |n: usize| Axis::new(0.0, 0.25, n).unwrap();
         let grid = Grid { x: axis(33), y: axis(21) };
-        let z = Array2::from_shape_fn(grid.shape(), |(r, c)| (0.3 * c as f64 + 0.2 * r as f64).sin());
+        let z =
+            Array2::from_shape_fn(grid.shape(), |(r, c)| (0.3 * c as f64 + 0.2 * r as f64).sin());
         let desired = Surface::new(grid, z).unwrap();
         let points = vec![[0.0, 1.0], [7.0, 1.0], [7.0, 2.0], [0.5, 2.0], [0.5, 4.0], [8.0, 4.0]];
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
@@ -418,9 +435,8 @@ mod tests {
         let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let density: Vec<f64> =
             (0..mesh.nodes).map(|j| 0.3 + 0.1 * (1.7 * j as f64).sin()).collect();
-        let gradient = |d: &[f64]| {
-            mesh.collect(&residual.evaluate(&mesh.times_s(d)).gradient_nm2_per_s)
-        };
+        let gradient =
+            |d: &[f64]| mesh.collect(&residual.evaluate(&mesh.times_s(d)).gradient_nm2_per_s);
         let by = gradient(&density);
         for j in [0, 1, mesh.nodes / 2, mesh.nodes - 1] {
             let value = |h: f64| {
@@ -439,7 +455,8 @@ mod tests {
         let normal = residual.normal(&mesh.columns()).unwrap();
         let d: Vec<f64> = (0..mesh.nodes).map(|j| (0.2 * j as f64).sin()).collect();
         let moved: Vec<f64> = density.iter().zip(&d).map(|(u, d)| u + d).collect();
-        let exact: f64 = gradient(&moved).iter().zip(&by).zip(&d).map(|((a, b), d)| d * (a - b)).sum();
+        let exact: f64 =
+            gradient(&moved).iter().zip(&by).zip(&d).map(|((a, b), d)| d * (a - b)).sum();
         let ordered: Vec<f64> = normal.order.iter().map(|j| d[*j]).collect();
         let found: f64 =
             normal.matrix.product(&ordered).iter().zip(&ordered).map(|(a, b)| a * b).sum();

@@ -48,7 +48,8 @@ pub fn motion(
         let taus: Vec<f64> = breaks.iter().map(|s| tau(*s)).collect();
         let last = breaks.len() - 1;
         for k in 0..last {
-            let (ta, tb) = (if k == 0 { 0.0 } else { taus[k] }, if k + 1 == last { 1.0 } else { taus[k + 1] });
+            let (ta, tb) =
+                (if k == 0 { 0.0 } else { taus[k] }, if k + 1 == last { 1.0 } else { taus[k + 1] });
             let piece = curve.piece_at(0.5 * (breaks[k] + breaks[k + 1]));
             let (from, to) = (span.at(ta, of), span.at(tb, of));
             let h = (tb - ta) * duration_s;

@@ -53,10 +53,10 @@ const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
 /// The price is found when it changes by less than this fraction from step to step.
-const PRICE_FOUND: f64 = 0.02;
+const PRICE_FOUND: f64 = 0.005;
 
 /// Steps in which the price is looked for.
-const PRICE_STEPS: usize = 25;
+const PRICE_STEPS: usize = 40;
 
 /// Rounds in which corners whose motion exceeds a limit are asked for less, and the program is solved again.
 const MAX_ROUNDS: usize = 4;
@@ -236,11 +236,8 @@ pub fn plan(
     let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
     let level = level_s_per_mm(&mesh, &residual, desired);
     let mut rows = Rows::new(&curves, &mesh, limits, level);
-    let lo: Vec<f64> = rows
-        .least_density()
-        .iter()
-        .map(|d| d.max(settings.min_dwell_s_per_mm))
-        .collect();
+    let lo: Vec<f64> =
+        rows.least_density().iter().map(|d| d.max(settings.min_dwell_s_per_mm)).collect();
     let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
     let lengths_mm = mesh.lengths_mm();
     let normal = residual.normal(&mesh.columns())?;
@@ -344,8 +341,8 @@ pub fn plan(
 /// The uniform density, s/mm, that removes on average what is above the lowest point.
 fn level_s_per_mm(mesh: &Mesh, residual: &Residual<'_>, desired: &Surface) -> f64 {
     let heights = desired.height_nm().iter().filter(|z| !z.is_nan());
-    let (sum, count, low) = heights
-        .fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
+    let (sum, count, low) =
+        heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
     let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
     ((sum / count - low) / rate).max(f64::MIN_POSITIVE)
 }
