@@ -2,7 +2,7 @@
 //!
 //! Along the curve the motion of a span is one cubic s(u) ([`crate::mesh`]). On a line that is the motion itself.
 //! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece; the
-//! heading turns by at most [`MAX_TURN_RAD`] on it, which leaves a distance below `l^4 kappa^3 / 384` and an
+//! heading turns by at most 0.15 rad on it, which leaves a distance below `l^4 kappa^3 / 384` and an
 //! acceleration off by a twelfth of the turn squared.
 
 use planish_numerics::polynomial;
