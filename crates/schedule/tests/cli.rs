@@ -230,8 +230,9 @@ fn what_the_machine_cannot_do_is_stretched_and_the_manifest_says_where_and_by_ho
         assert!((number(&outcome["total_time_s"]) - 2.1 - added).abs() < 1e-14);
         assert!(number(&report["rounds"]) >= 1.0);
         println!("{mode}: {added} s added");
-        // Regression bound: measured @G s on this step, which takes 0.424 s from rest to rest.
-        assert!(added < 0.7, "{mode}: {added} s");
+        // Regression bound: measured 0.14 s (smooth) and 0.32 s (monotone) on this step, which takes 0.424 s
+        // from rest to rest.
+        assert!(added < 0.6, "{mode}: {added} s");
     }
 }
 
