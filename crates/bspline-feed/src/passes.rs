@@ -169,17 +169,10 @@ pub(crate) fn is_inside(surface: &Surface, [x, y]: [f64; 2]) -> bool {
 mod tests {
     use super::*;
     use ndarray::Array2;
-    use planish_types::{Axis, MachineFile, MachineFileAxis};
+    use planish_types::Axis;
 
     fn machine() -> Limits {
-        let axis = |name: &str, v: f64, a: f64| MachineFileAxis {
-            name: name.into(),
-            max_velocity_mm_per_s: v,
-            max_acceleration_mm_per_s2: a,
-            max_jerk_mm_per_s3: None,
-        };
-        let axes = vec![axis("x", 10.0, 100.0), axis("y", 20.0, 50.0)];
-        MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }.checked().unwrap()
+        planish_testkit::machine([10.0, 20.0], [100.0, 50.0])
     }
 
     /// 4 x 4 mm in pixels of 0.5 mm around (0, 0).

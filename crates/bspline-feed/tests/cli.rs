@@ -6,20 +6,11 @@ use std::{
     process::{Command, Output},
 };
 
-use ndarray::Array2;
-use planish_handoff::{Artifact, artifact, npy::ArrayData};
+use ndarray::{Array1, Array2};
+use planish_handoff::artifact;
+use planish_testkit::program::{save, text, write};
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath, Trajectory};
 use serde_json::{Value, json};
-
-fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    planish_handoff::save(&dir.join(name), value).unwrap();
-}
-
-/// An array of a directory without a manifest.
-fn save(dir: &Path, name: &str, array: Array2<f64>) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array.into_dyn()).to_npy()).unwrap();
-}
 
 fn machine(axes: &[(&str, f64, f64)]) -> String {
     let axis = |(name, v, a): &(&str, f64, f64)| json!({"name": name, "max_velocity_mm_per_s": v, "max_acceleration_mm_per_s2": a});
@@ -66,13 +57,8 @@ fn writes_trajectory_and_feed_and_then_nothing() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
     let output = run(tmp.path(), &[]);
-    let message = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert_eq!(
-        output.status.code(),
-        Some(0),
-        "{message}{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let message = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{message}{}", text(&output.stderr));
     assert!(message.contains("bspline: 3 passes"), "{message}");
     let out = tmp.path().join("out");
     let trajectory = artifact::read::<Trajectory>(&out.join("trajectory")).unwrap().value;
@@ -91,7 +77,7 @@ fn writes_trajectory_and_feed_and_then_nothing() {
     assert_eq!(feed["arc_length_mm"]["shape"], feed["dwell_density_s_per_mm"]["shape"]);
 
     let again = run(tmp.path(), &[]);
-    assert!(String::from_utf8_lossy(&again.stdout).contains("unchanged"));
+    assert!(text(&again.stdout).contains("unchanged"));
     let other = run(tmp.path(), &["--method=vrr"]);
     assert_eq!(other.status.code(), Some(2), "another method needs --force");
     let forced = run(tmp.path(), &["--method=vrr", "--force"]);
@@ -105,13 +91,13 @@ fn too_few_sweeps_are_a_negative_verdict() {
     prepare(tmp.path());
     let output = run(tmp.path(), &["--max-sweeps=1"]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("raise --max-sweeps"));
+    assert!(text(&output.stderr).contains("raise --max-sweeps"));
 }
 
 /// The one message of a run that is refused, with nothing written.
 fn refused(dir: &Path, more: &[&str]) -> String {
     let output = run(dir, more);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let message = text(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{message}");
     assert!(!dir.join("out").exists(), "something was written");
     assert!(!message.contains("internal error"), "{message}");
@@ -172,9 +158,7 @@ fn bad_inputs_are_refused_by_one_message() {
         let tif = dir.join("tif");
         save(&tif, "rate_nm_per_s", Array2::from_elem((13, 13), value));
         for name in ["x_mm", "y_mm"] {
-            let axis: Vec<f64> = (0..13).map(|i| -1.5 + 0.25 * f64::from(i)).collect();
-            let array = ArrayData::F64(ndarray::Array1::from(axis).into_dyn());
-            fs::write(tif.join(format!("{name}.npy")), array.to_npy()).unwrap();
+            save(&tif, name, Array1::from_iter((0..13).map(|i| -1.5 + 0.25 * f64::from(i))));
         }
         let message = refused(dir, &[]);
         assert!(message.contains("tif") && message.contains(said), "{message}");

@@ -10,20 +10,14 @@ use planish_bspline_feed::{
     plan::{Method, Piston},
 };
 use planish_numerics::bspline::Knots;
-use planish_types::{Axis, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath};
+use planish_testkit::maps::largest_magnitude;
+use planish_types::{Axis, Grid, Limits, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+/// Both axes alike.
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| MachineFileAxis {
-        name: name.into(),
-        max_velocity_mm_per_s: velocity,
-        max_acceleration_mm_per_s2: acceleration,
-        max_jerk_mm_per_s3: None,
-    };
-    MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
-        .checked()
-        .unwrap()
+    planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
@@ -98,13 +92,16 @@ fn constant_removal_is_a_constant_feed() {
     }
     let solved = run(exact());
     let r = &solved.report;
-    // What 30 sweeps leave near the edge.
+    println!("{} nm of 40 nm after 30 sweeps", r.model_rms_nm.unwrap());
+    // Regression bound: measured 0.046 nm of 40 nm, which 30 sweeps leave near the edge.
     assert!(r.model_rms_nm.unwrap() < 2e-3 * 40.0, "{:?}", r.model_rms_nm);
     let inside = |p: &[f64; 2]| p[0] > 1.0 && p[0] < 7.0 && p[1] > 0.5 && p[1] < 1.5;
-    for (p, d) in solved.density.point_mm().iter().zip(solved.density.dwell_density_s_per_mm()) {
-        // Where a residual of 1e-3 leaves the single values free, the lines differ a little.
-        assert!(!inside(p) || (d / density - 1.0).abs() < 0.02, "{p:?} {d} {density}");
-    }
+    let values = solved.density.point_mm().iter().zip(solved.density.dwell_density_s_per_mm());
+    let off = values.filter(|(p, _)| inside(p)).map(|(_, d)| d / density - 1.0);
+    let off = largest_magnitude(off);
+    println!("densities differ by {off} of themselves");
+    // Regression bound: measured 0.0033 on lines among which the residual leaves single values free.
+    assert!(off < 0.01, "{off}");
 }
 
 #[test]
@@ -218,7 +215,10 @@ fn deconvolution_leaves_less_than_the_vrr_feed() {
     let settings = Settings { tolerance: 1e-2, ..Settings::default() };
     let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
     // The blur of a Gaussian of 0.5 mm leaves 1 - exp(-(1.9 x 0.5)^2 / 2) = 0.36 of 30 nm.
-    assert!(solved.report.model_rms_nm.unwrap() < 0.1 * 0.36 * 30.0 / 2.0_f64.sqrt());
+    let fraction = solved.report.model_rms_nm.unwrap() / (0.36 * 30.0 / 2.0_f64.sqrt());
+    println!("{fraction} of what the blur leaves");
+    // Regression bound: measured 0.082 of what the blur leaves.
+    assert!(fraction < 0.1, "{fraction}");
 }
 
 #[test]

@@ -12,6 +12,7 @@ use planish_handoff::{
     Artifact, Inputs, Output, Status, Task, Writer, flags::OutputArgs, kind, kind::Kind,
     npy::ArrayData,
 };
+use planish_testkit::program::text;
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
@@ -21,10 +22,6 @@ fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
         .args(arguments)
         .output()
         .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 /// A run as the stages leave it: every manifest records its inputs.

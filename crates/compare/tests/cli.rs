@@ -9,6 +9,7 @@ use std::{
 use ndarray::{Array2, ArrayD, array};
 use ndarray_npy::write_npy;
 use planish_handoff::{Inputs, Output, Status, Task, flags::OutputArgs, kind, save};
+use planish_testkit::program::text;
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Trajectory};
 use serde_json::{Value, json};
 
@@ -18,10 +19,6 @@ fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
         .args(arguments)
         .output()
         .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 /// A verdict as planish-verify writes it.

@@ -7,19 +7,10 @@ use std::{
 };
 
 use ndarray::Array2;
-use planish_handoff::{Artifact, artifact, npy::ArrayData};
+use planish_handoff::{artifact, npy::ArrayData};
+use planish_testkit::program::{save_array, text, write};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 use serde_json::{Value, json};
-
-fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    planish_handoff::save(&dir.join(name), value).unwrap();
-}
-
-/// An array of a directory without a manifest.
-fn save(dir: &Path, name: &str, array: ArrayData) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), array.to_npy()).unwrap();
-}
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
@@ -88,10 +79,6 @@ fn run_on(threads: &str, dir: &Path, arguments: &[&str]) -> Output {
 
 fn run(dir: &Path, more: &[&str]) -> Output {
     run_on("2", dir, &[&INPUTS[..], more].concat())
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 fn done(output: &Output) {
@@ -178,7 +165,7 @@ fn one_dwell_point_is_a_weighted_straight_line_fit() {
     write(tmp.path(), "surface", &Surface::new(g, height.clone()).unwrap());
     write(tmp.path(), "tif", &tif());
     write(tmp.path(), "tool_path", &path);
-    save(tmp.path(), "weight", ArrayData::F64(weight.clone().into_dyn()));
+    save_array(tmp.path(), "weight", ArrayData::F64(weight.clone().into_dyn()));
     done(&run(tmp.path(), &[&EXACT[..], &["--weight=weight.npy"]].concat()));
 
     // t = sum w (R - mean R)(z - mean z) / sum w (R - mean R)^2
@@ -209,7 +196,18 @@ fn a_tif_larger_than_the_map_is_used_as_it_is() {
     let p = ToolPath::through(vec![[4.05, 2.9], [6.05, 4.9]], vec![true], vec![0]).unwrap();
     write(tmp.path(), "tool_path", &p);
     done(&run(tmp.path(), &EXACT));
-    assert!(dwell_s(tmp.path())[0] > 0.0);
+    // One unknown: t = <b, z> / <b, b> of the removal b in one second and the map z, without their means.
+    let centred = |map: Array2<f64>| {
+        let mean = map.mean().unwrap();
+        map - mean
+    };
+    let b = centred(Array2::from_shape_fn(g.shape(), |(r, c)| {
+        tif().rate_at(g.x.at(c) - 5.05, g.y.at(r) - 3.9)
+    }));
+    let z = centred(Array2::from_shape_fn(g.shape(), |(r, c)| all[[r + 12, c + 16]]));
+    let expected = (&b * &z).sum() / (&b * &b).sum();
+    let found = dwell_s(tmp.path())[0];
+    assert!(expected > 0.01 && (found / expected - 1.0).abs() < 1e-12, "{found} {expected}");
 }
 
 /// Whatever the number of threads: every byte, both algorithms.
@@ -296,9 +294,13 @@ fn bad_maps_end_with_2_and_name_file_place_and_remedy() {
     prepare(tmp.path());
     let bad = tmp.path().join("bad");
     let bare = |height: Array2<f64>, grid: Grid| {
-        save(&bad, "height_nm", ArrayData::F64(height.into_dyn()));
+        save_array(&bad, "height_nm", ArrayData::F64(height.into_dyn()));
         for (name, a) in [("x_mm", grid.x), ("y_mm", grid.y)] {
-            save(&bad, name, ArrayData::F64(ndarray::Array1::from(a.coordinates()).into_dyn()));
+            save_array(
+                &bad,
+                name,
+                ArrayData::F64(ndarray::Array1::from(a.coordinates()).into_dyn()),
+            );
         }
     };
     let surface = |expected: &[&str]| {
@@ -325,9 +327,9 @@ fn bad_maps_end_with_2_and_name_file_place_and_remedy() {
     infinite[[3, 4]] = f64::INFINITY;
     bare(infinite, g);
     refused_map(&["bad/height_nm.npy: element [3, 4] is inf; mark an invalid pixel by NaN"]);
-    save(&bad, "height_nm", ArrayData::F64(Array2::zeros((0, 49)).into_dyn()));
+    save_array(&bad, "height_nm", ArrayData::F64(Array2::zeros((0, 49)).into_dyn()));
     refused_map(&["bad/height_nm.npy: is empty (shape [0, 49])"]);
-    save(&bad, "height_nm", ArrayData::I64(Array2::from_elem((33, 49), i64::MAX).into_dyn()));
+    save_array(&bad, "height_nm", ArrayData::I64(Array2::from_elem((33, 49), i64::MAX).into_dyn()));
     refused_map(&["bad/height_nm.npy: element [0, 0] is 9223372036854775807 of dtype <i8"]);
     bare(Array2::zeros((49, 33)), g);
     refused_map(&["bad/x_mm.npy: has shape [49]", "33 from height_nm.npy"]);
@@ -347,14 +349,14 @@ fn bad_tifs_paths_and_weights_end_with_2() {
         move |dir: &Path| {
             fs::remove_dir_all(dir.join("tif")).unwrap();
             let dir = dir.join("tif");
-            save(
+            save_array(
                 &dir,
                 "rate_nm_per_s",
                 ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn()),
             );
             for name in ["x_mm", "y_mm"] {
                 let a = ndarray::array![-1.0, 0.0, 1.0];
-                save(&dir, name, ArrayData::F64(a.into_dyn()));
+                save_array(&dir, name, ArrayData::F64(a.into_dyn()));
             }
         }
     };
@@ -383,7 +385,7 @@ fn bad_tifs_paths_and_weights_end_with_2() {
     refused_after(mixed, &[], &["tool_path: holds a tif, needs a tool_path; check the order"]);
 
     let weight = |w: Array2<f64>| {
-        move |dir: &Path| save(dir, "weight", ArrayData::F64(w.clone().into_dyn()))
+        move |dir: &Path| save_array(dir, "weight", ArrayData::F64(w.clone().into_dyn()))
     };
     let flag = ["--weight=weight.npy"];
     let shape = map_grid().shape();

@@ -7,19 +7,10 @@ use std::{
 };
 
 use ndarray::{Array2, array};
-use planish_handoff::{Artifact, artifact, npy::ArrayData};
+use planish_handoff::{artifact, npy::ArrayData};
+use planish_testkit::program::{save_array, text, write};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 use serde_json::{Value, json};
-
-fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    planish_handoff::save(&dir.join(name), value).unwrap();
-}
-
-/// An array of a directory without a manifest.
-fn save(dir: &Path, name: &str, array: ArrayData) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), array.to_npy()).unwrap();
-}
 
 /// A bowl of 10 x 8 mm, a bell of +-2 mm, a raster of 1 mm with 2 mm of overscan, a machine.
 fn prepare(dir: &Path) {
@@ -79,10 +70,6 @@ fn run(dir: &Path, threads: &str, solver: &[&str], surface: &str, tif: &str) -> 
         .unwrap()
 }
 
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
-}
-
 #[test]
 fn every_solver_writes_the_same_bytes_on_one_and_two_threads() {
     for solver in SOLVERS {
@@ -118,12 +105,12 @@ fn bad_maps_and_tools_end_with_2_a_message_and_no_output() {
     prepare(tmp.path());
     let coordinates = |dir: &Path| {
         for name in ["x_mm", "y_mm"] {
-            save(dir, name, ArrayData::F64(array![-1.0, 0.0, 1.0].into_dyn()));
+            save_array(dir, name, ArrayData::F64(array![-1.0, 0.0, 1.0].into_dyn()));
         }
     };
     let map = |name: &str, array: &str, value: f64| {
         let dir = tmp.path().join(name);
-        save(&dir, array, ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn()));
+        save_array(&dir, array, ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn()));
         coordinates(&dir);
     };
     map("all-nan", "height_nm", f64::NAN);

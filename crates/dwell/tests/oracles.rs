@@ -437,9 +437,10 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
     // A step that lowers 1e3 nm^2 by rounding moves a dwell time by 1e-8 s.
     let robust = run(&surface(pit), &path, &Settings { huber_nm, tolerance_s: 1e-7, ..settings() });
     assert_eq!(robust.report.end, End::Optimal);
-    // Nine of 1189 pixels pull with 0.5 nm in place of 500 nm.
     let (with, without) = (apart(&robust, &clean), apart(&squared, &clean));
-    assert!(with < 0.02 * without, "{with} {without}");
+    println!("the pit moves a dwell time by {without} s, by {with} s at most where it is robust");
+    // Regression bound: measured a ratio of 8e-4 on nine of 1189 pixels that pull with 0.5 nm in place of 500 nm.
+    assert!(with < 2e-3 * without, "{with} {without}");
     // The gradient of the Huber loss by its definition: what is beyond 0.5 nm pulls with 0.5 nm.
     let t = robust.dwell.dwell_s();
     let b = patches(&Columns::Segment.places(&path), &tif(), &grid());
@@ -529,7 +530,7 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     assert!(fitted.report.model_rms_nm < 0.98 * noise_nm, "{:?}", fitted.report);
     assert!((0.95..=1.0).contains(&(stopped.report.model_rms_nm / noise_nm)));
     assert!(stopped.report.smoothness > 10.0 * weak.smoothness);
-    // A regression bound: measured were 0.41 nm instead of 0.56 nm, a ratio of 0.73.
+    // Regression bound: measured 0.41 nm instead of 0.56 nm, a ratio of 0.73, on this noise.
     assert!(with < 0.8 * without, "{with} {without}");
 }
 

@@ -12,9 +12,8 @@ use planish_dwell::{
     rifta, tikhonov_lsqr, truncated_svd,
     udo::{self, Floor},
 };
-use planish_types::{
-    Axis, DwellTime, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
-};
+use planish_testkit::maps::largest_magnitude;
+use planish_types::{Axis, DwellTime, End, Grid, Limits, Surface, Tif, ToolPath};
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
@@ -98,16 +97,9 @@ fn bowl() -> Array2<f64> {
     })
 }
 
+/// Both axes alike.
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| MachineFileAxis {
-        name: name.into(),
-        max_velocity_mm_per_s: velocity,
-        max_acceleration_mm_per_s2: acceleration,
-        max_jerk_mm_per_s3: None,
-    };
-    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
-        .checked()
-        .unwrap()
+    planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
 
 /// What the table asks of a solver.
@@ -148,35 +140,35 @@ macro_rules! found {
 }
 
 /// Every solver with its defaults, and the residual RMS (as a fraction of the initial one) that it must
-/// reach for the bell, ring and drop on the planted surface. Regression bounds, not derived: about twice what
-/// was measured when they were set.
+/// reach for the bell, ring and drop on the planted surface.
+// Regression bound: measured a half of each, or a little more or less, on these three.
 const SOLVERS: [(&str, Solver, [f64; 3]); 10] = [
-    ("bounded-least-squares", bounded, [5e-3, 5e-3, 5e-3]),
-    ("bcls", by_machine, [1e-3, 1e-3, 1e-3]),
+    ("bounded-least-squares", bounded, [3e-3, 3e-3, 3e-3]),
+    ("bcls", by_machine, [2e-4, 2e-4, 5e-4]),
     (
         "nnls",
         |c| found!(non_negative_least_squares::solve(&c.problem(), &Default::default())),
-        [1e-3, 1e-3, 1e-3],
+        [1e-4, 1e-4, 4e-4],
     ),
     (
         "tikhonov-lsqr",
         |c| found!(tikhonov_lsqr::solve(&c.problem(), &Default::default())),
-        [0.02, 0.02, 0.02],
+        [4e-3, 4e-3, 4e-3],
     ),
     (
         "truncated-svd",
         |c| found!(truncated_svd::solve(&c.problem(), &Default::default())),
-        [0.02, 0.02, 0.02],
+        [5e-3, 2e-3, 1e-3],
     ),
     (
         "lucy-richardson",
         |c| found!(lucy_richardson::solve(&c.problem(), &Default::default())),
-        [0.03, 0.03, 0.03],
+        [8e-3, 9e-3, 6e-3],
     ),
     ("lucy-richardson on the map", on_map, [0.05, 0.05, 0.05]),
     ("rifta", |c| found!(rifta::solve(&c.problem(), &Default::default())), [0.1, 0.1, 0.1]),
-    ("udo", |c| found!(udo::solve(&c.problem(), &Default::default())), [0.1, 0.1, 0.1]),
-    ("udo with a shift", shifted, [0.1, 0.1, 0.1]),
+    ("udo", |c| found!(udo::solve(&c.problem(), &Default::default())), [2e-3, 4e-3, 2e-3]),
+    ("udo with a shift", shifted, [2e-3, 4e-3, 2e-3]),
 ];
 
 fn bounded(c: &Case<'_>) -> Result<Found, DwellError> {
@@ -294,6 +286,7 @@ fn a_hole_in_the_map_does_not_count() {
         assert!(apart.fold(0.0, f64::max) < 1e-9, "{name}");
         let left = (&masked - &removal(&path, &tool, a.dwell_s())).mapv(|v| v);
         let left = surface(left).statistics().rms / rms(&clean);
+        println!("{name}: {left:.2e} with a hole");
         assert!(left < 1.5 * regression_bounds[0], "{name}: {left}");
     }
 }
@@ -638,11 +631,11 @@ fn lucy_richardson_stays_where_the_removal_is_the_desired_one() {
     };
     let found = lucy_richardson::solve(&case.problem(), &settings).unwrap();
     let inside = |p: &[f64; 2]| p[0] > 2.0 && p[0] < 7.0 && p[1] > 2.0 && p[1] < 5.0;
-    for (j, p) in path.dwell_point_mm().iter().enumerate().filter(|(_, p)| inside(p)) {
-        let error = found.dwell.dwell_s()[j] / t[j] - 1.0;
-        // The planted times themselves, as far as 400 steps go: 2 %.
-        assert!(error.abs() < 0.02, "{p:?}: {error}");
-    }
+    let places = path.dwell_point_mm().iter().enumerate().filter(|(_, p)| inside(p));
+    let error = largest_magnitude(places.map(|(j, _)| found.dwell.dwell_s()[j] / t[j] - 1.0));
+    println!("planted times to {error}");
+    // Regression bound: measured 0.0076 here, the planted times as far as 400 steps go.
+    assert!(error < 0.02, "{error}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use std::{
     fs,
-    path::{Path, PathBuf},
+    path::Path,
     process::{Command, Output},
 };
 
@@ -12,6 +12,7 @@ use planish_handoff::{
     artifact::{self, Manifest},
     npy::ArrayData,
 };
+use planish_testkit::skipped::reference;
 use planish_types::{Surface, Tif, Trajectory};
 
 fn call(dir: &Path, arguments: &[&str]) -> Output {
@@ -275,18 +276,9 @@ fn what_a_header_claims_takes_no_memory() {
     }
 }
 
-/// The folder of the real files; `None` when `PLANISH_REFERENCE` is not set.
-fn instruments() -> Option<PathBuf> {
-    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
-        println!("skipped: PLANISH_REFERENCE is not set");
-        return None;
-    };
-    Some(Path::new(&reference).join("instruments"))
-}
-
 #[test]
 fn real_files_have_their_published_values() {
-    let Some(files) = instruments() else { return };
+    let Some(files) = reference().map(|dir| dir.join("instruments")) else { return };
     let tmp = tempfile::tempdir().unwrap();
     let read = |name: &str, flags: &[&str]| {
         let file = files.join(name);

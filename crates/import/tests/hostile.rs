@@ -5,11 +5,12 @@
 use std::{
     fs,
     path::Path,
-    process::{Command, Output, Stdio},
+    process::{Command, Output},
     time::{Duration, Instant},
 };
 
 use flate2::{Compress, Compression, FlushCompress};
+use planish_testkit::program::run_within;
 use serde_json::Value;
 
 /// A run takes milliseconds, on a bomb less than a second; what takes this long has no end.
@@ -21,24 +22,9 @@ const ADDRESS_SPACE_KIB: usize = 1_500_000;
 /// Runs to its end, or to [`LIMIT`].
 fn run(dir: &Path, arguments: &[&str]) -> Output {
     let line = format!("ulimit -v {ADDRESS_SPACE_KIB}; exec \"$@\"");
-    let mut child = Command::new("sh")
-        .current_dir(dir)
-        .args(["-c", &line, "sh", env!("CARGO_BIN_EXE_planish-import")])
-        .args(arguments)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let started = Instant::now();
-    while child.try_wait().unwrap().is_none() {
-        if started.elapsed() > LIMIT {
-            child.kill().unwrap();
-            panic!("{arguments:?} runs on after {LIMIT:?}");
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    child.wait_with_output().unwrap()
+    let mut command = Command::new("sh");
+    command.args(["-c", &line, "sh", env!("CARGO_BIN_EXE_planish-import")]).args(arguments);
+    run_within(command.current_dir(dir), LIMIT)
 }
 
 /// Runs, expects exit code 2, one line, nothing written; returns the line.

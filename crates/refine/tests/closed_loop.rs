@@ -6,21 +6,12 @@ use planish_dwell::bounded_least_squares::Bound;
 use planish_refine::{RefineError, Refined, Scheduler, Settings, refine, trade_off};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
-use planish_types::{
-    Axis, DwellTime, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
-};
+use planish_types::{Axis, DwellTime, End, Grid, Limits, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
+/// Both axes alike.
 fn machine(velocity: f64, acceleration: f64) -> Limits {
-    let axis = |name: &str| MachineFileAxis {
-        name: name.into(),
-        max_velocity_mm_per_s: velocity,
-        max_acceleration_mm_per_s2: acceleration,
-        max_jerk_mm_per_s3: None,
-    };
-    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
-        .checked()
-        .unwrap()
+    planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
 
 fn tif() -> Tif {
@@ -70,8 +61,11 @@ fn the_executed_residual_falls_and_the_promise_is_what_the_judges_find() {
     for mode in [pvt::Mode::Smooth, pvt::Mode::Monotone] {
         let refined = refine(&desired, &tif, &path, &machine, None, &settings(mode)).unwrap();
         let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
-        assert!(rms[refined.best] < 0.9 * rms[0], "{mode:?}: {rms:?}");
-        assert!(rms.iter().all(|r| rms[refined.best] <= *r), "{mode:?}: {rms:?}");
+        // Regression bound: measured 0.54 (smooth) and 0.51 (monotone) of the first round on this meander.
+        assert!(rms[refined.best] < 0.7 * rms[0], "{mode:?}: {rms:?}");
+        // The best round, which is not the last by accident: later ones were worse.
+        let least = rms.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!(refined.best + 1 < rms.len() && rms[refined.best] == least, "{mode:?}: {rms:?}");
         // The trajectory is the one that was judged, and the dwell is its own.
         let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::Settings::Gridded);
         assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
@@ -97,7 +91,8 @@ fn a_correction_that_bends_the_curve_too_far_is_taken_in_part() {
     let worse =
         rms.windows(2).position(|w| w[1] > w[0]).expect("every whole step is good: no test");
     assert!(refined.best > worse, "{rms:?}");
-    assert!(rms[refined.best] < 0.95 * rms[..=worse + 1].iter().copied().fold(f64::MAX, f64::min));
+    // Regression bound: measured 0.27 of the best round before on this meander.
+    assert!(rms[refined.best] < 0.5 * rms[..=worse + 1].iter().copied().fold(f64::MAX, f64::min));
     assert!(refined.iterates[refined.best].limits_respected);
 }
 
@@ -117,9 +112,9 @@ fn a_given_plan_is_the_first_round_and_the_loop_can_end_there() {
     let how = settings(pvt::Mode::Smooth);
     let best = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
     let again = refine(&desired, &tif, &path, &machine, Some(best.dwell.clone()), &how).unwrap();
-    // Nothing left to gain: it says so, and returns no worse a plan.
+    // The same times make the same motion, which removes the same.
     assert_eq!(again.end, End::NoImprovement);
-    assert!(again.iterates[again.best].rms_nm <= best.iterates[best.best].rms_nm);
+    assert_eq!(again.iterates[0].rms_nm, best.iterates[best.best].rms_nm);
     assert_eq!(again.iterates[0].dwell_s, best.dwell.dwell_s());
     let none = Settings { max_rounds: 0, ..how };
     let uniform = DwellTime::new(vec![0.3; path.len()]).unwrap();
@@ -146,7 +141,8 @@ fn the_operator_of_constant_accelerations_is_their_own() {
     let refined = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
     let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
     println!("{rms:?}");
-    assert!(refined.best > 0 && rms[refined.best] < 0.997 * rms[0], "{rms:?}");
+    // Regression bound: measured 0.59 of the first round on this meander.
+    assert!(refined.best > 0 && rms[refined.best] < 0.7 * rms[0], "{rms:?}");
     assert!(refined.iterates[refined.best].limits_respected);
     let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::Settings::Gridded);
     assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
@@ -168,7 +164,8 @@ fn a_price_on_time_buys_time_and_its_curve_is_drawn() {
     let (first, last) = (&points[0].best, &points[4].best);
     let pairs: Vec<_> = points.iter().map(|p| (p.best.total_time_s, p.best.rms_nm)).collect();
     println!("{pairs:?}");
-    assert!(last.total_time_s < 0.99 * first.total_time_s && last.rms_nm > first.rms_nm);
+    // Regression bound: measured 0.54 of the time at the highest price on this meander.
+    assert!(last.total_time_s < 0.7 * first.total_time_s && last.rms_nm > first.rms_nm);
     let least = trade_off::least_time_s(&desired, &tif);
     let picture = trade_off::svg(&points, least);
     assert_eq!(picture.matches("<circle").count(), 5);
@@ -229,7 +226,10 @@ fn a_ring_shaped_tool_is_no_exception() {
     let ring = Tif::new(g, rate).unwrap();
     let how = settings(pvt::Mode::Monotone);
     let refined = refine(&desired, &ring, &path, &machine, None, &how).unwrap();
-    let best = &refined.iterates[refined.best];
-    assert!(best.limits_respected && best.rms_nm <= refined.iterates[0].rms_nm);
-    assert!([End::NoImprovement, End::RoundLimit].contains(&refined.end));
+    let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
+    println!("{rms:?} {}", refined.end);
+    assert!(refined.iterates[refined.best].limits_respected);
+    // Regression bound: measured 0.91 of the first round on this ring.
+    assert!(rms[refined.best] < 0.95 * rms[0], "{rms:?}");
+    assert_eq!(refined.end, End::NoImprovement);
 }

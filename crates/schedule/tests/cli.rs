@@ -9,13 +9,10 @@ use std::{
 };
 
 use ndarray::{Array1, Array2};
-use planish_handoff::{Artifact, artifact, npy::ArrayData};
+use planish_handoff::{artifact, npy::ArrayData};
+use planish_testkit::program::{text, write};
 use planish_types::{DwellTime, Segment, ToolPath, Trajectory};
 use serde_json::{Value, json};
-
-fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    planish_handoff::save(&dir.join(name), value).unwrap();
-}
 
 /// The reference machine: an ion beam.
 fn ion_beam() -> Value {
@@ -49,10 +46,6 @@ fn schedule(dir: &Path, scheduler: &str, more: &[&str]) -> Output {
         .args(more)
         .output()
         .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 /// The motion and the outcome in its manifest.
@@ -236,8 +229,10 @@ fn what_the_machine_cannot_do_is_stretched_and_the_manifest_says_where_and_by_ho
         assert_eq!(number(&report["added_tool_off_s"]), 0.0);
         assert!((number(&outcome["total_time_s"]) - 2.1 - added).abs() < 1e-14);
         assert!(number(&report["rounds"]) >= 1.0);
-        // Rest to rest takes 0.424 s; no more is needed whatever the neighbours do.
-        assert!(added < 0.7, "{mode}: {added} s");
+        println!("{mode}: {added} s added");
+        // Regression bound: measured 0.14 s (smooth) and 0.32 s (monotone) on this step, which takes 0.424 s
+        // from rest to rest.
+        assert!(added < 0.6, "{mode}: {added} s");
     }
 }
 

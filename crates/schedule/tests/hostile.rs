@@ -1,11 +1,8 @@
 //! Flags that nobody means, strange paths and dwell times, through the binary; and the exit codes.
 
-#[path = "../../types/tests/support/hostile.rs"]
-mod hostile;
-
 use std::{fs, path::Path};
 
-use hostile::{FLOATS, every_value, inputs, npy, survives};
+use planish_testkit::hostile::{FLOATS, every_value, inputs, npy, survives};
 use serde_json::Value;
 
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-schedule");
@@ -49,6 +46,19 @@ fn no_path_and_no_dwell_time_ends_in_a_panic() {
             survives(BINARY, tmp.path(), &arguments, "out");
         }
     }
+}
+
+#[test]
+fn what_does_not_converge_is_said_and_nothing_is_written() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let times: Vec<f64> = (0..194).map(|i| if i % 2 == 0 { 1e-100 } else { 0.2 }).collect();
+    npy(&tmp.path().join("uneven"), "dwell_s", &[194], &times);
+    let arguments = [&["pvt-as-published", "--dwell=uneven"], &GIVEN[..]].concat();
+    let (code, said) = survives(BINARY, tmp.path(), &arguments, "out");
+    assert_eq!(code, 2, "{said}");
+    assert!(said.contains("has not converged: after 60 iterations"), "{said}");
+    assert!(said.contains("its distance from the minimum, of which 1e-9 is allowed"), "{said}");
 }
 
 #[test]

@@ -120,6 +120,7 @@ fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planish_testkit::maps::largest_difference;
 
     fn axis(start: f64, step: f64, n: usize) -> Axis {
         Axis::new(start, step, n).unwrap()
@@ -168,7 +169,7 @@ mod tests {
         let last = f.removal_nm.index_axis(NdAxis(0), 4);
         // The cuts between the frames move the points of the quadrature, whose remainder of the
         // degrees above 5 is 2.6e-7 nm here.
-        let e = (&last - &whole).iter().fold(0.0_f64, |m, e| m.max(e.abs()));
+        let e = largest_difference(&last, &whole);
         assert!(e < 1e-6, "{e}");
         assert!(whole.iter().any(|v| *v > 0.1));
     }
@@ -180,7 +181,7 @@ mod tests {
         let (a, b) = (of(Settings::Gridded), of(Settings::Direct { steps: 400 }));
         // The midpoint rule over 400 steps of 7 ms: (0.007 s)^2 / 24 times 3 s times the second
         // derivative of the rate along the motion, below 10 nm/s^3.
-        let e = (&a.removal_nm - &b.removal_nm).iter().fold(0.0_f64, |m, e| m.max(e.abs()));
+        let e = largest_difference(&a.removal_nm, &b.removal_nm);
         assert!(e < 1e-4, "{e}");
     }
 

@@ -9,24 +9,16 @@ use std::{
 
 use ndarray::{Array1, Array2, Array3};
 use planish_handoff::{
-    Artifact, artifact,
+    artifact,
     kind::Dtype,
     npy::{self, ArrayData},
 };
+use planish_testkit::program::{save_array, text, write};
 use planish_types::{Axis, Grid, Removal, Surface, Tif, Trajectory};
 use serde_json::{Value, json};
 
 const PEAK: f64 = 8.0;
 const SIGMA: f64 = 1.0;
-
-fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
-    planish_handoff::save(&dir.join(name), value).unwrap();
-}
-
-fn save(dir: &Path, name: &str, array: ArrayData) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), array.to_npy()).unwrap();
-}
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
@@ -82,10 +74,6 @@ fn run_on(threads: &str, dir: &Path, more: &[&str]) -> Output {
         .args(more)
         .output()
         .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 fn simulate(dir: &Path, more: &[&str]) -> Removal {
@@ -291,7 +279,7 @@ fn bare(dir: &Path, name: &str) -> std::path::PathBuf {
 #[test]
 fn bad_trajectories_end_with_2_and_name_file_place_and_remedy() {
     let trajectory = |name: &'static str, array: ArrayData| {
-        move |dir: &Path| save(&bare(dir, "trajectory"), name, array)
+        move |dir: &Path| save_array(&bare(dir, "trajectory"), name, array)
     };
     let times = |t: [f64; 3]| ArrayData::F64(Array1::from(t.to_vec()).into_dyn());
     let file = "trajectory/break_time_s.npy: ";
@@ -334,7 +322,7 @@ fn bad_maps_tifs_and_flags_end_with_2() {
     let map = |input: &'static str, name: &'static str, value: f64, shape: (usize, usize)| {
         move |dir: &Path| {
             let array = Array2::from_elem(shape, value);
-            save(&bare(dir, input), name, ArrayData::F64(array.into_dyn()));
+            save_array(&bare(dir, input), name, ArrayData::F64(array.into_dyn()));
         }
     };
     let (rate, height) = ("tif/rate_nm_per_s.npy: ", "surface/height_nm.npy: ");
@@ -377,7 +365,7 @@ fn a_tif_in_the_wrong_unit_is_refused() {
         let bare = bare(dir, "tif");
         for name in ["x_mm", "y_mm"] {
             let a = Array1::linspace(-6e6, 6e6, 61);
-            save(&bare, name, ArrayData::F64(a.into_dyn()));
+            save_array(&bare, name, ArrayData::F64(a.into_dyn()));
         }
     };
     refused_after(

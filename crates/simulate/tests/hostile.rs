@@ -1,11 +1,8 @@
 //! Counts that nobody means, degenerate maps and tools, mistaken units, through the binary.
 
-#[path = "../../types/tests/support/hostile.rs"]
-mod hostile;
-
 use std::path::Path;
 
-use hostile::{COUNTS, every_value, inputs, integers, npy, survives};
+use planish_testkit::hostile::{COUNTS, every_value, inputs, integers, npy, survives};
 
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-simulate");
 

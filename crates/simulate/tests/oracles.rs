@@ -3,7 +3,10 @@
 use ndarray::Array2;
 use planish_numerics::statistics;
 use planish_simulate::{Plan, Settings, direct, frames::frames, gridded, simulate};
+use planish_testkit::maps::{largest_difference, largest_magnitude};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 const PEAK: f64 = 8.0;
 const SIGMA: f64 = 0.8;
@@ -67,7 +70,7 @@ fn by_definition(positions: &[[f64; 2]], seconds: &[f64], tif: &Tif, g: &Grid) -
 }
 
 fn largest(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
-    a.iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max)
+    largest_difference(a, b)
 }
 
 /// Positions inside, on pixel centres, on the border, outside within reach, and out of reach.
@@ -159,10 +162,8 @@ fn a_finite_pass_of_a_gaussian_follows_the_error_function() {
     let error = |step: f64| {
         let g = grid([0.0, 0.0], [step; 2], [(5.0 / step) as usize, (3.0 / step) as usize]);
         let removal = gridded(&pass([a, y0], [b, y0], seconds), &gaussian(step), &g);
-        removal
-            .indexed_iter()
-            .map(|((r, c), v)| (v - closed_form(g.x.at(c), g.y.at(r))).abs())
-            .fold(0.0, f64::max)
+        let error = |((r, c), v): ((usize, usize), &f64)| v - closed_form(g.x.at(c), g.y.at(r));
+        largest_magnitude(removal.indexed_iter().map(error))
     };
     // The quadrature is exact; Keys' interpolation of the samples has order 3 in the pixel.
     let (coarse, fine) = (error(0.1), error(0.05));
@@ -183,6 +184,64 @@ fn the_removed_volume_is_the_vrr_times_the_time_for_any_motion_inside() {
     // Keys' weights sum to one, so the sum over the pixels is exact but for the 1.5e-8 of the peak
     // at which the samples end.
     assert!((volume / expected - 1.0).abs() < 1e-9, "{volume} {expected}");
+}
+
+/// Cubic motions in all directions and rests, with lifts, every one of them within `half` mm of the origin.
+fn random_motion(rng: &mut ChaCha8Rng, half: [f64; 2]) -> Trajectory {
+    let n = rng.random_range(1..40);
+    let (mut breaks, mut c, mut on) = (vec![rng.random_range(-5.0..5.0)], vec![], vec![]);
+    for _ in 0..n {
+        let seconds = 10.0_f64.powf(rng.random_range(-4.0..1.0));
+        breaks.push(breaks[breaks.len() - 1] + seconds);
+        on.push(rng.random_bool(0.8));
+        let rests = rng.random_bool(0.2);
+        // In Bezier's form, whose control points hold the cubic between them.
+        let mut cubic = |half: f64| {
+            let mut point = || rng.random_range(-half..half);
+            let [p, q, r, s] = [point(), point(), point(), point()];
+            let powers = [p, 3.0 * (q - p), 3.0 * (p - 2.0 * q + r), s - p + 3.0 * (q - r)];
+            let scale = [1.0, seconds, seconds.powi(2), seconds.powi(3)];
+            std::array::from_fn(|k| if rests && k > 0 { 0.0 } else { powers[k] / scale[k] })
+        };
+        c.push([cubic(half[0]), cubic(half[1])]);
+    }
+    Trajectory::new(breaks, c, on, (0..n).map(Some).collect()).unwrap()
+}
+
+#[test]
+fn no_motion_inside_the_map_gains_or_loses_material() {
+    // Keys' weights of a shift sum to one, so the shifted TIF has the sum of its samples on the pixels,
+    // whatever the shift; what the interpolation spills over the border, and what is made up beyond it, is
+    // zero where the three outer rings of the TIF are. The weights of the quadrature sum to the time. So no
+    // tool is too rough, off centre or coarse for this: the samples here are noise.
+    let mut rng = ChaCha8Rng::seed_from_u64(20);
+    let mut served = 0;
+    for case in 0..60 {
+        let step = [0, 1].map(|_| rng.random_range(0.05..0.5));
+        let tool = [0, 1].map(|_| rng.random_range(8..30));
+        let from = [0, 1].map(|k| -step[k] * rng.random_range(3..tool[k] - 3) as f64);
+        let (ny, nx) = (tool[1], tool[0]);
+        let rate = Array2::from_shape_fn((ny, nx), |(r, c)| {
+            let ring = r.min(c).min(ny - 1 - r).min(nx - 1 - c);
+            if ring < 3 { 0.0 } else { rng.random_range(0.0..10.0) }
+        });
+        let tif = Tif::new(grid(from, step, tool), rate).unwrap();
+        // The tool stays within the pixels from everywhere within these of the origin.
+        let (reach, beyond) = ([0, 1].map(|_| rng.random_range(5..60)), 40);
+        let (start, n) = (
+            [0, 1].map(|k| -step[k] * (reach[k] + beyond) as f64),
+            [0, 1].map(|k| 2 * (reach[k] + beyond) + 1),
+        );
+        let t = random_motion(&mut rng, [0, 1].map(|k| step[k] * reach[k] as f64));
+        let g = grid(start, step, n);
+        let on_s: f64 = t.segments().filter(|s| s.tool_on).map(|s| s.duration_s).sum();
+        let volume = gridded(&t, &tif, &g).sum() * g.pixel_mm2();
+        let expected = tif.vrr_nm_mm2_per_s() * on_s;
+        // A sum of up to 4e4 pixels, whose errors an FFT makes of some roundings of the largest.
+        assert!((volume - expected).abs() <= 1e-12 * expected, "{case}: {volume} {expected}");
+        served += usize::from(on_s > 0.0);
+    }
+    assert!(served > 50, "{served} cases have the tool on");
 }
 
 #[test]

@@ -11,20 +11,16 @@ use planish_handoff::{
     artifact::{self, Manifest},
     npy::ArrayData,
 };
+use planish_testkit::program::save;
 use planish_types::Surface;
-
-fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
-}
 
 /// A bare directory of arrays: 80 x 60 pixels of 0.1 mm, tilted, with one pit.
 fn write_surface(dir: &Path) {
     let mut map = Array2::from_shape_fn((60, 80), |(r, c)| 10.0 + 0.2 * c as f64 + 0.1 * r as f64);
     map.slice_mut(ndarray::s![20..26, 30..36]).mapv_inplace(|v| v - 20.0);
-    save(dir, "height_nm", map.into_dyn());
-    save(dir, "x_mm", Array1::from_iter((0..80).map(|i| -4.0 + 0.1 * f64::from(i))).into_dyn());
-    save(dir, "y_mm", Array1::from_iter((0..60).map(|i| 0.1 * f64::from(i))).into_dyn());
+    save(dir, "height_nm", map);
+    save(dir, "x_mm", Array1::from_iter((0..80).map(|i| -4.0 + 0.1 * f64::from(i))));
+    save(dir, "y_mm", Array1::from_iter((0..60).map(|i| 0.1 * f64::from(i))));
 }
 
 fn run(dir: &Path, arguments: &[&str]) -> Output {
@@ -167,9 +163,9 @@ fn write_tif(dir: &Path) {
         let (x, y) = (axis(40).nth(c).unwrap() - 0.4, axis(30).nth(r).unwrap() + 0.3);
         5.0 * (-0.5 * (x * x + y * y) / 0.49).exp()
     });
-    save(dir, "rate_nm_per_s", rate.into_dyn());
-    save(dir, "x_mm", Array1::from_iter(axis(40)).into_dyn());
-    save(dir, "y_mm", Array1::from_iter(axis(30)).into_dyn());
+    save(dir, "rate_nm_per_s", rate);
+    save(dir, "x_mm", Array1::from_iter(axis(40)));
+    save(dir, "y_mm", Array1::from_iter(axis(30)));
 }
 
 #[test]
@@ -228,7 +224,7 @@ fn statistics_and_spectrum_of_a_wave() {
     let wave = |c: usize| 2.0 * (2.0 * std::f64::consts::PI * 8.0 * c as f64 / 80.0).sin();
     let dir = tmp.path().join("in");
     write_surface(&dir);
-    save(&dir, "height_nm", Array2::from_shape_fn((60, 80), |(_, c)| wave(c)).into_dyn());
+    save(&dir, "height_nm", Array2::from_shape_fn((60, 80), |(_, c)| wave(c)));
     let output = surface_command(tmp.path(), &["statistics", "--surface", "in"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -317,7 +313,7 @@ fn bad_input_of_the_other_commands_ends_with_2_and_no_output() {
     write_tif(&tmp.path().join("tif"));
     let nothing = tmp.path().join("nothing");
     write_surface(&nothing);
-    save(&nothing, "height_nm", Array2::from_elem((60, 80), f64::NAN).into_dyn());
+    save(&nothing, "height_nm", Array2::from_elem((60, 80), f64::NAN));
     for (name, scale) in [("zero", 0.0), ("negative", -1.0)] {
         write_tif(&tmp.path().join(name));
         let rate = array(&tmp.path().join("tif"), "rate_nm_per_s") * scale;
@@ -369,7 +365,7 @@ fn strips_flat_maps_and_hostile_names_are_drawn() {
         // A border, and the row of the section, without a valid pixel.
         map.row_mut(shape.0 / 2).fill(row);
         map.column_mut(0).fill(f64::NAN);
-        save(&dir, "height_nm", map.into_dyn());
+        save(&dir, "height_nm", map);
         let axis = |n: usize| Array1::from_iter((0..n).map(|i| 0.1 * i as f64)).into_dyn();
         save(&dir, "x_mm", axis(shape.1));
         save(&dir, "y_mm", axis(shape.0));

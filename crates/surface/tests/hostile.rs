@@ -6,12 +6,12 @@ use std::{
     collections::BTreeSet,
     fs,
     path::Path,
-    process::{Command, Output, Stdio},
-    time::{Duration, Instant},
+    process::{Command, Output},
+    time::Duration,
 };
 
 use ndarray::{Array1, Array2, ArrayD};
-use planish_handoff::npy::ArrayData;
+use planish_testkit::program::{run_within, save};
 use serde_json::Value;
 
 /// A run on 12 x 9 pixels takes milliseconds; what takes this long has no end.
@@ -35,18 +35,13 @@ const NUMBERS: [&str; 14] = [
     "99999999999999999999",
 ];
 
-fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
-}
-
 fn axis(n: usize, step: f64) -> ArrayD<f64> {
     Array1::from_iter((0..n).map(|i| step * (i as f64 - 0.5 * (n - 1) as f64))).into_dyn()
 }
 
 fn put(dir: &Path, name: &str, map: Array2<f64>, step: f64) {
     let (ny, nx) = map.dim();
-    save(dir, name, map.into_dyn());
+    save(dir, name, map);
     save(dir, "x_mm", axis(nx, step));
     save(dir, "y_mm", axis(ny, step));
 }
@@ -68,22 +63,8 @@ fn tool() -> Array2<f64> {
 
 /// Runs to its end, or to [`LIMIT`].
 fn run(dir: &Path, arguments: &[&str]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_planish-surface"))
-        .current_dir(dir)
-        .args(arguments)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let started = Instant::now();
-    while child.try_wait().unwrap().is_none() {
-        if started.elapsed() > LIMIT {
-            child.kill().unwrap();
-            panic!("{arguments:?} runs on after {LIMIT:?}");
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    child.wait_with_output().unwrap()
+    let mut command = Command::new(env!("CARGO_BIN_EXE_planish-surface"));
+    run_within(command.current_dir(dir).args(arguments), LIMIT)
 }
 
 /// Null in the outcome because there is nothing to report: steps that were not asked for, and the width

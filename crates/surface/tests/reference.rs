@@ -1,54 +1,20 @@
 //! The reference mirror, where `PLANISH_REFERENCE` names the folder that holds it.
 
-use std::path::{Path, PathBuf};
-
-use planish_handoff::{npy, npy::ArrayData};
 use planish_surface::{
     OutlierSettings,
     outliers::{half_maximum_width_mm, outliers},
 };
-use planish_types::{Axis, Grid, Surface, Tif};
-
-fn mirror() -> Option<PathBuf> {
-    let dir = std::env::var_os("PLANISH_REFERENCE").map(|d| Path::new(&d).join("nsls2-mirror"));
-    if dir.is_none() {
-        eprintln!("skipped: PLANISH_REFERENCE is not set");
-    }
-    dir
-}
-
-fn load(dir: &Path, name: &str) -> ndarray::ArrayD<f64> {
-    let path = dir.join(format!("{name}.npy"));
-    match npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().array {
-        ArrayData::F64(a) => a,
-        other => panic!("{other:?}"),
-    }
-}
-
-fn grid(dir: &Path, prefix: &str) -> Grid {
-    let axis = |name: &'static str| {
-        let mm: Vec<f64> = load(dir, &format!("{prefix}{name}")).iter().copied().collect();
-        Axis::from_coordinates(name, &mm).unwrap()
-    };
-    Grid { x: axis("x_mm"), y: axis("y_mm") }
-}
-
-fn surface(dir: &Path, name: &str) -> Surface {
-    let map = load(dir, name).into_dimensionality().unwrap();
-    Surface::new(grid(dir, ""), map).unwrap()
-}
+use planish_testkit::mirror::mirror;
+use planish_types::Surface;
 
 #[test]
 fn the_pit_and_the_scratch_of_the_reference_mirror_are_found() {
-    let Some(dir) = mirror() else { return };
-    let rate = load(&dir, "tif_nm_per_s").into_dimensionality().unwrap();
-    let tif = Tif::new(grid(&dir, "tif_"), rate).unwrap();
-    let width = half_maximum_width_mm(&tif);
+    let Some(mirror) = mirror() else { return };
+    let width = half_maximum_width_mm(&mirror.tif);
     // The fitted Gaussian (8.146 nm/s, sigma 1.7035 mm) at half of the largest sample, 7.961 nm/s:
     // 2 * 1.7035 sqrt(2 ln(8.146 / 3.980)) = 4.078 mm. The real TIF is 2 % flatter than its fit.
     assert!((width / 4.078 - 1.0).abs() < 0.02, "{width}");
-    let measured = surface(&dir, "height_nm");
-    let found = outliers(&measured, &OutlierSettings::for_feature_mm(width)).unwrap();
+    let found = outliers(&mirror.desired, &OutlierSettings::for_feature_mm(width)).unwrap();
     println!("{width} mm: {:?}", found.report);
     // Found independently with another median filter and another labelling (algorithms: B3).
     assert_eq!(found.report.components, 2);
@@ -58,23 +24,22 @@ fn the_pit_and_the_scratch_of_the_reference_mirror_are_found() {
     assert!(found.mask.slice(ndarray::s![127..133, 276..282]).iter().all(|m| *m));
 
     // Outside the mask the published residual has 0.1577-0.1580 nm RMS, inside-inclusive 0.2043.
-    let mut residual = load(&dir, "raster_udo_residual_nm").into_dimensionality().unwrap();
+    let mut residual = mirror.map("raster_udo_residual_nm");
     ndarray::Zip::from(&mut residual).and(&found.mask).for_each(|z: &mut f64, m| {
         if *m {
             *z = f64::NAN;
         }
     });
-    let rms = Surface::new(grid(&dir, ""), residual).unwrap().statistics().rms;
+    let rms = Surface::new(*mirror.desired.grid(), residual).unwrap().statistics().rms;
     assert!((0.1576..0.1581).contains(&rms), "{rms}");
 }
 
 #[test]
 fn a_narrower_tool_finds_the_same_two() {
-    let Some(dir) = mirror() else { return };
-    let measured = surface(&dir, "height_nm");
+    let Some(mirror) = mirror() else { return };
     // Median windows of 9 to 21 px. (A tool of 6 mm also admits a third, 3 mm wide component.)
     for width_mm in [1.7, 2.5, 3.2, 4.0] {
-        let found = outliers(&measured, &OutlierSettings::for_feature_mm(width_mm)).unwrap();
+        let found = outliers(&mirror.desired, &OutlierSettings::for_feature_mm(width_mm)).unwrap();
         println!("{width_mm} mm: {:?}", found.report);
         assert_eq!(found.report.components, 2, "{width_mm} mm: {:?}", found.report);
         assert!((240..=302).contains(&found.report.masked_pixels), "{:?}", found.report);

@@ -1,4 +1,5 @@
-//! Helpers of the tests that see several crates. The tests are in `tests/`:
+//! What the tests of several crates share: a dev-dependency of the stages, whose library names none of them.
+//! The tests that see several crates are in `tests/`:
 //!
 //! * `architecture`: who may name whom, and what a library must not do.
 //! * `conventions`: every statement of `docs/conventions.md`.
@@ -11,7 +12,11 @@
 //!
 //! `examples/reproduce` computes the claims of the papers (docs/reproduction.md).
 
+pub mod hostile;
+pub mod maps;
 pub mod mirror;
+pub mod program;
+pub mod skipped;
 
 use std::path::{Path, PathBuf};
 

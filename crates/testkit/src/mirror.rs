@@ -10,6 +10,8 @@ use planish_handoff::{
 };
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 
+use crate::skipped::reference;
+
 /// The mirror, its TIF, and where the other files are.
 pub struct Mirror {
     dir: PathBuf,
@@ -19,14 +21,10 @@ pub struct Mirror {
     pub tif: Tif,
 }
 
-/// The mirror; `None`, and a line that says so, when `PLANISH_REFERENCE` does not name the folder
+/// The mirror; `None`, and the test counts as skipped, when `PLANISH_REFERENCE` does not name the folder
 /// that holds `nsls2-mirror/`. Panics where a file of it is missing or damaged.
 pub fn mirror() -> Option<Mirror> {
-    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
-        println!("skipped: PLANISH_REFERENCE is not set");
-        return None;
-    };
-    let dir = Path::new(&reference).join("nsls2-mirror");
+    let dir = reference()?.join("nsls2-mirror");
     let desired = Surface::new(grid(&dir, ""), map(&dir, "height_nm")).unwrap();
     let tif = Tif::new(grid(&dir, "tif_"), map(&dir, "tif_nm_per_s")).unwrap();
     Some(Mirror { dir, desired, tif })
@@ -52,6 +50,11 @@ fn grid(dir: &Path, prefix: &str) -> Grid {
 }
 
 impl Mirror {
+    /// The folder of its files.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
     /// The two-dimensional array `name`.
     pub fn map(&self, name: &str) -> Array2<f64> {
         map(&self.dir, name)

@@ -7,13 +7,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cargo_metadata::{MetadataCommand, Package, TargetKind};
+use cargo_metadata::{DependencyKind, MetadataCommand, Package, TargetKind};
 use planish_testkit::workspace;
 
 /// A folder under `crates/`, and the folders that it may name.
 type Room = (&'static str, &'static [&'static str]);
 
-/// Layers 0 to 2, the stages that see others, what runs several stages, and the tests.
+/// Layers 0 to 2, the stages that see others, what runs several stages, and the tests that see all.
 const ROOMS: [Room; 8] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
@@ -64,6 +64,9 @@ const ALL: [&str; 18] = [
     "feed",
     "run",
 ];
+
+/// What the library of `testkit` may name: the tests of every stage use it.
+const TESTKIT_MAY_NAME: [&str; 2] = ["types", "handoff"];
 
 /// Judges see nothing of what they judge, however many crates lie between.
 const NEVER: [(&str, &str); 4] =
@@ -118,6 +121,22 @@ fn forbidden_arrows(arrows: &[(String, String)]) -> Vec<String> {
     for (judge, judged) in NEVER {
         if reached.contains(&(judge.into(), judged.into())) {
             complaints.push(format!("{judge} sees {judged}"));
+        }
+    }
+    complaints
+}
+
+/// Names of `testkit` outside of tests, and what its library must not name. Each dependency is (from, to,
+/// only for tests).
+fn misuse_of_testkit(dependencies: &[(String, String, bool)]) -> Vec<String> {
+    let mut complaints = Vec::new();
+    for (from, to, _) in dependencies.iter().filter(|(.., for_tests)| !for_tests) {
+        if to == "testkit" {
+            complaints.push(format!("{from} names testkit; only its tests may"));
+        } else if from == "testkit" && !TESTKIT_MAY_NAME.contains(&to.as_str()) {
+            complaints.push(format!(
+                "the library of testkit names {to}; it may name {TESTKIT_MAY_NAME:?}"
+            ));
         }
     }
     complaints
@@ -288,17 +307,25 @@ fn folder_of(package: &Package) -> String {
     folder.to_string_lossy().into_owned()
 }
 
-/// Arrows of all kinds of dependencies.
-fn arrows() -> Vec<(String, String)> {
-    let mut arrows = Vec::new();
+/// Dependencies between folders, and whether only tests have them.
+fn dependencies() -> Vec<(String, String, bool)> {
+    let mut found = Vec::new();
     for (from, package) in packages() {
         for dependency in &package.dependencies {
             if let Some(to) = dependency.name.strip_prefix("planish-") {
-                arrows.push((from.clone(), to.to_string()));
+                let for_tests = dependency.kind == DependencyKind::Development;
+                found.push((from.clone(), to.to_string(), for_tests));
             }
         }
     }
-    arrows
+    found
+}
+
+/// Arrows of all kinds of dependencies, but for what tests use of `testkit`.
+fn arrows() -> Vec<(String, String)> {
+    let tests_use = |(_, to, for_tests): &(String, String, bool)| *for_tests && to == "testkit";
+    let others = dependencies().into_iter().filter(|dependency| !tests_use(dependency));
+    others.map(|(from, to, _)| (from, to)).collect()
 }
 
 fn directory_of(folder: &str) -> PathBuf {
@@ -365,6 +392,11 @@ fn every_crate_has_its_place_in_the_layers() {
 #[test]
 fn arrows_point_down_and_no_stage_names_another() {
     no_complaints(&forbidden_arrows(&arrows()));
+}
+
+#[test]
+fn testkit_is_for_tests_and_its_library_names_no_stage() {
+    no_complaints(&misuse_of_testkit(&dependencies()));
 }
 
 #[test]
@@ -553,6 +585,20 @@ fn a_forbidden_arrow_is_caught() {
     assert_eq!(forbidden_arrows(&arrow("verify", "schedule")).len(), 2);
     let detour = [arrow("simulate", "numerics"), arrow("numerics", "dwell")].concat();
     assert!(forbidden_arrows(&detour).contains(&"simulate sees dwell".to_string()));
+}
+
+#[test]
+fn a_misuse_of_testkit_is_caught() {
+    for (from, to, for_tests, caught) in [
+        ("dwell", "testkit", true, 0),
+        ("dwell", "testkit", false, 1),
+        ("testkit", "dwell", true, 0),
+        ("testkit", "dwell", false, 1),
+        ("testkit", "types", false, 0),
+    ] {
+        let complaints = misuse_of_testkit(&[(from.into(), to.into(), for_tests)]);
+        assert_eq!(complaints.len(), caught, "{from} -> {to}: {complaints:?}");
+    }
 }
 
 #[test]

@@ -61,6 +61,8 @@ fn the_coupon_is_executed_as_planned_within_the_limits() {
         assert!((rms / model - 1.0).abs() < 1e-2, "{rms} {model}");
     }
     assert!(rms[0] < rms[1] && rms[1] < rms[2], "{rms:?}");
+    println!("deconvolution, knot removal, VRR: {rms:?} nm");
     // The baseline blurs what the deconvolution does not.
+    // Regression bound: measured 0.39 of what the baseline leaves on the coupon.
     assert!(rms[0] < 0.5 * rms[2], "{rms:?}");
 }

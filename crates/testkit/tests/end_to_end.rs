@@ -235,6 +235,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
         let m = &methods[name];
         println!("{name}: {m}");
         let rms = number(&m["rms_nm"]);
+        // Regression bound: measured 0.46 nm at most on the coupon, of 10 nm.
         assert!(rms < 0.1 * initial, "{name}: {rms} of {initial} nm");
         assert!(number(&m["rms_detilted_nm"]) <= rms && rms < number(&m["pv_nm"]), "{name}");
     }
@@ -414,6 +415,8 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
         .collect();
     assert_eq!(rows.len(), 4, "{said}");
     assert!(rows.windows(2).all(|w| w[1][1] <= w[0][1]), "{said}");
+    println!("{rows:?}");
+    // Regression bound: measured 0.42 of the time at the highest price on the coupon.
     assert!(rows[3][1] < 0.7 * rows[0][1] && rows[3][2] > rows[0][2], "{said}");
     assert!(said.contains("volume / VRR: 64.0 s") && rows[3][1] > 64.0, "{said}");
     assert!(line.path("run/pareto/pareto.svg").exists());
@@ -495,7 +498,8 @@ fn a_ring_shaped_tool_is_refined() {
     let [before, after] =
         ["run/pvt", "run/refined/trajectory"].map(|m| missed(&line, m, "run/fixture/surface"));
     println!("{before} nm before, {after} nm after");
-    assert!(after <= before, "{before} {after}");
+    // Regression bound: measured 0.65 of it on this ring.
+    assert!(after < 0.8 * before, "{before} {after}");
 }
 
 #[test]

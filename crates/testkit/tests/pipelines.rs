@@ -9,7 +9,7 @@ use std::{
     process::{Child, Command, Output, Stdio},
 };
 
-use planish_testkit::workspace;
+use planish_testkit::{skipped::skip, workspace};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -24,7 +24,7 @@ const QUICK_RUN: [&str; 3] = ["fixture=coupon", "refine=no", "frames=0"];
 fn just_is_installed() -> bool {
     let there = Command::new("just").arg("--version").output().is_ok();
     if !there {
-        eprintln!("skipped: `just` is not installed (cargo install --locked just)");
+        skip("`just` is not installed (cargo install --locked just)");
     }
     there
 }

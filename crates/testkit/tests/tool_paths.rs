@@ -188,13 +188,15 @@ fn multi_pitch_keeps_the_ripple_in_a_band_and_removes_less_too_much() {
     // 1 / pitch) of the 400 nm and more of the deepest class. With its own pitches it falls.
     let deepest = present.len() - 1;
     assert!(deepest >= 2 && one.windows(2).all(|w| w[1] > w[0]), "{one:?}");
-    assert!(one[deepest] > 1.6 && own[deepest] < 0.1, "{one:?} {own:?}");
-    assert!(own.iter().all(|pv| *pv < 1.2), "{own:?}");
+    assert!(one[deepest] > 1.6, "{one:?}");
+    // Regression bound: measured 0.034 nm in the deepest class and up to 1.09 nm in the others on this disk.
+    assert!(own[deepest] < 0.1 && own.iter().all(|pv| *pv < 1.2), "{own:?}");
 
     // The pitch of the deepest class throughout has no ripple, but removes VRR / (d v_max), 316
     // nm, at least, where down to nothing is to be removed.
     let low = |r: usize, c: usize| class_idx[[r, c]] == 0;
     let [m, n] = [&multi, &narrow_map].map(|map| spread(map, low).1);
     println!("too much in the first class: multi-pitch {m:.1} nm, {narrow:.2} mm {n:.1} nm");
+    // Regression bound: measured 0.10 of it on this disk.
     assert!(m < 0.2 * n && n > 200.0, "{m} {n}");
 }

@@ -651,6 +651,7 @@ mod tests {
     use super::*;
     use crate::statistics;
     use ndarray::Array2;
+    use planish_testkit::maps::random_aperture;
     use planish_types::{Axis, Grid};
     use proptest::prelude::*;
     use std::collections::HashSet;
@@ -846,29 +847,6 @@ mod tests {
     }
 
     prop_compose! {
-        /// Blobs and holes, from nearly full to nearly empty; one pixel always stays.
-        fn random_map()(
-            nx in 2..40_usize,
-            ny in 2..40_usize,
-            blobs in prop::collection::vec(
-                (0.0..20.0_f64, 0.0..20.0_f64, 0.3..8.0_f64, any::<bool>()), 0..8,
-            ),
-            base in any::<bool>(),
-            keep in (0.0..1.0_f64, 0.0..1.0_f64),
-        ) -> Surface {
-            let kept = (
-                (keep.0 * nx as f64).floor() * 0.5,
-                (keep.1 * ny as f64).floor() * 0.5,
-            );
-            map(nx, ny, |x, y| {
-                (x, y) == kept || blobs.iter().fold(base, |inside, (bx, by, r, fill)| {
-                    if (x - bx).hypot(y - by) <= *r { *fill } else { inside }
-                })
-            })
-        }
-    }
-
-    prop_compose! {
         fn random_settings()(
             pitch_mm in 0.3..3.0_f64,
             overscan_mm in prop_oneof![Just(0.0), 0.0..3.0_f64],
@@ -894,7 +872,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_holds_for_every_aperture(surface in random_map(), settings in random_settings()) {
+        fn what_holds_for_every_aperture(surface in random_aperture(2..40), settings in random_settings()) {
             let made = match maze(&surface, &settings) {
                 Ok(made) => made,
                 Err(ToolPathError::TooThin { .. }) => return Ok(()),
@@ -956,7 +934,7 @@ mod tests {
 
         #[test]
         fn rounded_corners_keep_the_lanes_apart(
-            surface in random_map(),
+            surface in random_aperture(2..40),
             settings in random_settings(),
             radius in 0.01..=0.5_f64,
             step in 0.1..1.5_f64,

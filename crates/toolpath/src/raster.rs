@@ -389,6 +389,7 @@ mod tests {
     use super::*;
     use crate::statistics;
     use ndarray::Array2;
+    use planish_testkit::maps::random_aperture;
     use planish_types::{Axis, Grid};
     use proptest::prelude::*;
 
@@ -770,29 +771,6 @@ mod tests {
     }
 
     prop_compose! {
-        /// Blobs and holes, from nearly full to nearly empty.
-        fn random_map()(
-            nx in 2..24_usize,
-            ny in 2..24_usize,
-            blobs in prop::collection::vec(
-                (0.0..12.0_f64, 0.0..12.0_f64, 0.3..6.0_f64, any::<bool>()), 0..7,
-            ),
-            base in any::<bool>(),
-            keep in (0.0..1.0_f64, 0.0..1.0_f64),
-        ) -> Surface {
-            let kept = (
-                (keep.0 * nx as f64).floor() * 0.5,
-                (keep.1 * ny as f64).floor() * 0.5,
-            );
-            map(nx, ny, |x, y| {
-                (x, y) == kept || blobs.iter().fold(base, |inside, (bx, by, r, fill)| {
-                    if (x - bx).hypot(y - by) <= *r { *fill } else { inside }
-                })
-            })
-        }
-    }
-
-    prop_compose! {
         fn random_settings()(
             pitch_mm in 0.3..3.0_f64,
             step_mm in 0.3..3.0_f64,
@@ -825,7 +803,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_holds_for_every_aperture(surface in random_map(), settings in random_settings()) {
+        fn what_holds_for_every_aperture(surface in random_aperture(2..24), settings in random_settings()) {
             let path = raster(&surface, &settings).unwrap();
             let (p, on) = (path.point_mm(), path.tool_on());
             for i in 0..path.len() {
@@ -885,7 +863,7 @@ mod tests {
 
         #[test]
         fn a_scan_along_y_is_the_transposed_scan_along_x(
-            surface in random_map(), settings in random_settings(),
+            surface in random_aperture(2..24), settings in random_settings(),
         ) {
             let scan = if settings.scan == Scan::Y { Scan::Y } else { Scan::X };
             let settings = RasterSettings { scan, ..settings };
@@ -906,7 +884,7 @@ mod tests {
 
         #[test]
         fn lines_with_an_origin_pass_through_it_and_cover(
-            surface in random_map(), settings in random_settings(), origin in -20.0..20.0_f64,
+            surface in random_aperture(2..24), settings in random_settings(), origin in -20.0..20.0_f64,
         ) {
             let line_origin_mm = Some(origin);
             let settings = RasterSettings { line_origin_mm, pitch_range_mm: None, ..settings };

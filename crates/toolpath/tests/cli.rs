@@ -7,33 +7,28 @@ use std::{
     process::{Command, Output},
 };
 
-use ndarray::{Array1, Array2, ArrayD};
+use ndarray::{Array1, Array2};
 use planish_handoff::{
     artifact::{self, Manifest},
-    kind::Dtype,
-    npy::{self, ArrayData},
+    npy::ArrayData,
 };
+use planish_testkit::{mirror::mirror, program::save};
 use planish_types::ToolPath;
 
-fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
-}
-
 fn save_axis(dir: &Path, name: &str, start: f64, step: f64, n: usize) {
-    save(dir, name, Array1::from_iter((0..n).map(|i| start + step * i as f64)).into_dyn());
+    save(dir, name, Array1::from_iter((0..n).map(|i| start + step * i as f64)));
 }
 
 /// A map of 20 x 10 mm, and a Gaussian TIF of 6 x 6 mm.
 fn write_inputs(dir: &Path) {
     let surface = dir.join("surface");
-    save(&surface, "height_nm", Array2::zeros((21, 41)).into_dyn());
+    save(&surface, "height_nm", Array2::zeros((21, 41)));
     save_axis(&surface, "x_mm", 0.0, 0.5, 41);
     save_axis(&surface, "y_mm", 0.0, 0.5, 21);
     let tif = dir.join("tif");
     let at = |i: usize| -3.0 + 0.25 * i as f64;
     let rate = Array2::from_shape_fn((25, 25), |(r, c)| (-at(r).powi(2) - at(c).powi(2)).exp());
-    save(&tif, "rate_nm_per_s", rate.into_dyn());
+    save(&tif, "rate_nm_per_s", rate);
     save_axis(&tif, "x_mm", -3.0, 0.25, 25);
     save_axis(&tif, "y_mm", -3.0, 0.25, 25);
 }
@@ -149,7 +144,7 @@ fn every_variant_of_the_raster_is_told_by_its_flags() {
     // A map of zeros has the mean everywhere.
     assert_eq!(variant("flat", "--pitch-range-mm 0.5 2").0.tool_on(), plain.tool_on());
     let ramp = Array2::from_shape_fn((21, 41), |(r, _)| r as f64);
-    save(&tmp.path().join("surface"), "height_nm", ramp.into_dyn());
+    save(&tmp.path().join("surface"), "height_nm", ramp);
     let (ranged, manifest) = variant("ranged", "--pitch-range-mm 0.5 2");
     assert_eq!(manifest.settings["pitch_range_mm"], serde_json::json!([0.5, 2.0]));
     let mut y: Vec<f64> = ranged.point_mm().iter().map(|p| p[1]).collect();
@@ -295,9 +290,9 @@ fn inspect_prints_the_statistics_of_any_path() {
     // Two lines that cross, by hand and without a manifest.
     let dir = tmp.path().join("path");
     let points = [[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [10.0, -5.0]];
-    save(&dir, "point_mm", Array2::from(points.to_vec()).into_dyn());
+    save(&dir, "point_mm", Array2::from(points.to_vec()));
     let middles = [[10.0, 0.0], [20.0, 5.0], [15.0, 2.5]];
-    save(&dir, "dwell_point_mm", Array2::from(middles.to_vec()).into_dyn());
+    save(&dir, "dwell_point_mm", Array2::from(middles.to_vec()));
     let on = ArrayData::U8(Array1::from(vec![1, 1, 1]).into_dyn());
     fs::write(dir.join("tool_on.npy"), on.to_npy()).unwrap();
     let pass = ArrayData::I64(Array1::from(vec![0, 0, 0]).into_dyn());
@@ -340,30 +335,20 @@ fn a_picture_is_written_once() {
     }
 }
 
-fn load(path: &Path) -> ArrayD<f64> {
-    match npy::read(path, Dtype::F64).unwrap().array {
-        ArrayData::F64(a) => a,
-        other => panic!("{other:?}"),
-    }
-}
-
 #[test]
 fn the_lines_of_the_published_raster_come_back() {
-    let Some(reference) = std::env::var_os("PLANISH_REFERENCE") else {
-        eprintln!("skipped: PLANISH_REFERENCE is not set");
-        return;
-    };
-    let mirror = Path::new(&reference).join("nsls2-mirror");
+    let Some(mirror) = mirror() else { return };
     let tmp = tempfile::tempdir().unwrap();
     let flags = ["--pitch-mm", "1", "--step-mm", "1", "--overscan-mm", "5", "--out", "out"];
     let origin = ["--line-origin-mm", "-4.329889", "--surface"];
-    let output = run(tmp.path(), &[&flags[..], &origin, &[mirror.to_str().unwrap()]].concat());
+    let output =
+        run(tmp.path(), &[&flags[..], &origin, &[mirror.dir().to_str().unwrap()]].concat());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let (path, _) = read(&tmp.path().join("out"));
 
     // Published: from the largest y, from left to right; ours is its reverse, which also starts
     // on the left (26 lines).
-    let published = load(&mirror.join("raster_path_mm.npy"));
+    let published = mirror.map("raster_path_mm");
     let published: Vec<_> = published.outer_iter().rev().map(|p| [p[0], p[1]]).collect();
     let lines = |points: &[[f64; 2]]| {
         let mut lines: Vec<f64> = points.iter().map(|p| p[1]).collect();
@@ -395,8 +380,8 @@ fn a_path_of_one_point_but_for_rounding_is_drawn() {
     for (name, beyond) in [("point", 0.0), ("rounding", 1e-14)] {
         let dir = tmp.path().join(name);
         let points = Array2::from_shape_fn((3, 2), |(i, _)| 7.0 + beyond * i as f64);
-        save(&dir, "dwell_point_mm", points.slice(ndarray::s![..2, ..]).to_owned().into_dyn());
-        save(&dir, "point_mm", points.into_dyn());
+        save(&dir, "dwell_point_mm", points.slice(ndarray::s![..2, ..]).to_owned());
+        save(&dir, "point_mm", points);
         let output =
             call(tmp.path(), "draw", &["--tool-path", name, "--out", &format!("{name}.svg")]);
         assert_eq!(output.status.code(), Some(0), "{output:?}");

@@ -1,9 +1,6 @@
 //! Flags that nobody means, degenerate maps and tools, mistaken units, through the binary.
 
-#[path = "../../types/tests/support/hostile.rs"]
-mod hostile;
-
-use hostile::{COUNTS, FLOATS, every_value, inputs, survives};
+use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-toolpath");
 const OUT: &str = "--out=out";

@@ -2,13 +2,13 @@
 
 use std::{
     collections::BTreeMap,
-    fs,
     path::Path,
     process::{Command, Output},
 };
 
-use ndarray::{Array1, Array2, ArrayD};
-use planish_handoff::{artifact, npy::ArrayData};
+use ndarray::{Array1, Array2};
+use planish_handoff::artifact;
+use planish_testkit::{maps::random_aperture, program::save};
 use planish_toolpath::{
     LineOrder, MultiPitch, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch,
     multi_pitch::class_pitches_mm, raster, statistics,
@@ -287,25 +287,17 @@ fn bad_settings_are_refused_with_the_value() {
 }
 
 prop_compose! {
-    /// Blobs and holes with waves of depth, from nearly full to nearly empty.
+    /// Waves of depth within a random aperture.
     fn random_map()(
-        nx in 8..50_usize,
-        ny in 8..50_usize,
-        blobs in prop::collection::vec(
-            (0.0..25.0_f64, 0.0..25.0_f64, 0.3..9.0_f64, any::<bool>()), 0..7,
-        ),
-        base in any::<bool>(),
-        keep in (0.0..1.0_f64, 0.0..1.0_f64),
+        aperture in random_aperture(8..50),
         waves in (0.0..1.5_f64, 0.0..1.5_f64, 0.0..50.0_f64),
     ) -> Surface {
-        let kept = ((keep.0 * nx as f64).floor() * 0.5, (keep.1 * ny as f64).floor() * 0.5);
-        map([0.5 * (nx - 1) as f64, 0.5 * (ny - 1) as f64], 0.5, |x, y| {
-            let inside = (x, y) == kept || blobs.iter().fold(base, |inside, (bx, by, r, fill)| {
-                if (x - bx).hypot(y - by) <= *r { *fill } else { inside }
-            });
-            let depth = 50.0 + waves.2 * (waves.0 * x).sin() * (waves.1 * y).cos();
-            if inside { depth } else { f64::NAN }
-        })
+        let g = *aperture.grid();
+        let mut height = aperture.height_nm().clone();
+        for ((r, c), z) in height.indexed_iter_mut().filter(|(_, z)| !z.is_nan()) {
+            *z = 50.0 + waves.2 * (waves.0 * g.x.at(c)).sin() * (waves.1 * g.y.at(r)).cos();
+        }
+        Surface::new(g, height).unwrap()
     }
 }
 
@@ -388,20 +380,15 @@ proptest! {
     }
 }
 
-fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
-}
-
 /// A ramp of 40 nm over 40 mm, and the Gaussian TIF.
 fn write_inputs(dir: &Path) {
     let surface = map([40.0, 20.0], 0.5, |x, _| x);
-    save(&dir.join("surface"), "height_nm", surface.height_nm().clone().into_dyn());
+    save(&dir.join("surface"), "height_nm", surface.height_nm().clone());
     let tif = tif(1.0);
-    save(&dir.join("tif"), "rate_nm_per_s", tif.rate_nm_per_s().clone().into_dyn());
+    save(&dir.join("tif"), "rate_nm_per_s", tif.rate_nm_per_s().clone());
     for (name, grid) in [("surface", surface.grid()), ("tif", tif.grid())] {
-        save(&dir.join(name), "x_mm", Array1::from(grid.x.coordinates()).into_dyn());
-        save(&dir.join(name), "y_mm", Array1::from(grid.y.coordinates()).into_dyn());
+        save(&dir.join(name), "x_mm", Array1::from(grid.x.coordinates()));
+        save(&dir.join(name), "y_mm", Array1::from(grid.y.coordinates()));
     }
 }
 

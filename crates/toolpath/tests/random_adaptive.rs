@@ -1,9 +1,10 @@
 //! The random-adaptive path: what is promised of it, over shapes, pitches and seeds.
 
-use std::{fs, path::Path, process::Command};
+use std::{path::Path, process::Command};
 
-use ndarray::{Array1, Array2, ArrayD};
-use planish_handoff::{artifact, npy::ArrayData};
+use ndarray::{Array1, Array2};
+use planish_handoff::artifact;
+use planish_testkit::program::save;
 use planish_toolpath::{
     random_adaptive::{Construction, RandomAdaptive, RandomAdaptiveSettings, random_adaptive},
     statistics,
@@ -92,7 +93,9 @@ fn the_pitch_is_the_area_over_the_length() {
                 RandomAdaptiveSettings { pitch_mm, step_mm, contrast, ..settings(construction) };
             let made = make(&surface, &settings);
             let pitch = statistics(&made.path, &surface).effective_pitch_mm.unwrap();
-            assert!((pitch / pitch_mm - 1.0).abs() < 0.05, "{settings:?}: {pitch}");
+            println!("{construction:?}: pitch {pitch} mm of {pitch_mm} mm");
+            // Regression bound: measured 0.7 % on these three pitches.
+            assert!((pitch / pitch_mm - 1.0).abs() < 0.02, "{settings:?}: {pitch}");
             assert_eq!((crossings(&made.path), lifts(&made.path)), (0, 0));
             assert!(is_closed(&made.path));
         }
@@ -338,16 +341,11 @@ proptest! {
     }
 }
 
-fn save(dir: &Path, name: &str, array: ArrayD<f64>) {
-    fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(format!("{name}.npy")), ArrayData::F64(array).to_npy()).unwrap();
-}
-
 /// Runs `random-adaptive --surface surface` and the arguments: exit code and what it said.
 fn run(dir: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let surface = dir.join("surface");
     let axis = |n| Array1::from_iter((0..n).map(|i| 0.5 * f64::from(i))).into_dyn();
-    save(&surface, "height_nm", Array2::from_elem((21, 41), 1.0).into_dyn());
+    save(&surface, "height_nm", Array2::from_elem((21, 41), 1.0));
     save(&surface, "x_mm", axis(41));
     save(&surface, "y_mm", axis(21));
     let output = Command::new(env!("CARGO_BIN_EXE_planish-toolpath"))

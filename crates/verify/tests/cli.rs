@@ -6,6 +6,7 @@ use std::{
     process::{Command, Output},
 };
 
+use planish_testkit::program::text;
 use planish_types::Trajectory;
 use serde_json::{Value, json};
 
@@ -40,10 +41,6 @@ fn prepare(dir: &Path, max_velocity: f64) {
 fn outcome(dir: &Path) -> Value {
     let text = fs::read_to_string(dir.join("verdict/manifest.json")).unwrap();
     serde_json::from_str::<Value>(&text).unwrap()["outcome"].clone()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 #[test]

@@ -137,6 +137,7 @@ mod tests {
     use super::*;
     use crate::model::columns::{self, Columns};
     use ndarray::s;
+    use planish_testkit::maps::largest_magnitude;
     use planish_types::{Axis, ToolPath};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -172,7 +173,7 @@ mod tests {
     }
 
     fn largest(map: &Array2<f64>) -> f64 {
-        map.iter().fold(0.0, |m, v| m.max(v.abs()))
+        largest_magnitude(map.iter().copied())
     }
 
     /// Places on nodes, between them, and around the map, one in each column.

@@ -214,6 +214,7 @@ pub fn normal_matrix(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planish_testkit::maps::largest_difference;
     use planish_types::Axis;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -294,7 +295,7 @@ mod tests {
         }
         // Both are the same B, where the FFT is exact.
         if same_pitch {
-            let apart = (&pairs[0].1 - &pairs[1].1).iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+            let apart = largest_difference(&pairs[0].1, &pairs[1].1);
             assert!(apart <= allowed, "seed {seed}: {apart} {allowed}");
         }
         assert_eq!(FftOperator::is_exact(&tif, &grid), same_pitch);

@@ -146,12 +146,23 @@ mod tests {
 
     #[test]
     fn the_acceleration_limit_is_kept_by_shorter_pieces() {
-        // |a| = 1/(1+s)^3 <= 1; a long piece overestimates it at its ends.
-        let coarse = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, NONE, NONE);
-        assert!(end_acceleration(&coarse.pieces[0]) > 0.0);
-        let fine = fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 3.0], 1.0, NONE, 1.0 + 1e-4);
-        for piece in &fine.pieces {
-            assert!(end_acceleration(piece) <= 1.0 + 1e-4);
+        // v = 1 until s = 1/4, then v^2 = 1 - 2 A (s - 1/4) with A = 1/2: uniform braking, to 1/2 at s = 1.
+        // One piece for all starts to brake later and ends with more: of a braking that fills the
+        // fraction r of the time, r (4 - 3r) times A. Here r = 1 s / 1.25 s.
+        let late = |s: f64| (s - 0.25).max(0.0);
+        let density = |s: f64| 1.0 / (1.0 - late(s)).sqrt();
+        let time = |s: f64| s.min(0.25) + 2.0 * (1.0 - (1.0 - late(s)).sqrt());
+        let pieces = |limit: f64| fit(time, density, &[0.0, 1.0], 1.0, NONE, limit).pieces;
+        let coarse = pieces(NONE);
+        assert_eq!(coarse.len(), 1);
+        let expected = 0.5 * 0.8 * (4.0 - 3.0 * 0.8);
+        assert!((end_acceleration(&coarse[0]) - expected).abs() < 1e-14, "{coarse:?}");
+        // Halved twice, the break at 1/4 is the end of a piece: each is the motion itself.
+        let fine = pieces(0.5 + 1e-4);
+        assert_eq!(fine.iter().map(|p| p.end).collect::<Vec<_>>(), [0.25, 0.5, 1.0]);
+        let accelerations = fine.iter().map(end_acceleration);
+        for (found, expected) in accelerations.zip([0.0, 0.5, 0.5]) {
+            assert!((found - expected).abs() < 1e-13, "{found} {expected}");
         }
     }
 

@@ -508,22 +508,31 @@ mod tests {
     }
 
     #[test]
+    fn times_a_hundred_orders_of_magnitude_apart_do_not_converge_and_it_says_so() {
+        // Rows of 1e-100 s beside those of 0.2 s: the rotations keep no digit of what the former ask for.
+        let meander = |i: usize| [(i / 2 + i % 2) as f64, (i / 2 % 2) as f64];
+        let path = ToolPath::through((0..=40).map(meander).collect(), vec![true; 40], vec![0; 40]);
+        let times = (0..40).map(|i| if i % 2 == 0 { 1e-100 } else { 0.2 }).collect();
+        let dwell = DwellTime::new(times).unwrap();
+        let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
+        let error = schedule(&path.unwrap(), &dwell, &limits, &Settings::default()).unwrap_err();
+        println!("{error}");
+        let ScheduleError::NotConverged(NotConverged { iterations, residual, .. }) = error else {
+            panic!("{error}")
+        };
+        assert!(iterations >= MAX_ROUNDS && residual > LARGEST_OPTIMALITY, "{error}");
+        assert!(error.to_string().contains("has not converged: after 60 iterations"), "{error}");
+        assert!(error.to_string().contains("times in dwell_s differ"), "{error}");
+    }
+
+    #[test]
     fn a_resting_axis_is_asked_to_move_and_the_report_says_so() {
         // A move and then rest: without reverse motion the spline would swing back; Eq. 18 forbids
         // that, and the soft positions pay.
         let points = vec![[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0], [2.0, 3.0]];
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
         let dwell = DwellTime::new(vec![0.3, 0.25, 0.3, 0.25, 0.3]).unwrap();
-        let axis = |name: &str| planish_types::MachineFileAxis {
-            name: name.into(),
-            max_velocity_mm_per_s: 100.0,
-            max_acceleration_mm_per_s2: 1000.0,
-            max_jerk_mm_per_s3: None,
-        };
-        let axes = vec![axis("x"), axis("y")];
-        let limits = planish_types::MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }
-            .checked()
-            .unwrap();
+        let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
         let s = schedule(&path, &dwell, &limits, &Settings::default()).unwrap();
         assert_eq!(s.report.resting_segments, [3, 2]);
         assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);

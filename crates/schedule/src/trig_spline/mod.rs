@@ -177,19 +177,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    use planish_types::{MachineFile, MachineFileAxis};
-
-    fn machine(v: [f64; 2], a: [f64; 2]) -> Limits {
-        let axis = |i: usize| MachineFileAxis {
-            name: ["x", "y"][i].into(),
-            max_velocity_mm_per_s: v[i],
-            max_acceleration_mm_per_s2: a[i],
-            max_jerk_mm_per_s3: None,
-        };
-        MachineFile { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
-            .checked()
-            .unwrap()
-    }
+    use planish_testkit::machine;
 
     fn straight(n: usize, step: f64) -> ToolPath {
         let points = (0..=n).map(|i| [step * i as f64, 3.0]).collect();

@@ -119,19 +119,8 @@ pub(super) fn ease(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::{DwellTime, Limits, MachineFile, MachineFileAxis, ToolPath};
-
-    fn machine(v: [f64; 2], a: [f64; 2]) -> Limits {
-        let axis = |i: usize| MachineFileAxis {
-            name: ["x", "y"][i].into(),
-            max_velocity_mm_per_s: v[i],
-            max_acceleration_mm_per_s2: a[i],
-            max_jerk_mm_per_s3: None,
-        };
-        MachineFile { name: "m".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
-            .checked()
-            .unwrap()
-    }
+    use planish_testkit::machine;
+    use planish_types::{DwellTime, ToolPath};
 
     #[test]
     fn what_cannot_be_proven_is_evened_out_and_nothing_is_lowered() {

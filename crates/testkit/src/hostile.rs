@@ -1,19 +1,15 @@
-//! Drives a binary with hostile flags and inputs: included by the `hostile` test of every crate that has
-//! one (`#[path]`), because tests of one crate are not seen by those of another.
+//! Drives a program with hostile flags and inputs: what the `hostile` tests of the stages share.
 //!
 //! Whatever it is given, a program ends by itself with exit code 0, 1 or 2, without a panic, within a
 //! time limit; with exit code 2 it says why in one message and has written nothing; with 0 or 1 no
 //! outcome holds `null`, which is what JSON makes of NaN and infinity.
 
-#![allow(dead_code)] // Not every program has a flag of every kind.
+use std::{fs, path::Path, process::Command, time::Duration};
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Stdio},
-    thread::sleep,
-    time::{Duration, Instant},
-};
+use ndarray::{Array1, ArrayD};
+use planish_handoff::npy::ArrayData;
+
+use crate::program::{run_within, save, save_array, text};
 
 /// Far above what any of these small cases takes, on a machine that is busy, in a build that is not
 /// optimised; an endless loop is found all the same.
@@ -26,26 +22,16 @@ pub const FLOATS: [&str; 10] =
 /// The same for counts.
 pub const COUNTS: [&str; 5] = ["0", "1", "-1", "1000000000", "18446744073709551615"];
 
-/// Writes numbers as an `.npy` file.
+/// Writes numbers as the array `name` of a directory without a manifest.
 pub fn npy(dir: &Path, name: &str, shape: &[usize], values: &[f64]) {
-    save(dir, name, "<f8", shape, values.iter().flat_map(|v| v.to_le_bytes()).collect());
+    let array =
+        ArrayD::from_shape_vec(shape, values.to_vec()).expect("as many numbers as the shape says");
+    save(dir, name, array);
 }
 
 /// The same for integers.
 pub fn integers(dir: &Path, name: &str, values: &[i64]) {
-    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-    save(dir, name, "<i8", &[values.len()], bytes);
-}
-
-fn save(dir: &Path, name: &str, dtype: &str, shape: &[usize], data: Vec<u8>) {
-    fs::create_dir_all(dir).unwrap();
-    let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
-    let header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({shape}), }}");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend(118_u16.to_le_bytes());
-    bytes.extend(format!("{header:<117}\n").into_bytes());
-    bytes.extend(data);
-    fs::write(dir.join(format!("{name}.npy")), bytes).unwrap();
+    save_array(dir, name, ArrayData::I64(Array1::from(values.to_vec()).into_dyn()));
 }
 
 /// A map of `name` (height_nm, rate_nm_per_s) on the axes.
@@ -185,27 +171,8 @@ pub fn survives(binary: &str, dir: &Path, arguments: &[&str], out: &str) -> (i32
     let out = dir.join(out);
     let _ = fs::remove_dir_all(&out);
     let _ = fs::remove_file(&out);
-    let file = |name: &str| fs::File::create(dir.join(name)).unwrap();
-    let mut child = Command::new(binary)
-        .current_dir(dir)
-        .args(arguments)
-        .stdout(Stdio::null())
-        .stderr(file("stderr.txt"))
-        .spawn()
-        .unwrap();
-    let begun = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait().unwrap() {
-            break status;
-        }
-        if begun.elapsed() > TIME_LIMIT {
-            child.kill().unwrap();
-            child.wait().unwrap();
-            panic!("{arguments:?} takes more than {TIME_LIMIT:?}");
-        }
-        sleep(Duration::from_millis(2));
-    };
-    let said = fs::read_to_string(dir.join("stderr.txt")).unwrap();
+    let ended = run_within(Command::new(binary).current_dir(dir).args(arguments), TIME_LIMIT);
+    let (status, said) = (ended.status, text(&ended.stderr));
     let code =
         status.code().unwrap_or_else(|| panic!("{arguments:?} was killed: {status}: {said}"));
     let what = format!("{arguments:?} ended with {code}: {said}");
