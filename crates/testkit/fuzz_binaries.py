@@ -92,6 +92,7 @@ planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface
 planish-verify --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {run/methods/pvt/verdict}
 planish-refine --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {refined}
 planish-refine pareto --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --min-dwell-s-per-mm 0.02 --prices 2 --out {pareto}
+planish-feed --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {feed-plan}
 planish-export galil --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.dmc}
 planish-export xps --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.trj}
 planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.pmc}

@@ -83,11 +83,13 @@ impl Feed {
             Begin::Run(output) => output,
         };
 
-        let plan = plan(&surface, &tif, &path, &machine, &settings)?;
+        let plan = plan(&surface, &tif, &path, &machine, &settings).map_err(Failure::with_flags)?;
 
         let r = &plan.report;
         let total_time_s = plan.trajectory.total_time_s();
-        let status = plan.drawback(&surface, &settings).map_or(Status::Done, Status::Negative);
+        let status = plan
+            .drawback(&surface, &settings)
+            .map_or(Status::Done, |text| Status::Negative(planish_handoff::with_flags(&text)));
         let outcome = json!({
             "end": r.end,
             "total_time_s": total_time_s,

@@ -91,7 +91,7 @@ fn too_few_sweeps_are_a_negative_verdict() {
     prepare(tmp.path());
     let output = run(tmp.path(), &["--max-sweeps=1"]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(text(&output.stderr).contains("raise `max_sweeps`"));
+    assert!(text(&output.stderr).contains("raise --max-sweeps"));
 }
 
 /// The one message of a run that is refused, with nothing written.

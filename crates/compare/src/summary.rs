@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// Order of the methods; others follow by name. A refined method follows its base.
-const ORDER: [&str; 8] = [
+const ORDER: [&str; 9] = [
     IDEAL,
     "average-velocity",
     "constant-acceleration",
@@ -32,6 +32,7 @@ const ORDER: [&str; 8] = [
     "pvt-as-published",
     "trig-spline",
     "bspline",
+    "feed",
 ];
 
 /// Coordinates of two maps agree to this fraction of a pixel, as axes do that passed through text.

@@ -29,6 +29,7 @@ mod model;
 pub mod non_negative_least_squares;
 mod objective;
 pub mod problem;
+pub mod residual;
 pub mod rifta;
 mod surrogate;
 pub mod tikhonov_lsqr;

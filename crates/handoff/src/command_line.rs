@@ -87,9 +87,9 @@ pub fn with_flags(message: &str) -> String {
     while let Some((before, after)) = rest.split_once('`') {
         text += before;
         rest = match after.split_once('`') {
-            Some((name, behind)) if is_name(name) => {
+            Some((name, after)) if is_name(name) => {
                 text += &format!("--{}", name.replace('_', "-"));
-                behind
+                after
             }
             _ => {
                 text.push('`');

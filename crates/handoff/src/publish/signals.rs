@@ -1,4 +1,4 @@
-//! The end of a process by a signal, which leaves no siblings behind.
+//! A signal ends a process without leaving its siblings on the disk.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 #[cfg(unix)]

@@ -1,0 +1,245 @@
+//! The residual as a function of the time spent at chosen places, for methods that have other unknowns than
+//! dwell times, and other rows than bounds.
+//!
+//! ```text
+//! f(t) = 1/2 sum_i w_i r_i^2 / sum_i w_i,   r = z - B t without its free part       nm^2       (1)
+//! gradient = -B' w r / sum_i w_i                                                    nm^2/s
+//! ```
+//!
+//! f is half the mean square of the residual. The places are fixed when it is made; what a method does with the
+//! times, a density along a curve for example, is its own affair. Its normal matrix for other columns, each a
+//! sum over places, is a [`Normal`]: on cells of pixels, as in [`crate::bounded_least_squares`], because the
+//! exact gradient corrects the steps that it makes.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `desired` | (ny, nx) | nm |
+//! | B | `operator` | (pixels, n) | nm/s |
+//! | t | `time_s` | (n) | s |
+
+use ndarray::{Array2, Zip};
+use planish_numerics::{linear::skyline::Skyline, qp::bounded::Quadratic};
+use planish_types::{Invalid, Surface, Tif, budget};
+
+pub use crate::objective::Free;
+use crate::{
+    DwellError,
+    bounds::pixel_weights,
+    columns::{self, Patch, Place},
+    model::{FFT_ROUNDING, operator::Operator},
+    objective::Basis,
+    surrogate::{MAX_LOSS_FACTORISED, cell_size},
+};
+
+/// (1) for fixed places of the tool.
+pub struct Residual<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    places_mm: &'a [[f64; 2]],
+    /// Of the pixels; their sum is 1.
+    weight: Array2<f64>,
+    basis: Basis,
+    operator: Operator,
+}
+
+/// (1) at some times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// f, nm^2.
+    pub half_mean_square_nm2: f64,
+    /// Its derivatives (n), nm^2/s.
+    pub gradient_nm2_per_s: Vec<f64>,
+}
+
+impl<'a> Residual<'a> {
+    /// For the desired removal, a tool, and its places (n); with a weight per pixel, or every valid pixel alike.
+    pub fn new(
+        desired: &'a Surface,
+        tif: &'a Tif,
+        places_mm: &'a [[f64; 2]],
+        weight: Option<&Array2<f64>>,
+        free: Free,
+    ) -> Result<Self, DwellError> {
+        let mut weight = pixel_weights(desired, weight)?;
+        weight /= weight.sum();
+        let alone = |p: &[f64; 2]| vec![Place { position_mm: *p, fraction: 1.0 }];
+        let places: Vec<Vec<Place>> = places_mm.iter().map(alone).collect();
+        let operator = Operator::new(&places, tif, desired.grid())?;
+        let largest = operator.adjoint(&weight).into_iter().fold(0.0, f64::max);
+        if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
+            return Err(DwellError::OutOfReach { points: places_mm.len() });
+        }
+        let basis = Basis::new(desired.grid(), &weight, free);
+        Ok(Self { desired, tif, places_mm, weight, basis, operator })
+    }
+
+    /// f and its gradient for the times at the places (n), s.
+    pub fn evaluate(&self, time_s: &[f64]) -> Evaluation {
+        let removal_nm = self.operator.apply(time_s);
+        let mut r = Zip::from(self.desired.height_nm())
+            .and(&removal_nm)
+            .and(&self.weight)
+            .par_map_collect(|z, b, w| if *w > 0.0 { z - b } else { 0.0 });
+        self.basis.project(&self.weight, &mut r);
+        let square = Zip::from(&r).and(&self.weight).fold(0.0, |sum, r, w| sum + w * r * r);
+        let mut gradient = self.operator.adjoint(&(&r * &self.weight));
+        gradient.iter_mut().for_each(|g| *g = -*g);
+        Evaluation { half_mean_square_nm2: 0.5 * square, gradient_nm2_per_s: gradient }
+    }
+
+    /// Mean removal for the times at the places (n), s, over the weighted pixels, nm.
+    pub fn mean_removal_nm(&self, time_s: &[f64]) -> f64 {
+        (&self.operator.apply(time_s) * &self.weight).sum()
+    }
+
+    /// The normal matrix of columns (m), each a sum of some places by their indices, with a time at each; it has room
+    /// for the coupling of every column with the next one. Refuses one beyond the memory budget.
+    pub fn normal(&self, columns: &[Vec<(usize, f64)>]) -> Result<Normal, Invalid> {
+        let grid = self.desired.grid();
+        let place = |(index, time): &(usize, f64)| Place {
+            position_mm: self.places_mm[*index],
+            fraction: *time,
+        };
+        let places: Vec<Vec<Place>> =
+            columns.iter().map(|column| column.iter().map(place).collect()).collect();
+        let size = cell_size(self.tif, grid, MAX_LOSS_FACTORISED);
+        let (cells, _) = columns::on_cells(&places, self.tif, grid, &self.weight, size);
+        let (x, y) = (Order::along(0, &places, &cells), Order::along(1, &places, &cells));
+        let Order { order, first, elements } = if x.elements <= y.elements { x } else { y };
+        budget::affordable(
+            "tool_path",
+            // The matrix, and the copy that is factorised.
+            2.0 * elements as f64,
+            size_of::<f64>(),
+            "give a path of fewer nodes: wider lines, or a larger spacing of the nodes",
+        )?;
+        let mut k = Skyline::zeros(first.clone());
+        k.fill(|i, row| {
+            for (v, l) in row.iter_mut().zip(&order[first[i]..]) {
+                *v = cells[order[i]].dot(&cells[*l]);
+            }
+        });
+        // U = B' w f of the free functions
+        let of_places = self.basis.columns(&self.weight, |m| self.operator.adjoint(m));
+        let sum = |u: &[f64], j: &usize| columns[*j].iter().map(|(i, time)| u[*i] * time).sum();
+        let u = of_places.iter().map(|u| order.iter().map(|j| sum(u, j)).collect()).collect();
+        Ok(Normal { order, matrix: Quadratic { k, u } })
+    }
+}
+
+/// The normal matrix of some columns in an order in which its skyline is small.
+#[derive(Clone, Debug)]
+pub struct Normal {
+    /// Column of every row.
+    pub order: Vec<usize>,
+    /// The matrix, nm^2 by the unit of the columns squared.
+    pub matrix: Quadratic,
+}
+
+/// The columns by their position along one axis of the map.
+struct Order {
+    order: Vec<usize>,
+    /// First coupled column of every row.
+    first: Vec<usize>,
+    elements: usize,
+}
+
+impl Order {
+    fn along(axis: usize, columns: &[Vec<Place>], cells: &[Patch]) -> Self {
+        // A column without a place stands beside its predecessor, so that their coupling costs nothing.
+        let mut keys = Vec::with_capacity(columns.len());
+        for places in columns {
+            let sum: f64 = places.iter().map(|p| p.position_mm[axis]).sum();
+            let before = keys.last().copied().unwrap_or(0.0);
+            keys.push(if places.is_empty() { before } else { sum / places.len() as f64 });
+        }
+        let mut order: Vec<usize> = (0..columns.len()).collect();
+        order.sort_by(|a, b| keys[*a].total_cmp(&keys[*b]).then(a.cmp(b)));
+        let mut row = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(i, j)| row[*j] = i);
+        let meets = |i: usize| {
+            let own = &cells[order[i]];
+            (0..i).find(|l| cells[order[*l]].overlaps(own)).unwrap_or(i)
+        };
+        let mut first: Vec<usize> = (0..order.len()).map(meets).collect();
+        for j in 1..order.len() {
+            let (a, b) = (row[j - 1].min(row[j]), row[j - 1].max(row[j]));
+            first[b] = first[b].min(a);
+        }
+        let elements = first.iter().enumerate().map(|(i, f)| i + 1 - f).sum();
+        Self { order, first, elements }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_numerics::linear::skyline::dot;
+    use planish_types::{Axis, Grid};
+
+    fn bell() -> Tif {
+        let own = Axis::new(-2.0, 0.25, 17).unwrap();
+        let g = Grid { x: own, y: own };
+        let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            10.0 * (-(g.x.at(c).powi(2) + 1.3 * g.y.at(r).powi(2)) / 0.8).exp()
+        });
+        Tif::new(g, rate).unwrap()
+    }
+
+    fn mirror() -> Surface {
+        let axis = |n: usize| Axis::new(0.0, 0.25, n).unwrap();
+        let grid = Grid { x: axis(33), y: axis(21) };
+        let z = Array2::from_shape_fn(grid.shape(), |(r, c)| match (r, c) {
+            (3, 4) => f64::NAN,
+            _ => 20.0 + (0.3 * c as f64).sin() * (0.4 * r as f64).cos(),
+        });
+        Surface::new(grid, z).unwrap()
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_the_value() {
+        let (tif, desired) = (bell(), mirror());
+        let places: Vec<[f64; 2]> =
+            (0..12).map(|k| [0.7 * f64::from(k) - 0.2, 2.0 + (f64::from(k)).sin()]).collect();
+        for free in [Free::Piston, Free::Plane] {
+            let residual = Residual::new(&desired, &tif, &places, None, free).unwrap();
+            let t: Vec<f64> = (0..12).map(|k| 0.1 + 0.01 * f64::from(k)).collect();
+            let at = residual.evaluate(&t);
+            for j in [0, 5, 11] {
+                let value = |h: f64| {
+                    let mut t = t.clone();
+                    t[j] += h;
+                    residual.evaluate(&t).half_mean_square_nm2
+                };
+                // Quadratic: the central difference is exact but for rounding, 1e-16 / 1e-3.
+                let difference = (value(1e-3) - value(-1e-3)) / 2e-3;
+                let error = (difference - at.gradient_nm2_per_s[j]).abs();
+                assert!(error < 1e-10 * at.gradient_nm2_per_s[j].abs().max(1.0), "{free:?} {j}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_normal_matrix_is_the_curvature_of_the_value() {
+        let (tif, desired) = (bell(), mirror());
+        let places: Vec<[f64; 2]> = (0..9).map(|k| [f64::from(k), 2.5]).collect();
+        let residual = Residual::new(&desired, &tif, &places, None, Free::Piston).unwrap();
+        let columns: Vec<Vec<(usize, f64)>> =
+            (0..8).map(|k| vec![(k, 0.5), (k + 1, 0.5)]).collect();
+        let normal = residual.normal(&columns).unwrap();
+        let d: Vec<f64> = (0..8).map(|k| f64::from(k % 3) - 0.7).collect();
+        let mut t = vec![0.0; 9];
+        for (k, d) in d.iter().enumerate() {
+            t[k] += 0.5 * d;
+            t[k + 1] += 0.5 * d;
+        }
+        let zero = residual.evaluate(&[0.0; 9]);
+        let at = residual.evaluate(&t);
+        let along: f64 = zero.gradient_nm2_per_s.iter().zip(&t).map(|(g, t)| g * t).sum();
+        let curvature = 2.0 * (at.half_mean_square_nm2 - zero.half_mean_square_nm2 - along);
+        let ordered: Vec<f64> = normal.order.iter().map(|j| d[*j]).collect();
+        let found = dot(&normal.matrix.product(&ordered), &ordered);
+        // The cells lose at most the stated fraction of the energy.
+        assert!((found / curvature - 1.0).abs() < 2.0 * MAX_LOSS_FACTORISED, "{found} {curvature}");
+    }
+}

@@ -1,0 +1,134 @@
+//! The command line.
+
+use clap::Args;
+use planish_dwell::residual::Free;
+use planish_feed::{Price, Settings, plan};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    say, task, with_flags,
+};
+use planish_types::{
+    DwellTime, Trajectory,
+    plausible::{self, Rms},
+};
+use serde_json::json;
+
+#[derive(Args)]
+pub struct Feed {
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    machine: MachineArgs,
+    /// Least dwell time per length (1 / largest feedrate), s/mm
+    #[arg(long, value_name = "T", default_value_t = Settings::default().min_dwell_s_per_mm)]
+    min_dwell_s_per_mm: f64,
+    #[command(flatten)]
+    price: PriceArgs,
+    /// What need not be removed
+    #[arg(long, value_enum, default_value = "piston")]
+    free: Free,
+    /// Weight of the distance to the least density, relative to the strongest node
+    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    tikhonov: f64,
+    /// Weight of the roughness of the density along the path, likewise
+    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
+    smoothness: f64,
+    /// Largest distance of the curve from a corner of the path, mm [default: a tenth of the TIF's width]
+    #[arg(long, value_name = "E")]
+    corner_deviation_mm: Option<f64>,
+    /// Largest radius to which corners are rounded, mm [default: the TIF's width]
+    #[arg(long, value_name = "R")]
+    corner_radius_mm: Option<f64>,
+    /// Largest distance of the nodes of the density, mm [default: 0.6 of the TIF's width]
+    #[arg(long, value_name = "L")]
+    node_spacing_mm: Option<f64>,
+    /// End where the objective is proven to be within this fraction of the least one
+    #[arg(long, value_name = "G", default_value_t = Settings::default().relative_gap)]
+    relative_gap: f64,
+    /// Most steps of the solver
+    #[arg(long, value_name = "N", default_value_t = Settings::default().max_iterations)]
+    max_iterations: usize,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What a second costs.
+#[derive(Args)]
+#[group(multiple = false)]
+struct PriceArgs {
+    /// Price of a second beside half the mean square of the residual, nm^2/s
+    #[arg(long, value_name = "L")]
+    time_weight_nm2_per_s: Option<f64>,
+    /// By how many percent one percent more time would lower the mean square of the residual [default: 0.25]
+    #[arg(long, value_name = "X")]
+    time_elasticity: Option<f64>,
+}
+
+impl Feed {
+    /// The plan, judged.
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = Settings {
+            min_dwell_s_per_mm: self.min_dwell_s_per_mm,
+            price: match (self.price.time_weight_nm2_per_s, self.price.time_elasticity) {
+                (Some(price), _) => Price::Nm2PerS(price),
+                (None, Some(x)) => Price::Elasticity(x),
+                (None, None) => Settings::default().price,
+            },
+            tikhonov: self.tikhonov,
+            smoothness: self.smoothness,
+            free: self.free,
+            corner_deviation_mm: self.corner_deviation_mm,
+            corner_radius_mm: self.corner_radius_mm,
+            node_spacing_mm: self.node_spacing_mm,
+            relative_gap: self.relative_gap,
+            max_iterations: self.max_iterations,
+        };
+        let mut inputs = Inputs::new();
+        let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let path = self.path.read(&mut inputs)?;
+        let machine = self.machine.read(&mut inputs)?;
+        let task = task!("feed", settings);
+        let parts = [("dwell", DwellTime::KIND), ("trajectory", Trajectory::KIND)];
+        let mut output = match Output::directories(&self.output, parts).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+
+        plausible::check_path(&surface, &tif, &path)?;
+        let plan = plan(&surface, &tif, &path, &machine, &settings).map_err(Failure::with_flags)?;
+
+        let r = &plan.report;
+        let rms = Rms::of(plan.removal.residual());
+        let total_time_s = plan.trajectory.total_time_s();
+        let negative = plan.negative(&surface);
+        let status = negative.map_or(Status::Done, |text| Status::Negative(with_flags(&text)));
+        let outcome = json!({
+            "end": r.end,
+            "rms_nm": rms.rms_nm,
+            "rms_detilted_nm": rms.detilted_nm,
+            "total_time_s": total_time_s,
+            "limits_respected": plan.refused.is_none(),
+            "report": r,
+        });
+        output.write(&plan.dwell, outcome.clone(), &status)?;
+        output.write(&plan.trajectory, outcome, &status)?;
+        say(format!(
+            "feed: {} after {} steps, proven within {:.1e} of the least objective; {:.4} nm in {:.2} s at {:.3e} \
+             nm^2/s; {} nodes, {} corners rounded by at most {:.3} mm -> {}",
+            r.end,
+            r.objective_nm2.len() - 1,
+            r.relative_gap,
+            rms.rms_nm,
+            total_time_s,
+            r.price_nm2_per_s,
+            r.nodes,
+            r.corners,
+            r.corner_deviation_mm,
+            self.output.out.display()
+        ));
+        Ok(status)
+    }
+}

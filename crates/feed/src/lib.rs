@@ -1,0 +1,53 @@
+//! Motion and times as one problem: the dwell-time density along a smooth curve.
+//!
+//! A dwell solver chooses times and a scheduler then looks for a motion that takes them; where the machine is slow
+//! the two contradict each other. Here the curve is fixed first, with rounded corners, and the unknown is how fast
+//! it is run through. The removal is linear in the dwell-time density, the limits of the machine are linear in the
+//! squared feed, and every iterate of the solver is a motion within the limits.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`curve`] | the smooth curve along a path: lines and clothoids |
+//! | [`mesh`] | its nodes: what they remove, and how the tool moves between them |
+//! | [`limits`] | what the machine allows of that motion |
+//! | [`interior_point`] | the least objective under the rows, with its certificate |
+//! | [`mod@motion`] | the cubic pieces in time |
+//! | [`mod@plan`] | all of it, judged as it will be executed |
+
+pub mod curve;
+pub mod interior_point;
+pub mod limits;
+pub mod mesh;
+pub mod motion;
+pub mod plan;
+
+pub use plan::{Plan, Price, Report, Settings, plan};
+
+use planish_dwell::DwellError;
+use planish_types::Invalid;
+
+/// Why no feed could be found.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FeedError {
+    /// The inputs or settings contradict themselves or each other.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// The removal model refused.
+    #[error(transparent)]
+    Dwell(#[from] DwellError),
+    /// The machine limits jerk.
+    #[error(
+        "machine: the axis {axis} limits jerk, which this method does not keep; use `planish-refine` in \
+         smooth mode"
+    )]
+    Jerk {
+        /// Name of the axis.
+        axis: &'static str,
+    },
+    /// The program has no unique solution to rounding.
+    #[error("the densities are not determined by the surface; raise `tikhonov` (now {tikhonov})")]
+    Singular {
+        /// alpha.
+        tikhonov: f64,
+    },
+}

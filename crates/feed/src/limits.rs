@@ -1,0 +1,368 @@
+//! What a machine allows of the motion along the curves, as functions of the densities of two neighbouring nodes.
+//!
+//! ```text
+//! p'' = q'' s'^2 + q' s''        on both axes a, at times of every span:  |p''_a| <= A_a           (1)
+//! |q'_a| / D <= V_a              at the nodes, where the feed of a span is largest                 (2)
+//! c = 1 -+ p''_a / A_a >= 0                                                                        (3)
+//! c = (r D_j - D_k) / D_0 >= 0, and back                          r = MAX_RATIO                   (4)
+//! ```
+//!
+//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along
+//! the curve the acceleration is linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a
+//! clothoid (1) is also imposed at eight places, towards the bend; what may happen between them has
+//! a margin, and the motion is judged in the end.
+//! (4) keeps the cubic of a span monotone: its feeds at both ends are at most three times its mean feed where r is
+//! at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+
+use planish_types::Limits;
+use rayon::prelude::*;
+
+use crate::{
+    curve::Curve,
+    mesh::{Mesh, Span},
+};
+
+/// Steps of a clothoid, from its straight to its curved end, between the places of (1): a component of the
+/// acceleration has its largest value before the curved end, where it has turned further to the axis; between two
+/// places it is larger by at most 0.6 %.
+const STEPS_PER_CLOTHOID: usize = 8;
+
+/// Fraction of the acceleration that is kept for what happens between the places of (1), and for the cubic pieces
+/// that the motion on a clothoid is made of.
+const CURVED_MARGIN: f64 = 2e-2;
+
+/// Fraction of a limit that is kept for rounding: half of what the judge allows.
+const ROUNDING_MARGIN: f64 = 5e-10;
+
+/// r of (4): 5 would still be monotone, but the tool would nearly stand in the middle of the span.
+const MAX_RATIO: f64 = 3.0;
+
+/// A row with more left than this is far from being active, and its curvature counts for nothing.
+const FAR_SLACK: f64 = 0.5;
+
+/// Relative step of the differences of first derivatives that give the second ones.
+const DIFFERENCE: f64 = 1e-4;
+
+/// Where a row is imposed, and on what.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Row {
+    span: usize,
+    on: On,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum On {
+    /// Along the curve, at this fraction of the time: `c = 1 - along s''`, s^2/mm.
+    Line { tau: f64, along: f64 },
+    /// A clothoid, at this length from the start of the span: `c = 1 - across s'^2 - along s''`.
+    Place { s_mm: f64, across: f64, along: f64 },
+    /// (4): `c = by D`, mm/s.
+    Ratio { by: [f64; 2] },
+}
+
+/// (3) with its derivatives by the densities of the two nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Constraint {
+    /// The nodes; none at rest.
+    pub nodes: [Option<usize>; 2],
+    /// c.
+    pub slack: f64,
+    /// Its derivatives, mm/s.
+    pub by: [f64; 2],
+    /// The part of its second derivatives that bends it downwards, times -1: elements 00, 01, 11, mm^2/s^2.
+    pub bend: [f64; 3],
+}
+
+/// The limits along some curves.
+pub struct Rows<'a> {
+    mesh: &'a Mesh,
+    rows: Vec<Row>,
+    least_density: Vec<f64>,
+}
+
+impl<'a> Rows<'a> {
+    /// For all spans of a mesh, with D_0 of (4), a density of the usual size.
+    pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
+        let mut rows = Vec::new();
+        let mut least_density = vec![0.0f64; mesh.nodes];
+        let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
+        for (i, span) in mesh.spans.iter().enumerate() {
+            let samples = samples(&curves[span.curve], span);
+            let mut line = f64::INFINITY;
+            for Sample { s_mm, tangent: [tx, ty], curvature_per_mm } in samples {
+                for (axis, t) in limits.axes().iter().zip([tx, ty]) {
+                    let needed = t.abs() / (axis.max_velocity_mm_per_s() * (1.0 - ROUNDING_MARGIN));
+                    for j in span.nodes.iter().flatten() {
+                        least_density[*j] = least_density[*j].max(needed);
+                    }
+                }
+                for (most, t) in most.iter().zip([tx, ty]) {
+                    line = line.min(most / t.abs());
+                }
+                // q'' = kappa (-q'_y, q'_x); away from the bend the limit along the curve is the stricter one.
+                let bend = [-ty * curvature_per_mm, tx * curvature_per_mm];
+                for (axis, bend) in bend.into_iter().enumerate().filter(|(_, bend)| *bend != 0.0) {
+                    let scale = bend.signum() / (most[axis] * (1.0 - CURVED_MARGIN));
+                    let (across, along) = (scale * bend, scale * [tx, ty][axis]);
+                    rows.push(Row { span: i, on: On::Place { s_mm, across, along } });
+                }
+            }
+            let along = 1.0 / (line * (1.0 - ROUNDING_MARGIN));
+            let inner = span.nodes.iter().all(Option::is_some);
+            // At rest the acceleration is constant.
+            for tau in if inner { &[0.0, 1.0][..] } else { &[0.0] } {
+                let on = |along: f64| On::Line { tau: *tau, along };
+                rows.extend([along, -along].map(|along| Row { span: i, on: on(along) }));
+            }
+            if inner {
+                let (r, one) = (MAX_RATIO / reference_s_per_mm, -1.0 / reference_s_per_mm);
+                rows.extend([[r, one], [one, r]].map(|by| Row { span: i, on: On::Ratio { by } }));
+            }
+        }
+        Self { mesh, rows, least_density }
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// c of every row.
+    pub fn slacks(&self, density: &[f64]) -> Vec<f64> {
+        let of = |row: &Row| {
+            let span = &self.mesh.spans[row.span];
+            row.on.derivatives(span, span.densities(density)).0
+        };
+        self.rows.par_iter().map(of).collect()
+    }
+
+    /// Every row with its derivatives.
+    pub fn constraints(&self, density: &[f64]) -> Vec<Constraint> {
+        let of = |row: &Row| {
+            let span = &self.mesh.spans[row.span];
+            let densities = span.densities(density);
+            let (slack, by) = row.on.derivatives(span, densities);
+            if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
+                return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
+            }
+            // Second derivatives as differences of the first ones
+            let mut second = [[0.0; 2]; 2];
+            for k in 0..2 {
+                if let Some(d) = densities[k] {
+                    let moved = |factor: f64| {
+                        let mut moved = densities;
+                        moved[k] = Some(d * factor);
+                        row.on.derivatives(span, moved).1
+                    };
+                    let (plus, minus) = (moved(1.0 + DIFFERENCE), moved(1.0 - DIFFERENCE));
+                    for e in 0..2 {
+                        second[k][e] = (plus[e] - minus[e]) / (2.0 * DIFFERENCE * d);
+                    }
+                }
+            }
+            let off = 0.5 * (second[0][1] + second[1][0]);
+            let bend = positive_part([-second[0][0], -off, -second[1][1]]);
+            Constraint { nodes: span.nodes, slack, by, bend }
+        };
+        self.rows.par_iter().map(of).collect()
+    }
+
+    /// Asks less of the spans whose motion uses more than all of a limit: by so much less.
+    pub fn tighten(&mut self, use_of_limit: &[f64]) {
+        for row in &mut self.rows {
+            let factor = use_of_limit[row.span].max(1.0);
+            match &mut row.on {
+                On::Line { along, .. } => *along *= factor,
+                On::Place { across, along, .. } => {
+                    *across *= factor;
+                    *along *= factor;
+                }
+                On::Ratio { .. } => {}
+            }
+        }
+    }
+
+    /// Least densities by (2) (nodes), s/mm: on both spans of a node.
+    pub fn least_density(&self) -> &[f64] {
+        &self.least_density
+    }
+
+    /// The least uniform density at which every row holds, s/mm.
+    ///
+    /// At a uniform feed p'' is that feed squared times what it is at 1 mm/s, at rest too.
+    pub fn least_uniform_density(&self) -> f64 {
+        let at_one = self.slacks(&vec![1.0; self.mesh.nodes]);
+        let limits =
+            self.rows.iter().zip(at_one).filter(|(row, _)| !matches!(row.on, On::Ratio { .. }));
+        limits.map(|(_, c)| 1.0 - c).fold(0.0, f64::max).sqrt()
+    }
+}
+
+impl On {
+    /// c and its derivatives by the densities of the two nodes.
+    fn derivatives(&self, span: &Span, densities: [Option<f64>; 2]) -> (f64, [f64; 2]) {
+        let (across, along, at) = match *self {
+            Self::Ratio { by } => {
+                let d = densities.map(|d| d.unwrap_or(0.0));
+                return (by[0] * d[0] + by[1] * d[1], by);
+            }
+            Self::Line { tau, along } => (0.0, along, span.at(tau, densities)),
+            Self::Place { s_mm, across, along } => (across, along, span.at_place(s_mm, densities)),
+        };
+        let slack = 1.0 - across * at.feed_mm_per_s.powi(2) - along * at.acceleration_mm_per_s2;
+        let by = |k: usize| {
+            -2.0 * across * at.feed_mm_per_s * at.feed_by[k] - along * at.acceleration_by[k]
+        };
+        (slack, [by(0), by(1)])
+    }
+}
+
+/// The nearest matrix without negative eigenvalues, elements 00, 01, 11.
+fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
+    let (middle, half) = (0.5 * (a + c), 0.5 * (a - c));
+    let radius = half.hypot(b);
+    let (high, low) = ((middle + radius).max(0.0), (middle - radius).max(0.0));
+    if radius == 0.0 {
+        return [high, 0.0, high];
+    }
+    // The projector on the eigenvector of `high` is (1 + [half, b; b, -half] / radius) / 2.
+    let (mean, difference) = (0.5 * (high + low), 0.5 * (high - low) / radius);
+    [mean + difference * half, difference * b, mean - difference * half]
+}
+
+/// Where (1) is imposed on a span.
+struct Sample {
+    /// Length from the start of the span, mm.
+    s_mm: f64,
+    /// q'.
+    tangent: [f64; 2],
+    /// 0 on a line.
+    curvature_per_mm: f64,
+}
+
+fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
+    let mut found = Vec::new();
+    let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm);
+    for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
+        let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
+        let steps = if piece.is_straight() { 1 } else { STEPS_PER_CLOTHOID };
+        for k in 0..=steps {
+            let s = piece.from_mm + piece.length_mm * k as f64 / steps as f64;
+            // Where a node stands within the piece, the part on this side of it has its end there.
+            let s = s.clamp(from, to);
+            let (tangent, curvature_per_mm) = piece.direction(s - piece.from_mm);
+            found.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
+        }
+    }
+    found.dedup_by(|b, a| a.s_mm == b.s_mm);
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        curve::{Rounding, curves},
+        motion::motion,
+    };
+    use planish_types::{MachineFile, MachineFileAxis, ToolPath};
+
+    fn machine() -> Limits {
+        let axis = |name: &str, a: f64| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: 80.0,
+            max_acceleration_mm_per_s2: a,
+            max_jerk_mm_per_s3: None,
+        };
+        let axes = vec![axis("x", 900.0), axis("y", 500.0)];
+        MachineFile { name: "test".into(), axes, min_segment_s: 0.0 }.checked().unwrap()
+    }
+
+    /// Right angles, an acute and an obtuse corner, a rest where the path turns back.
+    fn path() -> ToolPath {
+        let points = vec![
+            [0.0, 0.0],
+            [4.0, 0.0],
+            [4.0, 1.0],
+            [0.5, 1.0],
+            [1.5, 2.5],
+            [2.0, 5.0],
+            [2.0, 3.0],
+            [6.0, 4.0],
+        ];
+        ToolPath::through(points, vec![true; 7], vec![0; 7]).unwrap()
+    }
+
+    #[test]
+    fn rows_are_what_the_motion_does_and_their_derivatives_are_right() {
+        let (path, limits) = (path(), machine());
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 });
+        let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
+        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let density: Vec<f64> =
+            (0..mesh.nodes).map(|j| 0.09 + 0.03 * (2.1 * j as f64).sin()).collect();
+        let constraints = rows.constraints(&density);
+        for (i, row) in constraints.iter().enumerate() {
+            for (node, by) in row.nodes.iter().zip(row.by) {
+                let Some(node) = *node else { continue };
+                let slack = |h: f64| {
+                    let mut moved = density.clone();
+                    moved[node] += h;
+                    rows.slacks(&moved)[i]
+                };
+                // Central differences: h^2 of the third derivative, some 1e5, and rounding / h.
+                let difference = (slack(1e-6) - slack(-1e-6)) / 2e-6;
+                assert!(
+                    (difference - by).abs() < 1e-5 * by.abs().max(1.0),
+                    "{i}: {difference} {by}"
+                );
+            }
+            let [a, b, c] = row.bend;
+            assert!(a >= 0.0 && c >= 0.0 && b * b <= a * c * (1.0 + 1e-9) + 1e-12);
+        }
+        // The largest use of the limits that the rows know is that of the motion.
+        let motion = motion(&curves, &mesh, &path, &density).unwrap();
+        let used = motion.use_of_acceleration(mesh.spans.len(), &limits);
+        for (span, used) in used.iter().enumerate() {
+            let of_span = rows
+                .rows
+                .iter()
+                .zip(&constraints)
+                .filter(|(row, _)| row.span == span && !matches!(row.on, On::Ratio { .. }));
+            let known = of_span.map(|(_, c)| 1.0 - c.slack).fold(0.0, f64::max);
+            // Regression bound: 0.8 % more on one corner of this rough density, between the places of the rows.
+            assert!(*used <= known * 1.02, "span {span}: {used} of {known}");
+            // On a line the rows take the stricter axis, whichever the motion uses.
+            assert!(*used >= 0.5 * known, "span {span}: {used} of {known}");
+        }
+    }
+
+    #[test]
+    fn a_uniform_feed_just_keeps_the_limits() {
+        let (path, limits) = (path(), machine());
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 });
+        let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
+        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let least = rows.least_uniform_density();
+        let slack = |d: f64| rows.slacks(&vec![d; mesh.nodes]).into_iter().fold(1.0, f64::min);
+        assert!(
+            slack(least).abs() < 1e-12 && slack(1.01 * least) > 0.0 && slack(0.99 * least) < 0.0
+        );
+    }
+
+    #[test]
+    fn the_positive_part_drops_what_bends_upwards() {
+        assert_eq!(positive_part([2.0, 0.0, -3.0]), [2.0, 0.0, 0.0]);
+        assert_eq!(positive_part([-2.0, 0.0, -3.0]), [0.0, 0.0, 0.0]);
+        // Eigenvalues 3 and -1, the first along (1, 1).
+        let [a, b, c] = positive_part([1.0, 2.0, 1.0]);
+        assert!([a, b, c].iter().all(|v| (v - 1.5).abs() < 1e-15));
+        let kept = [3.0, 1.0, 2.0];
+        assert!(positive_part(kept).iter().zip(kept).all(|(a, b)| (a - b).abs() < 1e-15));
+    }
+}

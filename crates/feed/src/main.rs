@@ -1,0 +1,30 @@
+//! `planish-feed`: desired removal, TIF, tool path and machine become the motion along a smooth curve.
+
+mod cli;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use planish_handoff::run;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/feed";
+
+/// Find how fast to run along a path with rounded corners: the dwell-time density of least residual within the
+/// limits of the machine, and its motion
+///
+/// Writes DIR/dwell (the time of the motion on every segment) and DIR/trajectory.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(flatten)]
+    feed: cli::Feed,
+}
+
+fn main() -> ExitCode {
+    let cli: Cli = planish_handoff::parse();
+    run(|| cli.feed.run())
+}

@@ -1,0 +1,465 @@
+//! The unknowns along the curves: what they remove, and how the tool moves between them.
+//!
+//! The unknown is the dwell-time density D = 1 / v at nodes, linear in the arc length between them, so the removal
+//! is linear in the unknowns and the time as well. With the fraction f of a span of length l from node j to node k:
+//!
+//! ```text
+//! D(f) = (1 - f) D_j + f D_k
+//! removal           integral of R(x - q(s)) D ds: Gauss points, l omega_q D(f_q) seconds each    (1)
+//! time of a span    T = l (D_j + D_k) / 2                                                       (2)
+//! motion            s(u), 0 <= u <= T: the cubic with s(0) = 0, s'(0) = 1 / D_j, s(T) = l, s'(T) = 1 / D_k   (3)
+//! ```
+//!
+//! (3) has the times and feeds of D at the nodes exactly, and is one polynomial: at `D_k = 2 D_j` it is within
+//! 0.8 % of l of the position that D itself asks for. At rest D is infinite. A curve begins and ends at rest, on a
+//! span whose other node decides: `D = D_k (l / s)^1/2`, `T = 2 l D_k`, which is a constant acceleration; with
+//! `s = l u^2` the removal is an integral over u of constant weight.
+
+use planish_numerics::quadrature::gauss_legendre;
+use planish_types::{Invalid, ToolPath, budget};
+
+use crate::curve::Curve;
+
+/// Gauss points of a span, (1).
+const GAUSS_POINTS: usize = 4;
+
+/// A corner of a smaller turn gets no node of its own, rad: the feed need not fall there.
+const GENTLE_TURN_RAD: f64 = 0.1;
+
+/// A corner nearer to a node than this fraction of the spacing gets no node of its own.
+const NEAREST_NODE_FRACTION: f64 = 0.3;
+
+/// Steps of the inversion of (3): Newton's method takes some five, bisection as many as a number has bits.
+const MAX_INVERSION_STEPS: usize = 60;
+
+/// A step of the inversion after which the result is exact to rounding.
+const INVERSION_STEP: f64 = 1e-9;
+
+/// Between two nodes, of which one may be a rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Its curve.
+    pub curve: usize,
+    /// Arc lengths of its ends, mm.
+    pub from_mm: f64,
+    /// See `from_mm`.
+    pub to_mm: f64,
+    /// Nodes of its ends; none at rest.
+    pub nodes: [Option<usize>; 2],
+}
+
+/// (3) at some time: position along the span, feed and acceleration along the curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kinematics {
+    /// s from the start of the span, mm.
+    pub s_mm: f64,
+    /// s', mm/s.
+    pub feed_mm_per_s: f64,
+    /// s'', mm/s^2.
+    pub acceleration_mm_per_s2: f64,
+    /// s''', mm/s^3.
+    pub jerk_mm_per_s3: f64,
+    /// Derivatives of s by the densities of the two nodes.
+    pub s_by: [f64; 2],
+    /// Derivatives of the feed by the densities of the two nodes.
+    pub feed_by: [f64; 2],
+    /// Derivatives of the acceleration by the densities of the two nodes.
+    pub acceleration_by: [f64; 2],
+}
+
+impl Span {
+    /// l, mm.
+    pub fn length_mm(&self) -> f64 {
+        self.to_mm - self.from_mm
+    }
+
+    /// The densities of its nodes; `None` at rest.
+    pub fn densities(&self, density: &[f64]) -> [Option<f64>; 2] {
+        self.nodes.map(|n| n.map(|n| density[n]))
+    }
+
+    /// (2), s.
+    pub fn duration_s(&self, density: &[f64]) -> f64 {
+        let l = self.length_mm();
+        match self.densities(density) {
+            [Some(a), Some(b)] => 0.5 * l * (a + b),
+            [Some(d), None] | [None, Some(d)] => 2.0 * l * d,
+            [None, None] => 0.0,
+        }
+    }
+
+    /// (3) at the fraction `tau` of its time, for the densities of its nodes.
+    pub fn at(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
+        let l = self.length_mm();
+        let (t, t2) = (tau, tau * tau);
+        match densities {
+            [Some(a), Some(b)] => {
+                let (va, vb, mean) = (1.0 / a, 1.0 / b, 2.0 / (a + b));
+                // l / T = mean; derivatives of the mean, of v, and of 1 / T = mean / l
+                let by_mean = -0.5 * mean * mean;
+                let by_v = [-va * va, -vb * vb];
+                // s' = 6 t (1 - t) mean + (1 - 4 t + 3 t^2) v_a + (3 t^2 - 2 t) v_b
+                let (m, p, q) = (6.0 * (t - t2), 1.0 - 4.0 * t + 3.0 * t2, 3.0 * t2 - 2.0 * t);
+                // s'' T = (6 - 12 t) mean + (6 t - 4) v_a + (6 t - 2) v_b
+                let (dm, dp, dq) = (6.0 - 12.0 * t, 6.0 * t - 4.0, 6.0 * t - 2.0);
+                let change = dm * mean + dp * va + dq * vb;
+                let rate = mean / l;
+                let s = (3.0 - 2.0 * t) * t2
+                    + ((t - 2.0 * t2 + t * t2) * va + (t * t2 - t2) * vb) / mean;
+                // v_a / mean = (1 + b / a) / 2
+                let (early, late) = (t - 2.0 * t2 + t * t2, t * t2 - t2);
+                let s_by = [
+                    0.5 * (late * vb - early * b * va * va),
+                    0.5 * (early * va - late * a * vb * vb),
+                ];
+                Kinematics {
+                    s_mm: l * s,
+                    feed_mm_per_s: m * mean + p * va + q * vb,
+                    acceleration_mm_per_s2: change * rate,
+                    jerk_mm_per_s3: (6.0 * (va + vb) - 12.0 * mean) * rate * rate,
+                    s_by: s_by.map(|s| l * s),
+                    feed_by: [m * by_mean + p * by_v[0], m * by_mean + q * by_v[1]],
+                    acceleration_by: [dp * by_v[0], dq * by_v[1]]
+                        .map(|dv| (dm * by_mean + dv) * rate + change * by_mean / l),
+                }
+            }
+            // s = l t^2, s' = t / D, s'' = 1 / (2 l D^2); and backwards
+            [None, Some(d)] => Kinematics {
+                s_mm: l * t2,
+                feed_mm_per_s: t / d,
+                acceleration_mm_per_s2: 0.5 / (l * d * d),
+                jerk_mm_per_s3: 0.0,
+                s_by: [0.0; 2],
+                feed_by: [0.0, -t / (d * d)],
+                acceleration_by: [0.0, -1.0 / (l * d * d * d)],
+            },
+            [Some(d), None] => Kinematics {
+                s_mm: l * t * (2.0 - t),
+                feed_mm_per_s: (1.0 - t) / d,
+                acceleration_mm_per_s2: -0.5 / (l * d * d),
+                jerk_mm_per_s3: 0.0,
+                s_by: [0.0; 2],
+                feed_by: [(t - 1.0) / (d * d), 0.0],
+                acceleration_by: [1.0 / (l * d * d * d), 0.0],
+            },
+            [None, None] => Kinematics {
+                s_mm: 0.0,
+                feed_mm_per_s: 0.0,
+                acceleration_mm_per_s2: 0.0,
+                jerk_mm_per_s3: 0.0,
+                s_by: [0.0; 2],
+                feed_by: [0.0; 2],
+                acceleration_by: [0.0; 2],
+            },
+        }
+    }
+
+    /// (3) where it has come to `s` mm from its start; its derivatives are those at this place, not at a time.
+    pub fn at_place(&self, s_mm: f64, densities: [Option<f64>; 2]) -> Kinematics {
+        let mut at = self.at(self.tau_at(s_mm, densities), densities);
+        // At a place the time changes by du / dD = -(ds / dD) / s' with a density.
+        if at.feed_mm_per_s > 0.0 {
+            for k in 0..2 {
+                let du = -at.s_by[k] / at.feed_mm_per_s;
+                at.feed_by[k] += at.acceleration_mm_per_s2 * du;
+                at.acceleration_by[k] += at.jerk_mm_per_s3 * du;
+            }
+        }
+        at
+    }
+
+    /// Fraction of its time at which it has come to `s` mm from its start.
+    ///
+    /// At rest in closed form; else (3) by Newton's method from the time that the density asks for, within brackets,
+    /// because (3) is monotone.
+    pub fn tau_at(&self, s_mm: f64, densities: [Option<f64>; 2]) -> f64 {
+        let f = (s_mm / self.length_mm()).clamp(0.0, 1.0);
+        let (a, b) = match densities {
+            [Some(a), Some(b)] => (a, b),
+            [None, _] => return f.sqrt(),
+            [_, None] => return 1.0 - (1.0 - f).sqrt(),
+        };
+        // s / l = (3 - 2 t) t^2 + (t - 2 t^2 + t^3) p + (t^3 - t^2) q,  p = v_a T / l, q = v_b T / l
+        let (p, q) = (0.5 * (1.0 + b / a), 0.5 * (1.0 + a / b));
+        let (c2, c3) = (3.0 - 2.0 * p - q, p + q - 2.0);
+        let (mut low, mut high) = (0.0, 1.0);
+        let mut tau = f * (2.0 * a + (b - a) * f) / (a + b);
+        for _ in 0..MAX_INVERSION_STEPS {
+            let off = ((c3 * tau + c2) * tau + p) * tau - f;
+            if off < 0.0 {
+                low = tau
+            } else {
+                high = tau
+            }
+            let newton = tau - off / ((3.0 * c3 * tau + 2.0 * c2) * tau + p);
+            let next = if (low..=high).contains(&newton) { newton } else { 0.5 * (low + high) };
+            let step = (next - tau).abs();
+            tau = next;
+            // The next step of Newton's method would be of the order of the square of this one.
+            if step < INVERSION_STEP {
+                break;
+            }
+        }
+        tau
+    }
+}
+
+/// A Gauss point of a span with the tool on.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    /// Length of the path for which each node stands here, mm.
+    weight: [f64; 2],
+    nodes: [Option<usize>; 2],
+}
+
+/// Nodes and spans of all curves.
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    /// In order, curve by curve.
+    pub spans: Vec<Span>,
+    /// Number of nodes that are no rests.
+    pub nodes: usize,
+    /// Where the tool acts: the Gauss points of the spans with the tool on.
+    pub points_mm: Vec<[f64; 2]>,
+    points: Vec<Point>,
+}
+
+impl Mesh {
+    /// For nodes at most `spacing_mm` apart.
+    pub fn new(curves: &[Curve], path: &ToolPath, spacing_mm: f64) -> Result<Self, Invalid> {
+        let length: f64 = curves.iter().map(Curve::length_mm).sum();
+        budget::affordable(
+            "tool_path",
+            length / spacing_mm,
+            GAUSS_POINTS * 8 * size_of::<f64>(),
+            "give a larger spacing of the nodes; is the path in mm?",
+        )?;
+        let (mut spans, mut nodes) = (Vec::new(), 0);
+        for (c, curve) in curves.iter().enumerate() {
+            let at = breaks(curve, path, spacing_mm);
+            for (i, w) in at.windows(2).enumerate() {
+                let before = (i > 0).then(|| nodes - 1);
+                let after = (i + 2 < at.len()).then(|| {
+                    nodes += 1;
+                    nodes - 1
+                });
+                let nodes = [before, after];
+                spans.push(Span { curve: c, from_mm: w[0], to_mm: w[1], nodes });
+            }
+        }
+        let (mut points, mut points_mm) = (Vec::new(), Vec::new());
+        for span in &spans {
+            let (curve, l) = (&curves[span.curve], span.length_mm());
+            for (u, omega) in gauss_legendre::<GAUSS_POINTS>() {
+                let (f, weight) = match span.nodes {
+                    [Some(_), Some(_)] => (u, [1.0 - u, u].map(|w| w * l * omega)),
+                    [None, _] => (u * u, [0.0, 2.0 * l * omega]),
+                    [_, None] => (1.0 - u * u, [2.0 * l * omega, 0.0]),
+                };
+                let s = span.from_mm + f * l;
+                if path.tool_on()[curve.piece_at(s).segment] {
+                    points.push(Point { weight, nodes: span.nodes });
+                    points_mm.push(curve.at(s).point_mm);
+                }
+            }
+        }
+        Ok(Self { spans, nodes, points_mm, points })
+    }
+
+    /// (1): the time at every Gauss point for the densities of the nodes, s.
+    pub fn times_s(&self, density: &[f64]) -> Vec<f64> {
+        let of = |point: &Point| {
+            let part =
+                |(node, weight): (&Option<usize>, f64)| node.map_or(0.0, |j| weight * density[j]);
+            point.nodes.iter().zip(point.weight).map(part).sum()
+        };
+        self.points.iter().map(of).collect()
+    }
+
+    /// The derivatives of a function by the densities, from those by the times at the Gauss points.
+    pub fn collect(&self, by_time: &[f64]) -> Vec<f64> {
+        let mut by_density = vec![0.0; self.nodes];
+        for (point, g) in self.points.iter().zip(by_time) {
+            for (node, weight) in point.nodes.iter().zip(point.weight) {
+                if let Some(j) = node {
+                    by_density[*j] += weight * g;
+                }
+            }
+        }
+        by_density
+    }
+
+    /// What a unit of density at every node stands for: its points and the length of the path at each, mm.
+    pub fn columns(&self) -> Vec<Vec<(usize, f64)>> {
+        let mut columns = vec![Vec::new(); self.nodes];
+        for (i, point) in self.points.iter().enumerate() {
+            for (node, weight) in point.nodes.iter().zip(point.weight) {
+                if let Some(j) = node {
+                    columns[*j].push((i, weight));
+                }
+            }
+        }
+        columns
+    }
+
+    /// Length of the path for which every node stands: the derivatives of the total time (nodes), mm.
+    pub fn lengths_mm(&self) -> Vec<f64> {
+        let mut lengths = vec![0.0; self.nodes];
+        for span in &self.spans {
+            let l = span.length_mm();
+            let each = if span.nodes.iter().all(Option::is_some) { 0.5 * l } else { 2.0 * l };
+            span.nodes.iter().flatten().for_each(|j| lengths[*j] += each);
+        }
+        lengths
+    }
+}
+
+/// Arc lengths at which nodes stand, from the rest at the start to that at the end.
+fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
+    let end = curve.length_mm();
+    let mut at = vec![0.0];
+    let switches = curve
+        .pieces()
+        .windows(2)
+        .filter(|w| path.tool_on()[w[0].segment] != path.tool_on()[w[1].segment])
+        .map(|w| w[1].from_mm);
+    at.extend(switches);
+    at.push(end);
+    // Corners between them, where they are not too near.
+    let mut with_corners = vec![0.0];
+    let mut fixed = at[1..].iter().peekable();
+    let nearest = NEAREST_NODE_FRACTION * spacing_mm;
+    for corner in curve.corners().iter().filter(|c| c.turn_rad > GENTLE_TURN_RAD) {
+        while let Some(s) = fixed.next_if(|s| **s <= corner.at_mm) {
+            with_corners.push(*s);
+        }
+        let before = *with_corners.last().expect("begins with 0");
+        let after = fixed.peek().map_or(end, |s| **s);
+        if corner.at_mm - before > nearest && after - corner.at_mm > nearest {
+            with_corners.push(corner.at_mm);
+        }
+    }
+    with_corners.extend(fixed);
+    // At least one node between two rests.
+    let least_parts = if with_corners.len() == 2 { 2.0 } else { 1.0 };
+    let mut all = vec![0.0];
+    for w in with_corners.windows(2) {
+        let parts = ((w[1] - w[0]) / spacing_mm).ceil().max(least_parts);
+        for k in 1..=parts as usize {
+            let f = k as f64 / parts;
+            all.push(w[0] + f * (w[1] - w[0]));
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::curve::{Rounding, curves};
+    use ndarray::Array2;
+    use planish_dwell::residual::{Free, Residual};
+    use planish_types::{Axis, Grid, Surface, Tif};
+
+    #[test]
+    fn the_motion_of_a_span_has_its_times_and_feeds_and_derivatives() {
+        let inner = Span { curve: 0, from_mm: 1.0, to_mm: 1.7, nodes: [Some(0), Some(1)] };
+        let first = Span { nodes: [None, Some(1)], ..inner };
+        let last = Span { nodes: [Some(0), None], ..inner };
+        let d = [0.13, 0.31];
+        for (span, feeds) in [
+            (inner, [1.0 / d[0], 1.0 / d[1]]),
+            (first, [0.0, 1.0 / d[1]]),
+            (last, [1.0 / d[0], 0.0]),
+        ] {
+            let (of, time) = (span.densities(&d), span.duration_s(&d));
+            let (start, end) = (span.at(0.0, of), span.at(1.0, of));
+            assert_eq!(start.s_mm, 0.0);
+            assert!((end.s_mm - 0.7).abs() < 1e-15);
+            assert!((start.feed_mm_per_s - feeds[0]).abs() < 1e-14);
+            assert!((end.feed_mm_per_s - feeds[1]).abs() < 1e-14);
+            for tau in [0.1, 0.5, 0.9] {
+                let at = span.at(tau, of);
+                // Central differences of quadratics and cubics: h^2 of the third derivative, and rounding / h.
+                let (h, s) = (1e-4, |t: f64| span.at(t, of));
+                let feed = (s(tau + h).s_mm - s(tau - h).s_mm) / (2.0 * h * time);
+                assert!((feed - at.feed_mm_per_s).abs() < 1e-6 * at.feed_mm_per_s);
+                let a = (s(tau + h).feed_mm_per_s - s(tau - h).feed_mm_per_s) / (2.0 * h * time);
+                assert!((a - at.acceleration_mm_per_s2).abs() < 1e-6 * a.abs().max(1.0));
+                assert!((span.tau_at(at.s_mm, of) - tau).abs() < 1e-14);
+                for k in (0..2).filter(|k| span.nodes[*k].is_some()) {
+                    let moved = |h: f64| {
+                        let mut of = of;
+                        of[k] = of[k].map(|d| d + h);
+                        span.at(tau, of)
+                    };
+                    let (p, m) = (moved(1e-6), moved(-1e-6));
+                    let by = (p.feed_mm_per_s - m.feed_mm_per_s) / 2e-6;
+                    assert!((by - at.feed_by[k]).abs() < 1e-6 * by.abs().max(1.0));
+                    let by = (p.acceleration_mm_per_s2 - m.acceleration_mm_per_s2) / 2e-6;
+                    assert!((by - at.acceleration_by[k]).abs() < 1e-6 * by.abs().max(1.0));
+                    let there = span.at_place(at.s_mm, of);
+                    let moved = |h: f64| {
+                        let mut d = d;
+                        d[k] += h;
+                        span.at_place(at.s_mm, span.densities(&d))
+                    };
+                    let (p, m) = (moved(1e-6), moved(-1e-6));
+                    let by = (p.feed_mm_per_s - m.feed_mm_per_s) / 2e-6;
+                    assert!((by - there.feed_by[k]).abs() < 1e-6 * by.abs().max(1.0), "{tau} {k}");
+                    let by = (p.acceleration_mm_per_s2 - m.acceleration_mm_per_s2) / 2e-6;
+                    assert!((by - there.acceleration_by[k]).abs() < 1e-6 * by.abs().max(1.0));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_derivatives_are_those_of_the_removal_and_of_the_time() {
+        let own = Axis::new(-2.0, 0.25, 17).unwrap();
+        let g = Grid { x: own, y: own };
+        let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            10.0 * (-(g.x.at(c).powi(2) + 1.3 * g.y.at(r).powi(2)) / 0.8).exp()
+        });
+        let tif = Tif::new(g, rate).unwrap();
+        let axis = |n: usize| Axis::new(0.0, 0.25, n).unwrap();
+        let grid = Grid { x: axis(33), y: axis(21) };
+        let z =
+            Array2::from_shape_fn(grid.shape(), |(r, c)| (0.3 * c as f64 + 0.2 * r as f64).sin());
+        let desired = Surface::new(grid, z).unwrap();
+        let points = vec![[0.0, 1.0], [7.0, 1.0], [7.0, 2.0], [0.5, 2.0], [0.5, 4.0], [8.0, 4.0]];
+        let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
+        let rounding = Rounding { deviation_mm: 0.1, radius_mm: 0.5 };
+        let curves = curves(&path, &rounding);
+        let mesh = Mesh::new(&curves, &path, 0.6).unwrap();
+        let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
+        let density: Vec<f64> =
+            (0..mesh.nodes).map(|j| 0.3 + 0.1 * (1.7 * j as f64).sin()).collect();
+        let gradient =
+            |d: &[f64]| mesh.collect(&residual.evaluate(&mesh.times_s(d)).gradient_nm2_per_s);
+        let by = gradient(&density);
+        for j in [0, 1, mesh.nodes / 2, mesh.nodes - 1] {
+            let value = |h: f64| {
+                let mut d = density.clone();
+                d[j] += h;
+                let total: f64 = mesh.spans.iter().map(|s| s.duration_s(&d)).sum();
+                (residual.evaluate(&mesh.times_s(&d)).half_mean_square_nm2, total)
+            };
+            let (plus, minus) = (value(1e-3), value(-1e-3));
+            // Quadratic and linear: exact but for rounding.
+            let error = ((plus.0 - minus.0) / 2e-3 - by[j]).abs();
+            assert!(error < 1e-8 * by[j].abs().max(1.0), "{j}");
+            assert!(((plus.1 - minus.1) / 2e-3 - mesh.lengths_mm()[j]).abs() < 1e-10);
+        }
+        // The normal matrix is the curvature, but for the energy that the cells lose (0.5 %).
+        let normal = residual.normal(&mesh.columns()).unwrap();
+        let d: Vec<f64> = (0..mesh.nodes).map(|j| (0.2 * j as f64).sin()).collect();
+        let moved: Vec<f64> = density.iter().zip(&d).map(|(u, d)| u + d).collect();
+        let exact: f64 =
+            gradient(&moved).iter().zip(&by).zip(&d).map(|((a, b), d)| d * (a - b)).sum();
+        let ordered: Vec<f64> = normal.order.iter().map(|j| d[*j]).collect();
+        let found: f64 =
+            normal.matrix.product(&ordered).iter().zip(&ordered).map(|(a, b)| a * b).sum();
+        assert!((found / exact - 1.0).abs() < 0.01, "{found} {exact}");
+    }
+}

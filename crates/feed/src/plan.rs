@@ -1,0 +1,378 @@
+//! From the map to the motion.
+//!
+//! ```text
+//! path -> smooth curves -> nodes, about one per 0.6 TIF widths
+//! min  1/2 mean square of the residual + price T
+//!      + 1/2 alpha K sum (D - lo)^2 + 1/2 beta K sum (difference of neighbours)^2        (1)
+//! over the densities D of the nodes, within the limits at every one of their iterates
+//! -> motion -> its removal (simulated) and its limits (proven)
+//! ```
+//!
+//! K is the largest diagonal element of the normal matrix, so alpha and beta have no unit.
+//!
+//! The price is given, or follows from what time shall be worth. Where the residual falls by x % when the time
+//! grows by 1 %, x is the elasticity; at the minimum of (1)
+//!
+//! ```text
+//! d(1/2 mean square) / dT = -price,   x = 2 price T / mean square                        (2)
+//! ```
+//!
+//! and the price is the one for which x is as asked.
+
+use planish_dwell::residual::{Free, Residual};
+use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
+use planish_types::{
+    DwellTime, End, Invalid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
+    plausible::{self, Rms},
+};
+use planish_verify::{VerifySettings, verify};
+use serde::Serialize;
+
+use crate::{
+    FeedError,
+    curve::{self, Curve, Rounding},
+    interior_point::{self, Objective, Program, Stop},
+    limits::Rows,
+    mesh::Mesh,
+    motion,
+};
+
+/// Spacing of the nodes over the width of the TIF: a closer density removes nothing that a TIF could.
+const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
+
+/// Deviation at corners over the width of the TIF: far below what it can see.
+const DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
+
+/// Largest radius of a corner over the width of the TIF.
+const RADIUS_OVER_TIF_WIDTH: f64 = 1.0;
+
+/// Least spacing over the width of the TIF; what is smaller is a mistake in the units.
+const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
+
+/// By what the first densities are above every bound.
+const FIRST_ABOVE_BOUNDS: f64 = 1.05;
+
+/// The price is found when it changes by less than this fraction from step to step.
+const PRICE_FOUND: f64 = 0.005;
+
+/// Steps in which the price is looked for.
+const PRICE_STEPS: usize = 40;
+
+/// Rounds in which corners whose motion exceeds a limit are asked for less, and the program is solved again.
+const MAX_ROUNDS: usize = 4;
+
+/// By what the densities of a round are above those that just keep the limits, so that the next one can begin there.
+const ABOVE_LIMITS: f64 = 1.01;
+
+/// What is asked for beyond the excess.
+const TIGHTENED_FURTHER: f64 = 1.002;
+
+/// What a second costs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Price {
+    /// Beside half the mean square of the residual, nm^2/s.
+    Nm2PerS(f64),
+    /// (2): by how many percent one percent more time lowers the mean square, where the plan ends.
+    Elasticity(f64),
+}
+
+/// How to plan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Least dwell-time density, s/mm; >= 0.
+    pub min_dwell_s_per_mm: f64,
+    /// What a second costs.
+    pub price: Price,
+    /// alpha > 0.
+    pub tikhonov: f64,
+    /// beta >= 0.
+    pub smoothness: f64,
+    /// What need not be removed.
+    pub free: Free,
+    /// Largest distance of the curve from a corner of the path, mm; a tenth of the TIF's width when absent.
+    pub corner_deviation_mm: Option<f64>,
+    /// Largest radius to which corners are rounded, mm; the TIF's width when absent.
+    pub corner_radius_mm: Option<f64>,
+    /// Largest distance of the nodes, mm; 0.6 of the TIF's width when absent.
+    pub node_spacing_mm: Option<f64>,
+    /// Proven distance of the objective from its least value, over it, at which the solver ends.
+    pub relative_gap: f64,
+    /// Most steps of the solver.
+    pub max_iterations: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            min_dwell_s_per_mm: 0.0,
+            price: Price::Elasticity(0.25),
+            tikhonov: 1e-5,
+            smoothness: 0.0,
+            free: Free::Piston,
+            corner_deviation_mm: None,
+            corner_radius_mm: None,
+            node_spacing_mm: None,
+            relative_gap: 1e-3,
+            max_iterations: 100,
+        }
+    }
+}
+
+/// What was done.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Curves from rest to rest.
+    pub curves: usize,
+    /// Corners that were rounded.
+    pub corners: usize,
+    /// Largest distance of a curve from a corner, mm.
+    pub corner_deviation_mm: f64,
+    /// Least radius of a corner, mm; absent without corners.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub least_radius_mm: Option<f64>,
+    /// Arc length of all curves, mm.
+    pub length_mm: f64,
+    /// Unknowns.
+    pub nodes: usize,
+    /// Largest distance of neighbouring nodes, mm.
+    pub node_spacing_mm: f64,
+    /// Price of a second, nm^2/s.
+    pub price_nm2_per_s: f64,
+    /// How the solver ended: `optimal`, `stagnated`, or `iteration-limit`.
+    pub end: End,
+    /// Proven bound on how far the objective is above the least one of the last convex program, over it.
+    pub relative_gap: f64,
+    /// Objective at the start and after every step, nm^2.
+    pub objective_nm2: Vec<f64>,
+    /// RMS (without what is free) of the residual in the removal model of the solver, nm.
+    pub model_rms_nm: f64,
+    /// Largest distance of the motion from the curve at equal times, mm.
+    pub fit_error_mm: f64,
+    /// Rounds of the solver, with corners asked for less in all but the first.
+    pub rounds: usize,
+}
+
+/// The plan.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Time of the motion on every segment of the path.
+    pub dwell: DwellTime,
+    /// The motion.
+    pub trajectory: Trajectory,
+    /// What it removes, and what is left: simulated.
+    pub removal: Removal,
+    /// Whether the judge finds every limit kept, and why not.
+    pub refused: Option<String>,
+    /// What was done.
+    pub report: Report,
+}
+
+impl Plan {
+    /// Why it should not be run as it is, if there is a reason.
+    pub fn negative(&self, desired: &Surface) -> Option<String> {
+        let r = &self.report;
+        let unfinished = (r.end != End::Optimal).then(|| {
+            format!(
+                "{}: after {} steps the objective may be {:.1e} of itself above the least one; raise \
+                 `max_iterations` or `relative_gap`",
+                r.end,
+                r.objective_nm2.len() - 1,
+                r.relative_gap
+            )
+        });
+        let (before, after) = (Rms::of(desired), Rms::of(self.removal.residual()));
+        let total_time_s = self.trajectory.total_time_s();
+        let refused = self.refused.clone().or(unfinished);
+        refused.or_else(|| plausible::drawback(before, after, total_time_s))
+    }
+}
+
+/// Width of the TIF, mm: `(<R^2> / <|grad R|^2>)^1/2`, the standard deviation of a Gaussian.
+pub fn width_mm(tif: &Tif) -> f64 {
+    let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
+    let energy: f64 = rate.iter().map(|r| r * r).sum();
+    let mut slope = 0.0;
+    for row in rate.rows() {
+        slope += row.windows(2).into_iter().map(|w| (w[1] - w[0]).powi(2)).sum::<f64>()
+            / grid.x.step_mm().powi(2);
+    }
+    for column in rate.columns() {
+        slope += column.windows(2).into_iter().map(|w| (w[1] - w[0]).powi(2)).sum::<f64>()
+            / grid.y.step_mm().powi(2);
+    }
+    (energy / slope).sqrt()
+}
+
+/// Finds density and motion along `path` for the desired removal.
+pub fn plan(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Plan, FeedError> {
+    check(settings)?;
+    if let Some(axis) = limits.axes().iter().find(|a| a.max_jerk_mm_per_s3().is_some()) {
+        return Err(FeedError::Jerk { axis: axis.name() });
+    }
+    let width = width_mm(tif);
+    let rounding = Rounding {
+        deviation_mm: settings.corner_deviation_mm.unwrap_or(DEVIATION_OVER_TIF_WIDTH * width),
+        radius_mm: settings.corner_radius_mm.unwrap_or(RADIUS_OVER_TIF_WIDTH * width),
+    };
+    let spacing_mm = settings.node_spacing_mm.unwrap_or(SPACING_OVER_TIF_WIDTH * width);
+    if spacing_mm < LEAST_SPACING_OVER_TIF_WIDTH * width {
+        let problem = format!("is {spacing_mm:?} mm, the TIF is {width:.6} mm wide");
+        let remedy = "a tool does not see what is narrower than itself; give mm";
+        return Err(Invalid::whole("node_spacing_mm", problem, remedy).into());
+    }
+    let curves = curve::curves(path, &rounding);
+    if curves.is_empty() {
+        let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
+        return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
+    }
+    let mesh = Mesh::new(&curves, path, spacing_mm)?;
+    let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
+    let level = level_s_per_mm(&mesh, &residual, desired);
+    let mut rows = Rows::new(&curves, &mesh, limits, level);
+    let lo: Vec<f64> =
+        rows.least_density().iter().map(|d| d.max(settings.min_dwell_s_per_mm)).collect();
+    let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
+    let lengths_mm = mesh.lengths_mm();
+    let normal = residual.normal(&mesh.columns())?;
+    let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
+    let alpha = settings.tikhonov * strongest;
+    let beta = settings.smoothness * strongest;
+    let steps: Vec<[usize; 2]> = mesh
+        .spans
+        .iter()
+        .filter_map(|s| match s.nodes {
+            [Some(a), Some(b)] => Some([a, b]),
+            _ => None,
+        })
+        .collect();
+    let (mut diagonal, mut below) = (vec![alpha; mesh.nodes], vec![0.0; mesh.nodes]);
+    for [a, b] in &steps {
+        diagonal[*a] += beta;
+        diagonal[*b] += beta;
+        below[*b] -= beta;
+    }
+    let mut price = match settings.price {
+        Price::Nm2PerS(price) => price,
+        Price::Elasticity(_) => 0.0,
+    };
+    let mut found = matches!(settings.price, Price::Nm2PerS(_));
+    let mut mean_square = 0.0;
+    let mut objective = |step: usize, density: &[f64]| {
+        let at = residual.evaluate(&mesh.times_s(density));
+        mean_square = 2.0 * at.half_mean_square_nm2;
+        let mut gradient = mesh.collect(&at.gradient_nm2_per_s);
+        let total: f64 = lengths_mm.iter().zip(density).map(|(l, d)| l * d).sum();
+        if let (Price::Elasticity(x), false) = (settings.price, found) {
+            let next = 0.5 * x * mean_square / total;
+            found = (next - price).abs() <= PRICE_FOUND * next || step >= PRICE_STEPS;
+            price = next;
+        }
+        gradient.iter_mut().zip(&lengths_mm).for_each(|(g, l)| *g += price * l);
+        let mut penalty = 0.0;
+        for j in 0..mesh.nodes {
+            penalty += 0.5 * alpha * (density[j] - lo[j]).powi(2);
+            gradient[j] += alpha * (density[j] - lo[j]);
+        }
+        for [a, b] in &steps {
+            let d = density[*b] - density[*a];
+            penalty += 0.5 * beta * d * d;
+            gradient[*b] += beta * d;
+            gradient[*a] -= beta * d;
+        }
+        let value = at.half_mean_square_nm2 + price * total + penalty;
+        (Objective { value, gradient }, found)
+    };
+    let stop =
+        Stop { relative_gap: settings.relative_gap, max_iterations: settings.max_iterations };
+    let mut start = vec![level.max(FIRST_ABOVE_BOUNDS * bound); mesh.nodes];
+    let mut rounds = 0;
+    let (solution, motion, refused) = loop {
+        rounds += 1;
+        let chain = (diagonal.as_slice(), below.as_slice());
+        let program = Program { normal: &normal, chain, alpha, lo: &lo, rows: &rows };
+        let solution = interior_point::solve(&program, start, &stop, &mut objective)
+            .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
+        let motion = motion::motion(&curves, &mesh, path, &solution.density)?;
+        let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
+        let used = motion.use_of_acceleration(mesh.spans.len(), limits);
+        let excess = used.iter().copied().fold(1.0, f64::max);
+        if verdict.limits_respected || excess <= 1.0 || rounds == MAX_ROUNDS {
+            break (solution, motion, verdict.reason());
+        }
+        let tighter: Vec<f64> =
+            used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect();
+        rows.tighten(&tighter);
+        // Times longer by a factor have accelerations smaller by its square.
+        let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
+        start = solution.density.iter().map(|d| d * factor).collect();
+    };
+    let times_s = mesh.times_s(&solution.density);
+    let model_rms_nm = (2.0 * residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
+    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
+    let removal = simulation.predict(&motion.trajectory, desired)?.removal;
+    let dwell = DwellTime::new(motion.trajectory.served_s(path.len(), |_| true)?)?;
+    let corners = || curves.iter().flat_map(Curve::corners);
+    let report = Report {
+        curves: curves.len(),
+        corners: corners().count(),
+        corner_deviation_mm: corners().map(|c| c.deviation_mm).fold(0.0, f64::max),
+        least_radius_mm: corners().map(|c| c.radius_mm).reduce(f64::min),
+        length_mm: curves.iter().map(Curve::length_mm).sum(),
+        nodes: mesh.nodes,
+        node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
+        price_nm2_per_s: price,
+        end: solution.end,
+        relative_gap: solution.relative_gap,
+        objective_nm2: solution.objective,
+        model_rms_nm,
+        fit_error_mm: motion.fit_error_mm,
+        rounds,
+    };
+    Ok(Plan { dwell, trajectory: motion.trajectory, removal, refused, report })
+}
+
+/// The uniform density, s/mm, that removes on average what is above the lowest point.
+fn level_s_per_mm(mesh: &Mesh, residual: &Residual<'_>, desired: &Surface) -> f64 {
+    let heights = desired.height_nm().iter().filter(|z| !z.is_nan());
+    let (sum, count, low) =
+        heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
+    let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
+    ((sum / count - low) / rate).max(f64::MIN_POSITIVE)
+}
+
+fn check(settings: &Settings) -> Result<(), Invalid> {
+    let (price_name, price) = match settings.price {
+        Price::Nm2PerS(price) => ("time_weight_nm2_per_s", price),
+        Price::Elasticity(x) => ("time_elasticity", x),
+    };
+    let not_negative = [
+        ("min_dwell_s_per_mm", settings.min_dwell_s_per_mm),
+        (price_name, price),
+        ("smoothness", settings.smoothness),
+    ];
+    for (name, v) in not_negative {
+        if !(v.is_finite() && v >= 0.0) {
+            return Err(Invalid::whole(name, format!("is {v}"), "give a finite number >= 0"));
+        }
+    }
+    let positive = [
+        ("tikhonov", Some(settings.tikhonov)),
+        ("relative_gap", Some(settings.relative_gap)),
+        ("corner_deviation_mm", settings.corner_deviation_mm),
+        ("corner_radius_mm", settings.corner_radius_mm),
+        ("node_spacing_mm", settings.node_spacing_mm),
+    ];
+    for (name, v) in positive {
+        if let Some(v) = v.filter(|v| !(v.is_finite() && *v > 0.0)) {
+            return Err(Invalid::whole(name, format!("is {v}"), "give a finite number above 0"));
+        }
+    }
+    Ok(())
+}
