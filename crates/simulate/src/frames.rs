@@ -169,7 +169,7 @@ mod tests {
         let last = f.removal_nm.index_axis(NdAxis(0), 4);
         // The cuts between the frames move the points of the quadrature, whose remainder of the
         // degrees above 5 is 2.6e-7 nm here.
-        let e = largest_difference(&last, &whole);
+        let e = largest_difference(last, &whole);
         assert!(e < 1e-6, "{e}");
         assert!(whole.iter().any(|v| *v > 0.1));
     }
