@@ -521,8 +521,8 @@ fn every_crate_has_name_licence_description_and_the_lints() {
     for (folder, package) in packages() {
         let name = format!("planish-{folder}");
         assert_eq!(package.name.as_str(), name);
-        let program =
-            STAGES.contains(&folder.as_str()) || ["refine", "run"].contains(&folder.as_str());
+        let program = STAGES.contains(&folder.as_str())
+            || ["refine", "feed", "run"].contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets
             .iter()
