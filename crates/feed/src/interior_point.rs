@@ -47,12 +47,6 @@ const LEAST_CORRECTED_STEP: f64 = 0.1;
 /// Gap at the start over the objective there.
 const FIRST_RELATIVE_GAP: f64 = 0.3;
 
-/// Iterates in a row that lower neither objective nor gap.
-const PATIENCE: usize = 800;
-
-/// Relative change that counts as lower.
-const LEAST_PROGRESS: f64 = 1e-9;
-
 /// f and f' at densities.
 pub struct Objective {
     /// nm^2.
@@ -93,7 +87,7 @@ pub struct Solution {
     pub objective: Vec<f64>,
     /// (3) over f at the last one.
     pub relative_gap: f64,
-    /// `optimal`, `stagnated`, or `iteration-limit`.
+    /// `optimal` or `iteration-limit`.
     pub end: End,
 }
 
@@ -137,8 +131,7 @@ pub fn solve(
     let mut z: Vec<f64> = c.iter().map(|c| first_mu / c).collect();
     let mut y: Vec<f64> = density.iter().zip(lo).map(|(d, lo)| first_mu / (d - lo)).collect();
     let mut best: Option<(f64, Vec<f64>, f64)> = None;
-    let (mut values, mut without_progress, mut least_gap) = (Vec::new(), 0, f64::INFINITY);
-    let mut iteration = 0;
+    let (mut values, mut iteration) = (Vec::new(), 0);
     let end = loop {
         let room: Vec<f64> = density.iter().zip(lo).map(|(d, lo)| d - lo).collect();
         // r = f' - J' z - y
@@ -154,10 +147,6 @@ pub fn solve(
                 .sum::<f64>();
         let relative_gap = certified / f.value;
         values.push(f.value);
-        let lower = best.as_ref().is_none_or(|b| f.value < b.0 * (1.0 - LEAST_PROGRESS));
-        let narrower = relative_gap < least_gap * (1.0 - LEAST_PROGRESS);
-        least_gap = least_gap.min(relative_gap);
-        without_progress = if settled && !lower && !narrower { without_progress + 1 } else { 0 };
         if !settled || best.as_ref().is_none_or(|b| f.value <= b.0) {
             best = Some((f.value, density.clone(), relative_gap));
         }
@@ -167,9 +156,6 @@ pub fn solve(
         }
         if iteration >= stop.max_iterations {
             break End::IterationLimit;
-        }
-        if without_progress >= PATIENCE {
-            break End::Stagnated;
         }
 
         // The matrix of (2)

@@ -2,8 +2,8 @@
 //!
 //! A dwell solver chooses times and a scheduler then looks for a motion that takes them; where the machine is slow
 //! the two contradict each other. Here the curve is fixed first, with rounded corners, and the unknown is how fast
-//! it is run through. The removal is linear in the dwell-time density, the limits of the machine are linear in the
-//! squared feed, and every iterate of the solver is a motion within the limits.
+//! it is run through. The removal is linear in the dwell-time density, and every iterate of the solver is a motion
+//! within the limits.
 //!
 //! | module | what |
 //! |---|---|

@@ -139,7 +139,7 @@ pub struct Report {
     pub node_spacing_mm: f64,
     /// Price of a second, nm^2/s.
     pub price_nm2_per_s: f64,
-    /// How the solver ended: `optimal`, `stagnated`, or `iteration-limit`.
+    /// How the solver ended: `optimal` or `iteration-limit`.
     pub end: End,
     /// Proven bound on how far the objective is above the least one of the last convex program, over it.
     pub relative_gap: f64,
