@@ -19,7 +19,7 @@
 //!
 //! and the price is the one for which x is as asked.
 
-use planish_dwell::residual::{Free, Residual};
+use planish_dwell::residual::{Free, Residual, tif_width_mm};
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
@@ -188,22 +188,6 @@ impl Plan {
     }
 }
 
-/// Width of the TIF, mm: `(<R^2> / <|grad R|^2>)^1/2`, the standard deviation of a Gaussian.
-pub fn width_mm(tif: &Tif) -> f64 {
-    let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
-    let energy: f64 = rate.iter().map(|r| r * r).sum();
-    let mut slope = 0.0;
-    for row in rate.rows() {
-        slope += row.windows(2).into_iter().map(|w| (w[1] - w[0]).powi(2)).sum::<f64>()
-            / grid.x.step_mm().powi(2);
-    }
-    for column in rate.columns() {
-        slope += column.windows(2).into_iter().map(|w| (w[1] - w[0]).powi(2)).sum::<f64>()
-            / grid.y.step_mm().powi(2);
-    }
-    (energy / slope).sqrt()
-}
-
 /// Finds density and motion along `path` for the desired removal.
 pub fn plan(
     desired: &Surface,
@@ -216,7 +200,7 @@ pub fn plan(
     if let Some(axis) = limits.axes().iter().find(|a| a.max_jerk_mm_per_s3().is_some()) {
         return Err(FeedError::Jerk { axis: axis.name() });
     }
-    let width = width_mm(tif);
+    let width = tif_width_mm(tif);
     let rounding = Rounding {
         deviation_mm: settings.corner_deviation_mm.unwrap_or(DEVIATION_OVER_TIF_WIDTH * width),
         radius_mm: settings.corner_radius_mm.unwrap_or(RADIUS_OVER_TIF_WIDTH * width),
@@ -235,7 +219,9 @@ pub fn plan(
     let mesh = Mesh::new(&curves, path, spacing_mm)?;
     let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
     let level = level_s_per_mm(&mesh, &residual, desired);
-    let mut rows = Rows::new(&curves, &mesh, limits, level);
+    // Nothing to remove is no reference: the density at the largest feed is one.
+    let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
+    let mut rows = Rows::new(&curves, &mesh, limits, level.max(1.0 / fastest));
     let lo: Vec<f64> =
         rows.least_density().iter().map(|d| d.max(settings.min_dwell_s_per_mm)).collect();
     let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
@@ -263,14 +249,12 @@ pub fn plan(
         Price::Elasticity(_) => 0.0,
     };
     let mut found = matches!(settings.price, Price::Nm2PerS(_));
-    let mut mean_square = 0.0;
     let mut objective = |step: usize, density: &[f64]| {
         let at = residual.evaluate(&mesh.times_s(density));
-        mean_square = 2.0 * at.half_mean_square_nm2;
         let mut gradient = mesh.collect(&at.gradient_nm2_per_s);
         let total: f64 = lengths_mm.iter().zip(density).map(|(l, d)| l * d).sum();
         if let (Price::Elasticity(x), false) = (settings.price, found) {
-            let next = 0.5 * x * mean_square / total;
+            let next = x * at.half_mean_square_nm2 / total;
             found = (next - price).abs() <= PRICE_FOUND * next || step >= PRICE_STEPS;
             price = next;
         }
@@ -344,7 +328,7 @@ fn level_s_per_mm(mesh: &Mesh, residual: &Residual<'_>, desired: &Surface) -> f6
     let (sum, count, low) =
         heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
     let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
-    ((sum / count - low) / rate).max(f64::MIN_POSITIVE)
+    ((sum / count - low) / rate).max(0.0)
 }
 
 fn check(settings: &Settings) -> Result<(), Invalid> {

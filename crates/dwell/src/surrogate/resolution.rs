@@ -42,6 +42,12 @@ pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
     (2..=MAX_CELL_PIXELS).rev().find(|s| loss(*s) <= max_loss).unwrap_or(1)
 }
 
+/// Width of the TIF `(<R^2> / <|grad R|^2>)^1/2`, mm: the standard deviation of a Gaussian.
+pub fn tif_width_mm(tif: &Tif) -> f64 {
+    let [along_x, along_y] = slopes(tif);
+    (along_x + along_y).sqrt().recip()
+}
+
 /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>`, 1/mm^2.
 fn slopes(tif: &Tif) -> [f64; 2] {
     let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
