@@ -36,7 +36,7 @@ pub struct Feed {
     /// Weight of the roughness of the density along the path, likewise
     #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
     smoothness: f64,
-    /// Largest distance of the curve from a corner of the path, mm [default: a tenth of the TIF's width]
+    /// Largest distance of the curve from a corner of the path, mm [default: a fifth of the TIF's width]
     #[arg(long, value_name = "E")]
     corner_deviation_mm: Option<f64>,
     /// Largest radius to which corners are rounded, mm [default: the TIF's width]
@@ -62,7 +62,7 @@ struct PriceArgs {
     /// Price of a second beside half the mean square of the residual, nm^2/s
     #[arg(long, value_name = "L")]
     time_weight_nm2_per_s: Option<f64>,
-    /// By how many percent one percent more time would lower the mean square of the residual [default: 0.25]
+    /// By how many percent one percent more time would lower the mean square of the residual [default: 0.5]
     #[arg(long, value_name = "X")]
     time_elasticity: Option<f64>,
 }

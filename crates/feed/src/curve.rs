@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Heading and curvature are continuous, so the acceleration across the path rises from zero and falls to it;
-//! arc length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). A corner takes at most
-//! half of its two segments. Where the path turns back on itself no smooth curve follows it: there the machine
+//! arc length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). Segments in line with each
+//! other are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve follows it: there the machine
 //! comes to rest, and the next curve begins.
 //!
 //! | symbol | variable | unit |
@@ -29,6 +29,21 @@ pub const SHARPEST_TURN_RAD: f64 = 170.0 / 180.0 * PI;
 
 /// A turn below this is rounding of coordinates: the line goes on.
 const NO_TURN_RAD: f64 = 1e-9;
+
+/// Part of the deviation by which points may be moved; what is left is for the corners between them.
+const SMOOTHED_FRACTION: f64 = 0.75;
+
+/// Points are moved if that leaves less than this fraction of the bend: lines shall stay lines for less.
+const LESS_BEND: f64 = 0.9;
+
+/// Most sweeps over the points.
+const SMOOTHING_SWEEPS: usize = 200;
+
+/// The points are where they shall be when a sweep moves none by more than this fraction of the bound.
+const SMOOTHED_FINALLY: f64 = 1e-3;
+
+/// Places on a line that are nearer to each other than this fraction of its length are one.
+const SAME_PLACE: f64 = 1e-12;
 
 /// How far corners may be rounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,6 +109,16 @@ impl Piece {
         clothoid::heading(self.start.curvature_per_mm, self.sharpness_per_mm2, self.length_mm).abs()
     }
 
+    /// Integral of the square root of the curvature, which has one sign on a piece, mm^(1/2).
+    fn bend(&self) -> f64 {
+        let from = self.start.curvature_per_mm.abs();
+        let to = (self.start.curvature_per_mm + self.sharpness_per_mm2 * self.length_mm).abs();
+        // (2/3) (b^3 - a^3) / (b^2 - a^2) of the square roots a and b, without its pole at a = b
+        let (a, b) = (from.sqrt(), to.sqrt());
+        let both = a + b;
+        if both > 0.0 { 2.0 / 3.0 * self.length_mm * (a * a + a * b + b * b) / both } else { 0.0 }
+    }
+
     /// Arc length of its end from the start of the curve, mm.
     pub fn to_mm(&self) -> f64 {
         self.from_mm + self.length_mm
@@ -105,6 +130,8 @@ impl Piece {
 pub struct Corner {
     /// Arc length of its middle from the start of the curve, mm.
     pub at_mm: f64,
+    /// L: arc length of each of its two clothoids, mm.
+    pub half_length_mm: f64,
     /// phi, without its sign, rad.
     pub turn_rad: f64,
     /// Its least radius, mm.
@@ -136,6 +163,11 @@ impl Curve {
         self.pieces.last().map_or(0.0, Piece::to_mm)
     }
 
+    /// Integral of the square root of the curvature, mm^(1/2).
+    fn bend(&self) -> f64 {
+        self.pieces.iter().map(Piece::bend).sum()
+    }
+
     /// The piece at an arc length, mm; of two that meet there the later one.
     pub fn piece_at(&self, s: f64) -> &Piece {
         let after = self.pieces.partition_point(|p| p.from_mm <= s);
@@ -163,13 +195,75 @@ impl Curve {
     }
 }
 
-/// A segment of the path that has a length.
+/// The curves of a path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Smooth {
+    /// Each from rest to rest.
+    pub curves: Vec<Curve>,
+    /// By what points of the path were moved at most before its corners were rounded, mm.
+    pub moved_mm: f64,
+}
+
+/// A straight line of the path: one segment, or several in line with each other.
 struct Chord {
-    segment: usize,
+    /// Its segments that have a length, and where each ends along it, mm.
+    segments: Vec<(usize, f64)>,
     from: [f64; 2],
     to: [f64; 2],
     tangent: [f64; 2],
     length_mm: f64,
+    tool_on: bool,
+}
+
+impl Chord {
+    /// The parts of its segments between two lengths along it: segment, from, to (mm).
+    fn parts(
+        &self,
+        from_mm: f64,
+        to_mm: f64,
+    ) -> impl DoubleEndedIterator<Item = (usize, f64, f64)> {
+        let starts = std::iter::once(0.0).chain(self.segments.iter().map(|(_, end)| *end));
+        let parts = self
+            .segments
+            .iter()
+            .zip(starts)
+            .map(move |((segment, end), start)| (*segment, start.max(from_mm), end.min(to_mm)));
+        // What rounding leaves of a segment belongs to its neighbour.
+        let parts: Vec<_> = parts.filter(|(_, a, b)| b - a > SAME_PLACE * self.length_mm).collect();
+        parts.into_iter()
+    }
+}
+
+/// The straight lines between points (segments + 1); segments without length are left out.
+fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
+    let mut chords: Vec<Chord> = Vec::new();
+    for (segment, tool_on) in tool_on.iter().copied().enumerate() {
+        let (from, to) = (point_mm[segment], point_mm[segment + 1]);
+        let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
+        let length = dx.hypot(dy);
+        if length == 0.0 {
+            continue;
+        }
+        let tangent = [dx / length, dy / length];
+        if let Some(last) = chords.last_mut() {
+            if last.tool_on == tool_on && turn(last.tangent, tangent).abs() < NO_TURN_RAD {
+                let along = [to[0] - last.from[0], to[1] - last.from[1]];
+                last.length_mm = along[0].hypot(along[1]);
+                last.tangent = along.map(|d| d / last.length_mm);
+                last.to = to;
+                last.segments.push((segment, last.length_mm));
+                continue;
+            }
+        }
+        let segments = vec![(segment, length)];
+        chords.push(Chord { segments, from, to, tangent, length_mm: length, tool_on });
+    }
+    chords
+}
+
+/// From one direction to another, positive to the left, rad.
+fn turn([tx, ty]: [f64; 2], [nx, ny]: [f64; 2]) -> f64 {
+    (tx * ny - ty * nx).atan2(tx * nx + ty * ny)
 }
 
 /// (1) and (2) for a turn.
@@ -198,30 +292,109 @@ impl Blend {
 }
 
 /// The curves of a path, each from rest to rest; segments without length are left out.
-pub fn curves(path: &ToolPath, rounding: &Rounding) -> Vec<Curve> {
-    let chords: Vec<Chord> = (0..path.len())
-        .filter_map(|segment| {
-            let [dx, dy] = path.displacement_mm(segment);
-            let length_mm = dx.hypot(dy);
-            (length_mm > 0.0).then(|| Chord {
-                segment,
-                from: path.point_mm()[segment],
-                to: path.point_mm()[segment + 1],
-                tangent: [dx / length_mm, dy / length_mm],
-                length_mm,
-            })
-        })
-        .collect();
+///
+/// Along the path itself, or through [`smoothed`] points if that leaves less bend: the machine's least time in its
+/// bends is proportional to the integral of the square root of the curvature.
+pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
+    let along = curves_through(path.point_mm(), path.tool_on(), rounding);
+    let (point_mm, moved_mm) =
+        smoothed(path, SMOOTHED_FRACTION * rounding.deviation_mm, rounding.radius_mm);
+    let rest =
+        Rounding { deviation_mm: (1.0 - SMOOTHED_FRACTION) * rounding.deviation_mm, ..*rounding };
+    let through = curves_through(&point_mm, path.tool_on(), &rest);
+    let bend = |curves: &[Curve]| -> f64 { curves.iter().map(Curve::bend).sum() };
+    if bend(&through) < LESS_BEND * bend(&along) {
+        Smooth { curves: through, moved_mm }
+    } else {
+        Smooth { curves: along, moved_mm: 0.0 }
+    }
+}
+
+/// The points of a path moved by at most `bound_mm` so that it bends less.
+///
+/// ```text
+/// min sum |P_(i-1) - 2 P_i + P_(i+1)|^2   subject to   |P_i - P_i of the path| <= bound
+/// ```
+///
+/// by sweeps over the points, each put where the sum is least. The ends stay, and with them every point at which the
+/// machine rests, the tool is switched, or a line longer than `longest_mm` begins or ends.
+fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, f64) {
+    let mut point_mm = path.point_mm().to_vec();
+    let mut at: Vec<usize> = vec![0];
+    let moves = |a: usize, b: usize| point_mm[a] != point_mm[b];
+    at.extend((1..point_mm.len()).filter(|i| moves(*i - 1, *i)));
+    let mut moved_mm = 0.0f64;
+    for run in runs(path, &at, longest_mm) {
+        let original: Vec<[f64; 2]> = run.iter().map(|i| point_mm[*i]).collect();
+        let mut p = original.clone();
+        let n = p.len();
+        for _ in 0..SMOOTHING_SWEEPS {
+            let mut change = 0.0f64;
+            for i in 1..n.max(1) - 1 {
+                // The second differences in which P_i is, without it, and its coefficient there
+                let centres = [i.wrapping_sub(1), i, i + 1].into_iter().zip([1.0, -2.0, 1.0]);
+                let inside = centres.filter(|(k, _)| (1..n - 1).contains(k));
+                let (mut weight, mut target) = (0.0, [0.0; 2]);
+                for (k, c) in inside {
+                    weight += c * c;
+                    for axis in 0..2 {
+                        let d = p[k - 1][axis] - 2.0 * p[k][axis] + p[k + 1][axis];
+                        target[axis] -= c * (d - c * p[i][axis]);
+                    }
+                }
+                let step = [0, 1].map(|axis| target[axis] / weight - original[i][axis]);
+                let back = (bound_mm / step[0].hypot(step[1])).min(1.0);
+                let next = [0, 1].map(|axis| original[i][axis] + back * step[axis]);
+                change = change.max((next[0] - p[i][0]).hypot(next[1] - p[i][1]));
+                p[i] = next;
+            }
+            if change < SMOOTHED_FINALLY * bound_mm {
+                break;
+            }
+        }
+        for (i, (p, original)) in run.iter().zip(p.into_iter().zip(original)) {
+            moved_mm = moved_mm.max((p[0] - original[0]).hypot(p[1] - original[1]));
+            point_mm[*i] = p;
+        }
+    }
+    // A point that is repeated stays one point.
+    for i in 1..point_mm.len() {
+        if path.point_mm()[i] == path.point_mm()[i - 1] {
+            point_mm[i] = point_mm[i - 1];
+        }
+    }
+    (point_mm, moved_mm)
+}
+
+/// The indices `at` of the points of a path from one that must stay to the next.
+fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
+    let mut runs = vec![vec![at[0]]];
+    for w in at.windows(3) {
+        let [a, b, c] = [w[0], w[1], w[2]].map(|i| path.point_mm()[i]);
+        let (before, after) = ([b[0] - a[0], b[1] - a[1]], [c[0] - b[0], c[1] - b[1]]);
+        let rests = turn(before, after).abs() > SHARPEST_TURN_RAD;
+        let switched = path.tool_on()[w[1] - 1] != path.tool_on()[w[2] - 1];
+        runs.last_mut().expect("begins with one").push(w[1]);
+        let line = before[0].hypot(before[1]).max(after[0].hypot(after[1])) > longest_mm;
+        if rests || switched || line {
+            runs.push(vec![w[1]]);
+        }
+    }
+    if at.len() > 1 {
+        runs.last_mut().expect("begins with one").push(at[at.len() - 1]);
+    }
+    runs
+}
+
+fn curves_through(point_mm: &[[f64; 2]], tool_on: &[bool], rounding: &Rounding) -> Vec<Curve> {
+    let chords = chords(point_mm, tool_on);
     let mut curves = Vec::new();
     let mut curve = Curve { pieces: Vec::new(), corners: Vec::new() };
     let mut cut_before_mm = 0.0;
     for (i, chord) in chords.iter().enumerate() {
-        let [tx, ty] = chord.tangent;
-        let turn = chords.get(i + 1).map(|next| {
-            let [nx, ny] = next.tangent;
-            (tx * ny - ty * nx).atan2(tx * nx + ty * ny)
-        });
-        let blend = match (turn, chords.get(i + 1)) {
+        let next = chords.get(i + 1);
+        let turn = next.map(|next| turn(chord.tangent, next.tangent));
+        let blend = match (turn, next) {
             (Some(turn), Some(next)) if (NO_TURN_RAD..=SHARPEST_TURN_RAD).contains(&turn.abs()) => {
                 let room_mm = 0.5 * chord.length_mm.min(next.length_mm);
                 Some((turn, next, Blend::widest(turn.abs(), room_mm, rounding)))
@@ -229,12 +402,13 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Vec<Curve> {
             _ => None,
         };
         let cut_mm = blend.as_ref().map_or(0.0, |(_, _, b)| b.cut_mm);
-        let start = Station {
-            point_mm: [chord.from[0] + cut_before_mm * tx, chord.from[1] + cut_before_mm * ty],
-            tangent: chord.tangent,
-            curvature_per_mm: 0.0,
-        };
-        curve.push(start, 0.0, chord.length_mm - cut_before_mm - cut_mm, chord.segment);
+        let straight = chord.parts(cut_before_mm, chord.length_mm - cut_mm);
+        for (segment, from_mm, to_mm) in straight {
+            let [x, y] = chord.from;
+            let point_mm = [x + from_mm * chord.tangent[0], y + from_mm * chord.tangent[1]];
+            let start = Station { point_mm, tangent: chord.tangent, curvature_per_mm: 0.0 };
+            curve.push(start, 0.0, to_mm - from_mm, segment);
+        }
         cut_before_mm = cut_mm;
         if let Some((turn, next, blend)) = blend {
             curve.round(chord, next, turn, &blend);
@@ -248,16 +422,22 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Vec<Curve> {
 }
 
 impl Curve {
-    /// The corner between two chords.
+    /// The corner between two chords. Every part of it serves the segment of the path beside which it runs: one that
+    /// is a fraction of the way along its clothoid is as far along the part of the chord that the corner replaces.
     fn round(&mut self, chord: &Chord, next: &Chord, turn: f64, blend: &Blend) {
         let ([tx, ty], v, l) = (chord.tangent, chord.to, blend.half_length_mm);
-        let peak = turn / l;
+        let (peak, cut) = (turn / l, blend.cut_mm);
         let start = Station {
-            point_mm: [v[0] - blend.cut_mm * tx, v[1] - blend.cut_mm * ty],
+            point_mm: [v[0] - cut * tx, v[1] - cut * ty],
             tangent: chord.tangent,
             curvature_per_mm: 0.0,
         };
-        self.push(start, peak / l, l, chord.segment);
+        let before =
+            Piece { start, sharpness_per_mm2: peak / l, from_mm: 0.0, length_mm: l, segment: 0 };
+        let first = chord.length_mm - cut;
+        for (segment, from, to) in chord.parts(first, chord.length_mm) {
+            self.push_part(&before, [from, to].map(|s| (s - first) / cut), segment);
+        }
         let at_mm = self.length_mm();
         // The middle lies on the bisector, towards the inside.
         let inside = [next.tangent[0] - tx, next.tangent[1] - ty];
@@ -270,9 +450,25 @@ impl Curve {
             tangent: [half[0] / length, half[1] / length],
             curvature_per_mm: peak,
         };
-        self.push(middle, -peak / l, l, next.segment);
+        let after = Piece { start: middle, sharpness_per_mm2: -peak / l, ..before };
+        for (segment, from, to) in next.parts(0.0, cut) {
+            self.push_part(&after, [from, to].map(|s| s / cut), segment);
+        }
         let turn_rad = turn.abs();
-        self.corners.push(Corner { at_mm, turn_rad, radius_mm: l / turn_rad, deviation_mm: e });
+        let radius_mm = l / turn_rad;
+        self.corners.push(Corner {
+            at_mm,
+            half_length_mm: l,
+            turn_rad,
+            radius_mm,
+            deviation_mm: e,
+        });
+    }
+
+    /// The part of a piece between two fractions of its length.
+    fn push_part(&mut self, whole: &Piece, [from, to]: [f64; 2], segment: usize) {
+        let l = whole.length_mm;
+        self.push(whole.at(from * l), whole.sharpness_per_mm2, (to - from) * l, segment);
     }
 }
 
@@ -285,6 +481,10 @@ mod tests {
         ToolPath::through(points.to_vec(), vec![true; n], vec![0; n]).unwrap()
     }
 
+    fn rounded(points: &[[f64; 2]], rounding: &Rounding) -> Vec<Curve> {
+        curves_through(points, &vec![true; points.len() - 1], rounding)
+    }
+
     const WIDE: Rounding = Rounding { deviation_mm: 10.0, radius_mm: 100.0 };
 
     #[test]
@@ -292,7 +492,7 @@ mod tests {
         let points = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [1.0, 2.5], [4.0, 4.0], [9.0, -1.0]];
         let narrow = Rounding { deviation_mm: 0.05, radius_mm: 0.4 };
         for rounding in [WIDE, narrow] {
-            let curves = curves(&path(&points), &rounding);
+            let curves = rounded(&points, &rounding);
             assert_eq!(curves.len(), 1);
             let curve = &curves[0];
             assert_eq!(curve.corners().len(), 4);
@@ -316,7 +516,7 @@ mod tests {
     fn a_corner_keeps_its_deviation_and_its_radius() {
         let corner = |turn: f64, rounding: Rounding| {
             let to = [10.0 + 10.0 * turn.cos(), 10.0 * turn.sin()];
-            let curve = curves(&path(&[[0.0, 0.0], [10.0, 0.0], to]), &rounding).remove(0);
+            let curve = rounded(&[[0.0, 0.0], [10.0, 0.0], to], &rounding).remove(0);
             let c = curve.corners()[0];
             let middle = curve.at(c.at_mm).point_mm;
             ((middle[0] - 10.0).hypot(middle[1]), 1.0 / curve.at(c.at_mm).curvature_per_mm, c)
@@ -345,8 +545,9 @@ mod tests {
 
     #[test]
     fn the_arc_length_is_that_of_the_curve() {
-        let curve =
-            curves(&path(&[[0.0, 0.0], [2.0, 0.0], [2.5, 1.5], [0.0, 3.0]]), &WIDE).remove(0);
+        let curve = curves(&path(&[[0.0, 0.0], [2.0, 0.0], [2.5, 1.5], [0.0, 3.0]]), &WIDE)
+            .curves
+            .remove(0);
         let steps = 20_000;
         let at = |k: usize| curve.at(curve.length_mm() * k as f64 / steps as f64).point_mm;
         let chord = |k: usize| (at(k + 1)[0] - at(k)[0]).hypot(at(k + 1)[1] - at(k)[1]);
@@ -356,14 +557,89 @@ mod tests {
     }
 
     #[test]
+    fn segments_in_line_are_one_line_and_each_is_served() {
+        let fine = [[0.0, 0.0], [1.0, 0.0], [1.7, 0.0], [3.0, 0.0], [3.0, 0.4], [3.0, 2.0]];
+        let coarse = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0]];
+        let of = |points: &[[f64; 2]]| rounded(points, &WIDE).remove(0);
+        let (fine, coarse) = (of(&fine), of(&coarse));
+        assert_eq!(fine.corners(), coarse.corners());
+        // The corner takes half of the shorter line, 1 mm, whichever segments that line is made of.
+        assert!(
+            (fine.corners()[0].deviation_mm - Blend::widest(0.5 * PI, 1.0, &WIDE).deviation_mm)
+                .abs()
+                < 1e-13
+        );
+        assert!((fine.length_mm() - coarse.length_mm()).abs() < 1e-13);
+        for k in 0..=200 {
+            let s = coarse.length_mm() * f64::from(k) / 200.0;
+            let (a, b) = (fine.at(s), coarse.at(s));
+            assert!((a.point_mm[0] - b.point_mm[0]).hypot(a.point_mm[1] - b.point_mm[1]) < 1e-13);
+            assert!((a.curvature_per_mm - b.curvature_per_mm).abs() < 1e-11);
+        }
+        let mut served: Vec<usize> = fine.pieces().iter().map(|p| p.segment).collect();
+        served.dedup();
+        assert_eq!(served, [0, 1, 2, 3, 4]);
+        // 1 mm of line is left of segment 0, and a third of 1.3 mm of segment 2.
+        assert_eq!(fine.pieces()[0].length_mm, 1.0);
+    }
+
+    #[test]
+    fn points_are_moved_where_that_takes_bend_away_and_nowhere_else() {
+        // A wave with a corner at every point, alternately flat and sharp
+        let rough: Vec<[f64; 2]> = (0..60)
+            .map(|i| {
+                [0.5 * f64::from(i), 2.0 * (0.2 * f64::from(i)).sin() + 0.1 * f64::from(i % 2)]
+            })
+            .collect();
+        let rounding = Rounding { deviation_mm: 0.3, radius_mm: 5.0 };
+        let Smooth { curves: smooth, moved_mm } = curves(&path(&rough), &rounding);
+        let bound = SMOOTHED_FRACTION * rounding.deviation_mm;
+        assert!(moved_mm > 0.03 && moved_mm <= bound * (1.0 + 1e-12), "{moved_mm}");
+        let on = vec![true; rough.len() - 1];
+        let as_it_is: f64 = curves_through(&rough, &on, &rounding).iter().map(Curve::bend).sum();
+        let bend: f64 = smooth.iter().map(Curve::bend).sum();
+        // Without its alternation the wave has a tenth of the curvature, a third of the square root.
+        assert!(bend < 0.6 * as_it_is, "{bend} {as_it_is}");
+        assert!(smooth[0].corners().iter().all(|c| c.deviation_mm <= 0.25 * 0.3 + 1e-15));
+        let (first, last) = (smooth[0].at(0.0), smooth[0].at(smooth[0].length_mm()));
+        assert_eq!(first.point_mm, rough[0]);
+        let end = rough[rough.len() - 1];
+        assert!((last.point_mm[0] - end[0]).hypot(last.point_mm[1] - end[1]) < 1e-12);
+        // A point where the tool is switched stays, and lines with right angles stay lines.
+        let mut on = on;
+        on[30..].fill(false);
+        let switched = ToolPath::through(rough.clone(), on, vec![0; 59]).unwrap();
+        let (points, _) = smoothed(&switched, bound, 5.0);
+        assert_eq!(points[30], rough[30]);
+        assert_ne!(points[29], rough[29]);
+        let lines: Vec<[f64; 2]> = (0..20)
+            .map(|i| [if (i / 2) % 2 == 0 { 0.0 } else { 40.0 }, f64::from((i + 1) / 2)])
+            .collect();
+        assert_eq!(curves(&path(&lines), &rounding).moved_mm, 0.0);
+    }
+
+    #[test]
+    fn the_bend_is_the_integral_of_the_root_of_the_curvature() {
+        let points = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [1.0, 2.5]];
+        let curve = rounded(&points, &WIDE).remove(0);
+        let steps = 20_000;
+        let h = curve.length_mm() / f64::from(steps);
+        let root = |k: i32| curve.at(h * (f64::from(k) + 0.5)).curvature_per_mm.abs().sqrt();
+        let sum: f64 = (0..steps).map(|k| h * root(k)).sum();
+        // The root is steep where a bend begins: the sum is off by some h^(3/2).
+        assert!((curve.bend() - sum).abs() < 1e-4 * sum, "{} {sum}", curve.bend());
+    }
+
+    #[test]
     fn the_machine_rests_where_the_path_turns_back() {
         let there_and_back =
-            curves(&path(&[[0.0, 0.0], [4.0, 0.0], [4.0, 0.0], [1.0, 0.0], [1.0, 2.0]]), &WIDE);
+            curves(&path(&[[0.0, 0.0], [4.0, 0.0], [4.0, 0.0], [1.0, 0.0], [1.0, 2.0]]), &WIDE)
+                .curves;
         let lengths: Vec<usize> = there_and_back.iter().map(|c| c.pieces().len()).collect();
         assert_eq!(lengths.len(), 2);
         assert_eq!(there_and_back[0].length_mm(), 4.0);
         assert_eq!(there_and_back[1].corners().len(), 1);
         assert_eq!(there_and_back[1].pieces()[0].segment, 2);
-        assert!(curves(&path(&[[1.0, 1.0], [1.0, 1.0]]), &WIDE).is_empty());
+        assert!(curves(&path(&[[1.0, 1.0], [1.0, 1.0]]), &WIDE).curves.is_empty());
     }
 }

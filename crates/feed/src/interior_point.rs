@@ -12,9 +12,10 @@
 //! dz = mu/c - z - Z/c J d,   dy = mu/(D - lo) - y - Y/(D - lo) d                                  (2)
 //! ```
 //!
-//! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. A step ends
-//! where a row would lose more than most of what it has left, measured on c itself: every iterate can be
-//! executed. The matrix keeps the skyline of H, because a row couples neighbours only.
+//! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. Then Gondzio's
+//! corrections bring products of slacks and dual variables that have become outliers back towards mu; without them the
+//! steps end early at a few rows that are far from being active. A step ends where a row would lose more than most
+//! of what it has left, measured on c itself: every iterate can be executed. The matrix keeps the skyline of H, because a row couples neighbours only.
 //!
 //! The certificate is the gap of the convex program of the last iterate, f over the tangents of the rows, with the
 //! dual variables z >= 0 and y >= 0:
@@ -23,8 +24,8 @@
 //! f - min <= z' c + y' (D - lo) + sum over r_j < 0 of r_j^2 / (2 alpha),   r = f' - J' z - y        (3)
 //! ```
 //!
-//! where y takes what is positive of r. Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; for programs that are
-//! convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263.
+//! where y takes what is positive of r. Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim.
+//! Appl. 6 (1996) 137; for programs that are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263.
 
 use planish_dwell::residual::Normal;
 use planish_numerics::linear::{skyline::dot, woodbury::Woodbury};
@@ -33,7 +34,7 @@ use planish_types::End;
 use crate::limits::{Constraint, Rows};
 
 /// Fraction of a slack or dual variable that a step may take.
-const STEP_TO_BOUNDARY: f64 = 0.99;
+const STEP_TO_BOUNDARY: f64 = 0.95;
 
 /// By what a step is shortened until no row loses too much.
 const BACKTRACKING: f64 = 0.8;
@@ -41,11 +42,23 @@ const BACKTRACKING: f64 = 0.8;
 /// Least centring: mu falls to no less than this fraction in a step.
 const LEAST_CENTRING: f64 = 1e-3;
 
-/// Shorter predictor steps say nothing of the second order.
-const LEAST_CORRECTED_STEP: f64 = 0.1;
+/// Most corrections of a step that bring outlying products back.
+const MAX_CENTRALITY_CORRECTIONS: usize = 3;
+
+/// By how much further than a step the products are looked at that a correction shall bring back.
+const FURTHER: f64 = 0.3;
+
+/// Part of that by which a correction must lengthen the step to be worth another one.
+const LEAST_GAIN: f64 = 0.1;
+
+/// A product further than this factor from mu is an outlier.
+const OUTLIER: f64 = 10.0;
 
 /// Gap at the start over the objective there.
 const FIRST_RELATIVE_GAP: f64 = 0.3;
+
+/// Least product of a slack and its dual variable at the start, over their mean.
+const LEAST_PRODUCT: f64 = 0.1;
 
 /// f and f' at densities.
 pub struct Objective {
@@ -85,6 +98,8 @@ pub struct Solution {
     pub density: Vec<f64>,
     /// f at every iterate, nm^2.
     pub objective: Vec<f64>,
+    /// z (rows) and y (n) at the last one.
+    pub duals: [Vec<f64>; 2],
     /// (3) over f at the last one.
     pub relative_gap: f64,
     /// `optimal` or `iteration-limit`.
@@ -110,26 +125,57 @@ fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &mut [f64]) {
     }
 }
 
+/// How the method came to an iterate.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// 0 at the start.
+    pub iteration: usize,
+    /// c z + (D - lo) y, summed: about how far the objective is above its least value, nm^2.
+    pub complementarity: f64,
+}
+
+/// Where to begin.
+#[derive(Clone, Debug)]
+pub struct Start {
+    /// D (n), strictly inside.
+    pub density: Vec<f64>,
+    /// z and y of a program with nearly the same rows, if there was one.
+    pub duals: Option<[Vec<f64>; 2]>,
+}
+
 /// Minimises (1) from densities strictly inside; `objective` may change from step to step (a price that is still
 /// being found) as long as it says so: the first value that it returns with `true` is the first that counts.
 pub fn solve(
     program: &Program<'_>,
-    start: Vec<f64>,
+    start: Start,
     stop: &Stop,
-    mut objective: impl FnMut(usize, &[f64]) -> (Objective, bool),
+    mut objective: impl FnMut(Progress, &[f64]) -> (Objective, bool),
 ) -> Option<Solution> {
     let Program { normal, chain, alpha, lo, rows } = *program;
-    let n = start.len();
+    let n = start.density.len();
     let mut row_of = vec![0; n];
     normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
-    let mut density = start;
-    let (mut f, mut settled) = objective(0, &density);
+    let mut density = start.density;
+    let (mut f, mut settled) =
+        objective(Progress { iteration: 0, complementarity: f64::INFINITY }, &density);
     let mut here = rows.constraints(&density);
     let mut c: Vec<f64> = here.iter().map(|row| row.slack).collect();
     let members = (rows.len() + n) as f64;
-    let first_mu = FIRST_RELATIVE_GAP * f.value / members;
-    let mut z: Vec<f64> = c.iter().map(|c| first_mu / c).collect();
-    let mut y: Vec<f64> = density.iter().zip(lo).map(|(d, lo)| first_mu / (d - lo)).collect();
+    let room: Vec<f64> = density.iter().zip(lo).map(|(d, lo)| d - lo).collect();
+    let [mut z, mut y] = match start.duals {
+        Some([z, y]) => {
+            // Products far below their mean would hold the steps back.
+            let least = LEAST_PRODUCT * (dot(&c, &z) + dot(&room, &y)) / members;
+            let raised = |v: Vec<f64>, slack: &[f64]| -> Vec<f64> {
+                v.into_iter().zip(slack).map(|(v, slack)| v.max(least / slack)).collect()
+            };
+            [raised(z, &c), raised(y, &room)]
+        }
+        None => {
+            let mu = FIRST_RELATIVE_GAP * f.value / members;
+            [&c, &room].map(|slack| slack.iter().map(|c| mu / c).collect())
+        }
+    };
     let mut best: Option<(f64, Vec<f64>, f64)> = None;
     let (mut values, mut iteration) = (Vec::new(), 0);
     let end = loop {
@@ -181,65 +227,43 @@ pub fn solve(
             }
         }
         let inverse = Woodbury::new(k.factorise()?, normal.matrix.u.clone())?;
-        let step = |mu: f64, second: Option<&Step>| {
-            let c_second = |i: usize| second.map_or(0.0, |s| s.c[i] * s.z[i]);
-            let y_second = |j: usize| second.map_or(0.0, |s| s.density[j] * s.y[j]);
-            let mut rhs: Vec<f64> =
-                (0..n).map(|j| -f.gradient[j] + (mu - y_second(j)) / room[j]).collect();
-            add_adjoint(&here, |i| (mu - c_second(i)) / c[i], &mut rhs);
-            let mut b: Vec<f64> = normal.order.iter().map(|j| rhs[*j]).collect();
-            inverse.solve(&mut b);
-            let mut d = vec![0.0; n];
-            normal.order.iter().zip(b).for_each(|(j, b)| d[*j] = b);
-            let j_d = along(&here, &d);
-            let of_z = |i: usize| (mu - c_second(i) - z[i] * j_d[i]) / c[i] - z[i];
-            let of_y = |j: usize| (mu - y_second(j) - y[j] * d[j]) / room[j] - y[j];
-            Step {
-                z: (0..rows.len()).map(of_z).collect(),
-                y: (0..n).map(of_y).collect(),
-                c: j_d,
-                density: d,
-            }
-        };
-        let primal = |s: &Step| {
-            // The tangents say nearly how far.
-            let mut length = longest(&room, &s.density).min(longest(&c, &s.c));
-            loop {
-                let to: Vec<f64> =
-                    density.iter().zip(&s.density).map(|(d, s)| d + length * s).collect();
-                let after = rows.slacks(&to);
-                let keeps =
-                    |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
-                if after.iter().zip(&c).all(keeps) || length < f64::EPSILON {
-                    return (length, to);
-                }
-                length *= BACKTRACKING;
-            }
-        };
-        let dual = |s: &Step| longest(&z, &s.z).min(longest(&y, &s.y));
-        let predictor = step(0.0, None);
-        let (a, b) = (primal(&predictor).0, dual(&predictor));
-        let moved = |v: &[f64], d: &[f64], a: f64, z: &[f64], dz: &[f64], b: f64| -> f64 {
-            (0..v.len()).map(|i| (v[i] + a * d[i]) * (z[i] + b * dz[i])).sum()
-        };
-        let after = moved(&c, &predictor.c, a, &z, &predictor.z, b)
-            + moved(&room, &predictor.density, a, &y, &predictor.y, b);
-        let centring = (after / complementarity).powi(3).clamp(LEAST_CENTRING, 1.0);
+        let at =
+            Iterate { program, density: &density, here: &here, c: &c, room: &room, z: &z, y: &y };
+        let towards = |t: &Products| at.direction(&f.gradient, &inverse, t);
+        let zero = Products { rows: vec![0.0; c.len()], bounds: vec![0.0; n] };
+        let predictor = towards(&zero);
+        let after = at.products(&predictor, at.primal(&predictor).0, at.dual(&predictor));
+        let centring = (after.sum() / complementarity).powi(3).clamp(LEAST_CENTRING, 1.0);
         let mu = centring * complementarity / members;
-        let corrector = step(mu, (a > LEAST_CORRECTED_STEP).then_some(&predictor));
-        let (_, to) = primal(&corrector);
-
-        let b = dual(&corrector);
+        let second = at.second_order(&predictor);
+        let centred = Products { rows: vec![mu; c.len()], bounds: vec![mu; n] };
+        let mut target = centred.minus(&second);
+        let mut step = towards(&target);
+        for _ in 0..MAX_CENTRALITY_CORRECTIONS {
+            let (a, b) = (at.by_tangents(&step), at.dual(&step));
+            let [further_a, further_b] = [a, b].map(|v| (v + FURTHER).min(1.0));
+            let correction = at.products(&step, further_a, further_b).correction(mu);
+            let corrected = target.plus(&correction);
+            let next = towards(&corrected);
+            let gained = (at.by_tangents(&next) - a, at.dual(&next) - b);
+            if gained.0.min(gained.1) < 0.0 || gained.0.max(gained.1) < LEAST_GAIN * FURTHER {
+                break;
+            }
+            (target, step) = (corrected, next);
+        }
+        let (length, to) = at.primal(&step);
+        let b = at.dual(&step);
+        let after = at.products(&step, length, b);
         density = to;
-        z.iter_mut().zip(&corrector.z).for_each(|(z, d)| *z += b * d);
-        y.iter_mut().zip(&corrector.y).for_each(|(y, d)| *y += b * d);
+        z.iter_mut().zip(&step.z).for_each(|(z, d)| *z += b * d);
+        y.iter_mut().zip(&step.y).for_each(|(y, d)| *y += b * d);
         iteration += 1;
         here = rows.constraints(&density);
         c = here.iter().map(|row| row.slack).collect();
-        (f, settled) = objective(iteration, &density);
+        (f, settled) = objective(Progress { iteration, complementarity: after.sum() }, &density);
     };
     let (_, density, relative_gap) = best?;
-    Some(Solution { density, objective: values, relative_gap, end })
+    Some(Solution { density, objective: values, duals: [z, y], relative_gap, end })
 }
 
 /// (2).
@@ -251,7 +275,119 @@ struct Step {
     y: Vec<f64>,
 }
 
-/// The longest step, at most 1, after which no component of `v` is below a hundredth of itself.
+/// Of a slack and its dual variable: c z (rows) and (D - lo) y (n).
+struct Products {
+    rows: Vec<f64>,
+    bounds: Vec<f64>,
+}
+
+impl Products {
+    fn sum(&self) -> f64 {
+        self.rows.iter().sum::<f64>() + self.bounds.iter().sum::<f64>()
+    }
+
+    fn combined(&self, other: &Self, of: impl Fn(f64, f64) -> f64) -> Self {
+        let each = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| of(*a, *b)).collect();
+        Self { rows: each(&self.rows, &other.rows), bounds: each(&self.bounds, &other.bounds) }
+    }
+
+    fn plus(&self, other: &Self) -> Self {
+        self.combined(other, |a, b| a + b)
+    }
+
+    fn minus(&self, other: &Self) -> Self {
+        self.combined(other, |a, b| a - b)
+    }
+
+    /// What brings outliers back to where they are no more than a decade from `mu`.
+    fn correction(&self, mu: f64) -> Self {
+        let of = |v: &f64| (v.clamp(mu / OUTLIER, mu * OUTLIER) - v).max(-mu * OUTLIER);
+        Self {
+            rows: self.rows.iter().map(of).collect(),
+            bounds: self.bounds.iter().map(of).collect(),
+        }
+    }
+}
+
+/// Where the method stands.
+struct Iterate<'a> {
+    program: &'a Program<'a>,
+    density: &'a [f64],
+    here: &'a [Constraint],
+    /// Slacks of the rows and of the bounds, and their dual variables.
+    c: &'a [f64],
+    room: &'a [f64],
+    z: &'a [f64],
+    y: &'a [f64],
+}
+
+impl Iterate<'_> {
+    /// (2) with `target` in place of mu.
+    fn direction(&self, gradient: &[f64], inverse: &Woodbury, target: &Products) -> Step {
+        let Self { program, here, c, room, z, y, .. } = self;
+        let order = &program.normal.order;
+        let t = target.bounds.iter().zip(*room).map(|(t, room)| t / room);
+        let mut rhs: Vec<f64> = gradient.iter().zip(t).map(|(g, t)| t - g).collect();
+        add_adjoint(here, |i| target.rows[i] / c[i], &mut rhs);
+        let mut b: Vec<f64> = order.iter().map(|j| rhs[*j]).collect();
+        inverse.solve(&mut b);
+        let mut d = vec![0.0; rhs.len()];
+        order.iter().zip(b).for_each(|(j, b)| d[*j] = b);
+        let j_d = along(here, &d);
+        let of_z = |i: usize| (target.rows[i] - z[i] * j_d[i]) / c[i] - z[i];
+        let of_y = |j: usize| (target.bounds[j] - y[j] * d[j]) / room[j] - y[j];
+        Step {
+            z: (0..c.len()).map(of_z).collect(),
+            y: (0..d.len()).map(of_y).collect(),
+            c: j_d,
+            density: d,
+        }
+    }
+
+    /// The longest step by the tangents of the rows.
+    fn by_tangents(&self, step: &Step) -> f64 {
+        longest(self.room, &step.density).min(longest(self.c, &step.c))
+    }
+
+    /// The longest step by the rows themselves, and where it ends.
+    fn primal(&self, step: &Step) -> (f64, Vec<f64>) {
+        // The tangents say nearly how far.
+        let mut length = self.by_tangents(step);
+        loop {
+            let moved = self.density.iter().zip(&step.density).map(|(d, s)| d + length * s);
+            let to: Vec<f64> = moved.collect();
+            let after = self.program.rows.slacks(&to);
+            let keeps = |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
+            if after.iter().zip(self.c).all(keeps) || length < f64::EPSILON {
+                return (length, to);
+            }
+            length *= BACKTRACKING;
+        }
+    }
+
+    fn dual(&self, step: &Step) -> f64 {
+        longest(self.z, &step.z).min(longest(self.y, &step.y))
+    }
+
+    /// The products after a primal step of length `a` and a dual one of length `b`, by the tangents.
+    fn products(&self, step: &Step, a: f64, b: f64) -> Products {
+        let of = |v: &[f64], dv: &[f64], z: &[f64], dz: &[f64]| {
+            (0..v.len()).map(|i| (v[i] + a * dv[i]) * (z[i] + b * dz[i])).collect()
+        };
+        Products {
+            rows: of(self.c, &step.c, self.z, &step.z),
+            bounds: of(self.room, &step.density, self.y, &step.y),
+        }
+    }
+
+    /// What a full step changes the products by in the second order.
+    fn second_order(&self, step: &Step) -> Products {
+        let of = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect();
+        Products { rows: of(&step.c, &step.z), bounds: of(&step.density, &step.y) }
+    }
+}
+
+/// The longest step, at most 1, after which no component of `v` is below a twentieth of itself.
 fn longest(v: &[f64], d: &[f64]) -> f64 {
     let of = |(v, d): (&f64, &f64)| if *d < 0.0 { -STEP_TO_BOUNDARY * v / d } else { 1.0 };
     v.iter().zip(d).map(of).fold(1.0, f64::min)
@@ -319,7 +455,7 @@ mod tests {
         }
         let n = points.len() - 1;
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
-        let curves = curves(&path, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 });
+        let curves = curves(&path, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
         let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let normal = residual.normal(&mesh.columns()).unwrap();
@@ -349,7 +485,8 @@ mod tests {
             };
             let least = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
             let stop = Stop { relative_gap: 1e-3, max_iterations: 100 };
-            let start = vec![(1.05 * least).max(0.3); mesh.nodes];
+            let density = vec![(1.05 * least).max(0.3); mesh.nodes];
+            let start = Start { density, duals: None };
             let solution = solve(&program, start, &stop, |_, d| (objective(d), true)).unwrap();
             assert_eq!(solution.end, End::Optimal);
             let d = &solution.density;

@@ -10,6 +10,7 @@
 //! | [`curve`] | the smooth curve along a path: lines and clothoids |
 //! | [`mesh`] | its nodes: what they remove, and how the tool moves between them |
 //! | [`limits`] | what the machine allows of that motion |
+//! | [`merit`] | what is minimised: residual and price of time |
 //! | [`interior_point`] | the least objective under the rows, with its certificate |
 //! | [`mod@motion`] | the cubic pieces in time |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
@@ -17,11 +18,13 @@
 pub mod curve;
 pub mod interior_point;
 pub mod limits;
+pub mod merit;
 pub mod mesh;
 pub mod motion;
 pub mod plan;
 
-pub use plan::{Plan, Price, Report, Settings, plan};
+pub use merit::Price;
+pub use plan::{Plan, Report, Settings, plan};
 
 use planish_dwell::DwellError;
 use planish_types::Invalid;

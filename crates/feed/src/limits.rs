@@ -22,10 +22,12 @@ use crate::{
     mesh::{Mesh, Span},
 };
 
-/// Steps of a clothoid, from its straight to its curved end, between the places of (1): a component of the
-/// acceleration has its largest value before the curved end, where it has turned further to the axis; between two
-/// places it is larger by at most 0.6 %.
-const STEPS_PER_CLOTHOID: usize = 8;
+/// Turn between two places of (1) on a clothoid, rad: a component of the acceleration has its largest value before the
+/// curved end, where it has turned further to the axis; between two places it is larger by at most 0.6 %.
+const TURN_PER_STEP_RAD: f64 = 0.1;
+
+/// Least number of steps of a clothoid: where the tool slows down into a bend, the largest acceleration is before it.
+const LEAST_STEPS: usize = 4;
 
 /// Fraction of the acceleration that is kept for what happens between the places of (1), and for the cubic pieces
 /// that the motion on a clothoid is made of.
@@ -250,7 +252,10 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
     let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm);
     for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
         let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
-        let steps = if piece.is_straight() { 1 } else { STEPS_PER_CLOTHOID };
+        let steps = match piece.is_straight() {
+            true => 1,
+            false => ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(LEAST_STEPS),
+        };
         for k in 0..=steps {
             let s = piece.from_mm + piece.length_mm * k as f64 / steps as f64;
             // Where a node stands within the piece, the part on this side of it has its end there.
@@ -301,7 +306,7 @@ mod tests {
     #[test]
     fn rows_are_what_the_motion_does_and_their_derivatives_are_right() {
         let (path, limits) = (path(), machine());
-        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 });
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
         let rows = Rows::new(&curves, &mesh, &limits, 0.1);
         let density: Vec<f64> =
@@ -326,7 +331,7 @@ mod tests {
             assert!(a >= 0.0 && c >= 0.0 && b * b <= a * c * (1.0 + 1e-9) + 1e-12);
         }
         // The largest use of the limits that the rows know is that of the motion.
-        let motion = motion(&curves, &mesh, &path, &density).unwrap();
+        let motion = motion(&curves, &mesh, &path, &limits, &density).unwrap();
         let used = motion.use_of_acceleration(mesh.spans.len(), &limits);
         for (span, used) in used.iter().enumerate() {
             let of_span = rows
@@ -345,7 +350,7 @@ mod tests {
     #[test]
     fn a_uniform_feed_just_keeps_the_limits() {
         let (path, limits) = (path(), machine());
-        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 });
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
         let rows = Rows::new(&curves, &mesh, &limits, 0.1);
         let least = rows.least_uniform_density();

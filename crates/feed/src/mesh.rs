@@ -26,7 +26,10 @@ const GAUSS_POINTS: usize = 4;
 /// A corner of a smaller turn gets no node of its own, rad: the feed need not fall there.
 const GENTLE_TURN_RAD: f64 = 0.1;
 
-/// A corner nearer to a node than this fraction of the spacing gets no node of its own.
+/// A corner of a larger turn gets nodes at its ends too: the feed may rise at once behind it.
+const SHARP_TURN_RAD: f64 = 0.5;
+
+/// A corner or an end of one nearer to a node than this fraction of the spacing gets no node of its own.
 const NEAREST_NODE_FRACTION: f64 = 0.3;
 
 /// Steps of the inversion of (3): Newton's method takes some five, bisection as many as a number has bits.
@@ -325,31 +328,40 @@ fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
         .map(|w| w[1].from_mm);
     at.extend(switches);
     at.push(end);
-    // Corners between them, where they are not too near.
-    let mut with_corners = vec![0.0];
-    let mut fixed = at[1..].iter().peekable();
+    // Corners between them, and then the ends of corners, where they are not too near.
+    let above = |turn_rad: f64| curve.corners().iter().filter(move |c| c.turn_rad > turn_rad);
     let nearest = NEAREST_NODE_FRACTION * spacing_mm;
-    for corner in curve.corners().iter().filter(|c| c.turn_rad > GENTLE_TURN_RAD) {
-        while let Some(s) = fixed.next_if(|s| **s <= corner.at_mm) {
-            with_corners.push(*s);
-        }
-        let before = *with_corners.last().expect("begins with 0");
-        let after = fixed.peek().map_or(end, |s| **s);
-        if corner.at_mm - before > nearest && after - corner.at_mm > nearest {
-            with_corners.push(corner.at_mm);
-        }
-    }
-    with_corners.extend(fixed);
+    let at = insert(at, above(GENTLE_TURN_RAD).map(|c| c.at_mm), nearest);
+    let ends = above(SHARP_TURN_RAD)
+        .flat_map(|c| [c.at_mm - c.half_length_mm, c.at_mm + c.half_length_mm]);
+    let at = insert(at, ends, nearest);
     // At least one node between two rests.
-    let least_parts = if with_corners.len() == 2 { 2.0 } else { 1.0 };
+    let least_parts = if at.len() == 2 { 2.0 } else { 1.0 };
     let mut all = vec![0.0];
-    for w in with_corners.windows(2) {
+    for w in at.windows(2) {
         let parts = ((w[1] - w[0]) / spacing_mm).ceil().max(least_parts);
         for k in 1..=parts as usize {
             let f = k as f64 / parts;
             all.push(w[0] + f * (w[1] - w[0]));
         }
     }
+    all
+}
+
+/// The candidates (rising) that are further than `nearest` from every value (rising) and from each other, among them.
+fn insert(at: Vec<f64>, candidates: impl Iterator<Item = f64>, nearest: f64) -> Vec<f64> {
+    let mut all: Vec<f64> = Vec::with_capacity(at.len());
+    let mut rest = at.into_iter().peekable();
+    for candidate in candidates {
+        while let Some(value) = rest.next_if(|value| *value <= candidate) {
+            all.push(value);
+        }
+        let free = |other: Option<&f64>| other.is_none_or(|v| (v - candidate).abs() > nearest);
+        if free(all.last()) && free(rest.peek()) {
+            all.push(candidate);
+        }
+    }
+    all.extend(rest);
     all
 }
 
@@ -430,7 +442,7 @@ mod tests {
         let points = vec![[0.0, 1.0], [7.0, 1.0], [7.0, 2.0], [0.5, 2.0], [0.5, 4.0], [8.0, 4.0]];
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
         let rounding = Rounding { deviation_mm: 0.1, radius_mm: 0.5 };
-        let curves = curves(&path, &rounding);
+        let curves = curves(&path, &rounding).curves;
         let mesh = Mesh::new(&curves, &path, 0.6).unwrap();
         let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let density: Vec<f64> =

@@ -1,24 +1,30 @@
 //! The motion along the curves: cubic pieces in time.
 //!
 //! Along the curve the motion of a span is one cubic s(u) ([`crate::mesh`]). On a line that is the motion itself.
-//! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece; the
-//! heading turns by at most 0.15 rad on it, which leaves a distance below `l^4 kappa^3 / 384` and an
-//! acceleration off by a twelfth of the turn squared.
+//! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece, which is
+//! halved until the acceleration at its ends is that of q(s(u)) within 2e-3 of the limit, so that the cubic keeps what
+//! q(s(u)) keeps with a margin.
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 
 use crate::{
-    curve::Curve,
+    curve::{Curve, Piece},
     mesh::{Mesh, Span},
 };
 
-/// Turn of the heading on a cubic piece, rad: its acceleration is off by less than 2e-3 of itself.
-const MAX_TURN_RAD: f64 = 0.15;
+/// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit.
+const MAX_ACCELERATION_ERROR: f64 = 2e-3;
+
+/// Largest distance of a cubic piece from q(s(u)) at the middle of its time, mm: a machine follows no closer.
+const MAX_FIT_ERROR_MM: f64 = 1e-4;
 
 /// Breaks nearer to each other than this are one, mm: far above the rounding of arc lengths, far below anything
-/// that a machine or a TIF notices.
-const SAME_BREAK_MM: f64 = 1e-7;
+/// that a machine or a TIF notices. The curvature is continuous, so what is left out has no step either.
+const SAME_BREAK_MM: f64 = 1e-5;
+
+/// A piece shorter than this is not halved, mm: the acceleration of the halves would be rounding of their positions.
+const SHORTEST_PARTED_MM: f64 = 1e-3;
 
 /// The motion, and how closely it follows the curve.
 pub struct Motion {
@@ -35,52 +41,36 @@ pub fn motion(
     curves: &[Curve],
     mesh: &Mesh,
     path: &ToolPath,
+    limits: &Limits,
     density: &[f64],
 ) -> Result<Motion, Invalid> {
+    let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
     let mut builder = TrajectoryBuilder::default();
     let mut fit_error_mm = 0.0f64;
     let mut span_of_piece = Vec::new();
     for (i, span) in mesh.spans.iter().enumerate() {
         let curve = &curves[span.curve];
-        let (of, duration_s) = (span.densities(density), span.duration_s(density));
-        let tau = |s: f64| span.tau_at(s - span.from_mm, of);
-        let breaks = breaks(curve, span);
-        let taus: Vec<f64> = breaks.iter().map(|s| tau(*s)).collect();
-        let last = breaks.len() - 1;
-        for k in 0..last {
-            let (ta, tb) =
-                (if k == 0 { 0.0 } else { taus[k] }, if k + 1 == last { 1.0 } else { taus[k + 1] });
-            let piece = curve.piece_at(0.5 * (breaks[k] + breaks[k + 1]));
-            let (from, to) = (span.at(ta, of), span.at(tb, of));
-            let h = (tb - ta) * duration_s;
-            let there = |s_mm: f64| piece.at(span.from_mm + s_mm - piece.from_mm);
-            let start = there(from.s_mm);
-            let coefficient_mm = if piece.is_straight() {
-                let (v, a) = (from.feed_mm_per_s, from.acceleration_mm_per_s2);
-                let jerk = (to.acceleration_mm_per_s2 - a) / h;
-                [0, 1].map(|axis| {
-                    let t = start.tangent[axis];
-                    [start.point_mm[axis], t * v, 0.5 * t * a, t * jerk / 6.0]
-                })
-            } else {
-                let end = there(to.s_mm);
-                let cubic = [0, 1].map(|axis| {
-                    let (p, q) = (start.point_mm[axis], end.point_mm[axis]);
-                    let m = start.tangent[axis] * from.feed_mm_per_s;
-                    let n = end.tangent[axis] * to.feed_mm_per_s;
-                    // Hermite: p + m u + (3 (q - p) / h - 2 m - n) u^2 / h + (m + n - 2 (q - p) / h) u^3 / h^2
-                    let mean = (q - p) / h;
-                    [p, m, (3.0 * mean - 2.0 * m - n) / h, (m + n - 2.0 * mean) / (h * h)]
-                });
-                let middle = there(span.at(0.5 * (ta + tb), of).s_mm).point_mm;
-                let [dx, dy] =
-                    [0, 1].map(|axis| polynomial::evaluate(&cubic[axis], 0.5 * h) - middle[axis]);
-                fit_error_mm = fit_error_mm.max(dx.hypot(dy));
-                cubic
-            };
-            let on = path.tool_on()[piece.segment];
-            span_of_piece.push(i);
-            builder.push(h, coefficient_mm, on, Some(piece.segment));
+        let on_span = OnSpan { span, densities: span.densities(density) };
+        let duration_s = span.duration_s(density);
+        for (piece, from, to) in on_span.parts(curve) {
+            // From the last time on: those of the pieces that are still to be made.
+            let mut ends = vec![to];
+            let mut start = from;
+            while let Some(end) = ends.pop() {
+                let h = (end - start) * duration_s;
+                let cubic = on_span.cubic(piece, [start, end], h, most);
+                let follows = cubic.acceleration_error <= MAX_ACCELERATION_ERROR
+                    && cubic.fit_error_mm <= MAX_FIT_ERROR_MM;
+                if !follows && cubic.length_mm > SHORTEST_PARTED_MM {
+                    ends.extend([end, 0.5 * (start + end)]);
+                    continue;
+                }
+                fit_error_mm = fit_error_mm.max(cubic.fit_error_mm);
+                let on = path.tool_on()[piece.segment];
+                span_of_piece.push(i);
+                builder.push(h, cubic.coefficient_mm, on, Some(piece.segment));
+                start = end;
+            }
         }
     }
     Ok(Motion { trajectory: builder.build()?, span: span_of_piece, fit_error_mm })
@@ -102,21 +92,85 @@ impl Motion {
     }
 }
 
-/// Arc lengths between which the motion on a span is one cubic piece.
-fn breaks(curve: &Curve, span: &Span) -> Vec<f64> {
-    let mut at = vec![span.from_mm];
-    let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm);
-    for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
-        let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
-        let parts = (piece.turn_rad() / MAX_TURN_RAD).ceil().max(1.0);
-        // Equal lengths of a clothoid turn by at most twice the mean.
-        let parts = if piece.is_straight() { 1 } else { 2 * parts as usize };
-        at.extend((1..=parts).map(|k| from + (to - from) * k as f64 / parts as f64));
+/// A span with the densities of its nodes.
+struct OnSpan<'a> {
+    span: &'a Span,
+    densities: [Option<f64>; 2],
+}
+
+/// A piece of the motion.
+struct Cubic {
+    coefficient_mm: [[f64; 4]; 2],
+    /// Of the curve beside it, mm.
+    length_mm: f64,
+    /// Distance from q(s(u)) at the middle of its time, mm.
+    fit_error_mm: f64,
+    /// Largest difference of its acceleration from that of q(s(u)) at its ends, over the limit.
+    acceleration_error: f64,
+}
+
+impl OnSpan<'_> {
+    /// The pieces of the curve on the span, and between which fractions of its time.
+    fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c Piece, f64, f64)> {
+        let span = self.span;
+        let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm + SAME_BREAK_MM);
+        let here =
+            curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm - SAME_BREAK_MM);
+        let mut parts: Vec<(&Piece, f64, f64)> = Vec::new();
+        for piece in here {
+            let from = parts.last().map_or(0.0, |(_, _, to)| *to);
+            let to_mm = piece.to_mm();
+            let ends_span = to_mm >= span.to_mm - SAME_BREAK_MM;
+            let to =
+                if ends_span { 1.0 } else { span.tau_at(to_mm - span.from_mm, self.densities) };
+            parts.push((piece, from, to));
+        }
+        parts
     }
-    let end = span.to_mm;
-    at.retain(|s| *s == span.from_mm || *s > span.from_mm + SAME_BREAK_MM);
-    at.retain(|s| *s < end - SAME_BREAK_MM);
-    at.push(end);
-    at.dedup_by(|b, a| *b - *a < SAME_BREAK_MM && *b != end);
-    at
+
+    /// The motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the limits `most` on acceleration, mm/s^2.
+    fn cubic(&self, piece: &Piece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
+        let at = |tau: f64| {
+            let along = self.span.at(tau, self.densities);
+            (along, piece.at(self.span.from_mm + along.s_mm - piece.from_mm))
+        };
+        let [(from, start), (to, end)] = taus.map(at);
+        let length_mm = to.s_mm - from.s_mm;
+        if piece.is_straight() {
+            let (v, a) = (from.feed_mm_per_s, from.acceleration_mm_per_s2);
+            let jerk = (to.acceleration_mm_per_s2 - a) / h;
+            let coefficient_mm = [0, 1].map(|axis| {
+                let t = start.tangent[axis];
+                [start.point_mm[axis], t * v, 0.5 * t * a, t * jerk / 6.0]
+            });
+            return Cubic { coefficient_mm, length_mm, fit_error_mm: 0.0, acceleration_error: 0.0 };
+        }
+        let coefficient_mm = [0, 1].map(|axis| {
+            let (p, q) = (start.point_mm[axis], end.point_mm[axis]);
+            let m = start.tangent[axis] * from.feed_mm_per_s;
+            let n = end.tangent[axis] * to.feed_mm_per_s;
+            // Hermite: p + m u + (3 (q - p) / h - 2 m - n) u^2 / h + (m + n - 2 (q - p) / h) u^3 / h^2
+            let mean = (q - p) / h;
+            [p, m, (3.0 * mean - 2.0 * m - n) / h, (m + n - 2.0 * mean) / (h * h)]
+        });
+        // p'' = q'' s'^2 + q' s'',   q'' = kappa (-q'_y, q'_x)
+        let exact = [(from, start), (to, end)].map(|(along, there)| {
+            let [tx, ty] = there.tangent;
+            let across = there.curvature_per_mm * along.feed_mm_per_s.powi(2);
+            let a = along.acceleration_mm_per_s2;
+            [a * tx - across * ty, a * ty + across * tx]
+        });
+        let mut acceleration_error = 0.0f64;
+        for (u, exact) in [0.0, h].into_iter().zip(exact) {
+            for ((c, exact), most) in coefficient_mm.iter().zip(exact).zip(most) {
+                let error = (2.0 * c[2] + 6.0 * c[3] * u - exact).abs();
+                acceleration_error = acceleration_error.max(error / most);
+            }
+        }
+        let (_, middle) = at(0.5 * (taus[0] + taus[1]));
+        let off = [0, 1].map(|axis| {
+            polynomial::evaluate(&coefficient_mm[axis], 0.5 * h) - middle.point_mm[axis]
+        });
+        Cubic { coefficient_mm, length_mm, fit_error_mm: off[0].hypot(off[1]), acceleration_error }
+    }
 }

@@ -1,23 +1,9 @@
 //! From the map to the motion.
 //!
 //! ```text
-//! path -> smooth curves -> nodes, about one per 0.6 TIF widths
-//! min  1/2 mean square of the residual + price T
-//!      + 1/2 alpha K sum (D - lo)^2 + 1/2 beta K sum (difference of neighbours)^2        (1)
-//! over the densities D of the nodes, within the limits at every one of their iterates
+//! path -> smooth curves -> nodes, about one per 0.6 TIF widths and those of the corners -> their densities
 //! -> motion -> its removal (simulated) and its limits (proven)
 //! ```
-//!
-//! K is the largest diagonal element of the normal matrix, so alpha and beta have no unit.
-//!
-//! The price is given, or follows from what time shall be worth. Where the residual falls by x % when the time
-//! grows by 1 %, x is the elasticity; at the minimum of (1)
-//!
-//! ```text
-//! d(1/2 mean square) / dT = -price,   x = 2 price T / mean square                        (2)
-//! ```
-//!
-//! and the price is the one for which x is as asked.
 
 use planish_dwell::residual::{Free, Residual, tif_width_mm};
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
@@ -30,18 +16,20 @@ use serde::Serialize;
 
 use crate::{
     FeedError,
-    curve::{self, Curve, Rounding},
-    interior_point::{self, Objective, Program, Stop},
+    curve::{self, Curve, Rounding, Smooth},
+    interior_point::{self, Program, Progress, Solution, Start, Stop},
     limits::Rows,
+    merit::{Merit, Price},
     mesh::Mesh,
-    motion,
+    motion::{self, Motion},
 };
 
 /// Spacing of the nodes over the width of the TIF: a closer density removes nothing that a TIF could.
 const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
 
-/// Deviation at corners over the width of the TIF: far below what it can see.
-const DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
+/// Deviation at corners over the width of the TIF: what is removed changes by a few percent at most, and the solver
+/// knows where the tool really is.
+const DEVIATION_OVER_TIF_WIDTH: f64 = 0.2;
 
 /// Largest radius of a corner over the width of the TIF.
 const RADIUS_OVER_TIF_WIDTH: f64 = 1.0;
@@ -52,12 +40,6 @@ const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 /// By what the first densities are above every bound.
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
-/// The price is found when it changes by less than this fraction from step to step.
-const PRICE_FOUND: f64 = 0.005;
-
-/// Steps in which the price is looked for.
-const PRICE_STEPS: usize = 40;
-
 /// Rounds in which corners whose motion exceeds a limit are asked for less, and the program is solved again.
 const MAX_ROUNDS: usize = 4;
 
@@ -66,16 +48,6 @@ const ABOVE_LIMITS: f64 = 1.01;
 
 /// What is asked for beyond the excess.
 const TIGHTENED_FURTHER: f64 = 1.002;
-
-/// What a second costs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Price {
-    /// Beside half the mean square of the residual, nm^2/s.
-    Nm2PerS(f64),
-    /// (2): by how many percent one percent more time lowers the mean square, where the plan ends.
-    Elasticity(f64),
-}
 
 /// How to plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -90,7 +62,7 @@ pub struct Settings {
     pub smoothness: f64,
     /// What need not be removed.
     pub free: Free,
-    /// Largest distance of the curve from a corner of the path, mm; a tenth of the TIF's width when absent.
+    /// Largest distance of the curve from a corner of the path, mm; a fifth of the TIF's width when absent.
     pub corner_deviation_mm: Option<f64>,
     /// Largest radius to which corners are rounded, mm; the TIF's width when absent.
     pub corner_radius_mm: Option<f64>,
@@ -106,7 +78,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             min_dwell_s_per_mm: 0.0,
-            price: Price::Elasticity(0.25),
+            price: Price::Elasticity(0.5),
             tikhonov: 1e-5,
             smoothness: 0.0,
             free: Free::Piston,
@@ -124,6 +96,8 @@ impl Default for Settings {
 pub struct Report {
     /// Curves from rest to rest.
     pub curves: usize,
+    /// By what points of the path were moved at most before the corners were rounded, mm.
+    pub points_moved_mm: f64,
     /// Corners that were rounded.
     pub corners: usize,
     /// Largest distance of a curve from a corner, mm.
@@ -143,7 +117,9 @@ pub struct Report {
     pub end: End,
     /// Proven bound on how far the objective is above the least one of the last convex program, over it.
     pub relative_gap: f64,
-    /// Objective at the start and after every step, nm^2.
+    /// Steps of the solver, of all its rounds.
+    pub iterations: usize,
+    /// Objective of the last round at its start and after every step, nm^2.
     pub objective_nm2: Vec<f64>,
     /// RMS (without what is free) of the residual in the removal model of the solver, nm.
     pub model_rms_nm: f64,
@@ -177,7 +153,7 @@ impl Plan {
                 "{}: after {} steps the objective may be {:.1e} of itself above the least one; raise \
                  `max_iterations` or `relative_gap`",
                 r.end,
-                r.objective_nm2.len() - 1,
+                r.iterations,
                 r.relative_gap
             )
         });
@@ -200,90 +176,112 @@ pub fn plan(
     if let Some(axis) = limits.axes().iter().find(|a| a.max_jerk_mm_per_s3().is_some()) {
         return Err(FeedError::Jerk { axis: axis.name() });
     }
-    let width = tif_width_mm(tif);
-    let rounding = Rounding {
-        deviation_mm: settings.corner_deviation_mm.unwrap_or(DEVIATION_OVER_TIF_WIDTH * width),
-        radius_mm: settings.corner_radius_mm.unwrap_or(RADIUS_OVER_TIF_WIDTH * width),
-    };
-    let spacing_mm = settings.node_spacing_mm.unwrap_or(SPACING_OVER_TIF_WIDTH * width);
-    if spacing_mm < LEAST_SPACING_OVER_TIF_WIDTH * width {
-        let problem = format!("is {spacing_mm:?} mm, the TIF is {width:.6} mm wide");
-        let remedy = "a tool does not see what is narrower than itself; give mm";
-        return Err(Invalid::whole("node_spacing_mm", problem, remedy).into());
-    }
-    let curves = curve::curves(path, &rounding);
+    let (rounding, spacing_mm) = scales(tif_width_mm(tif), settings)?;
+    let Smooth { curves, moved_mm } = curve::curves(path, &rounding);
     if curves.is_empty() {
         let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
         return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
     }
     let mesh = Mesh::new(&curves, path, spacing_mm)?;
     let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
-    let level = level_s_per_mm(&mesh, &residual, desired);
+    let Solved { solution, motion, refused, price, iterations, rounds } = solve(
+        &curves,
+        &mesh,
+        path,
+        &residual,
+        level_s_per_mm(&mesh, &residual, desired),
+        limits,
+        settings,
+    )?;
+    let times_s = mesh.times_s(&solution.density);
+    let model_rms_nm = (2.0 * residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
+    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
+    let removal = simulation.predict(&motion.trajectory, desired)?.removal;
+    let dwell = DwellTime::new(motion.trajectory.served_s(path.len(), |_| true)?)?;
+    let corners = || curves.iter().flat_map(Curve::corners);
+    let report = Report {
+        curves: curves.len(),
+        points_moved_mm: moved_mm,
+        corners: corners().count(),
+        corner_deviation_mm: corners().map(|c| c.deviation_mm).fold(0.0, f64::max),
+        least_radius_mm: corners().map(|c| c.radius_mm).reduce(f64::min),
+        length_mm: curves.iter().map(Curve::length_mm).sum(),
+        nodes: mesh.nodes,
+        node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
+        price_nm2_per_s: price,
+        end: solution.end,
+        relative_gap: solution.relative_gap,
+        iterations,
+        objective_nm2: solution.objective,
+        model_rms_nm,
+        fit_error_mm: motion.fit_error_mm,
+        rounds,
+    };
+    Ok(Plan { dwell, trajectory: motion.trajectory, removal, refused, report })
+}
+
+/// How corners are rounded, and the distance of the nodes (mm), for the width of the TIF.
+fn scales(tif_width_mm: f64, settings: &Settings) -> Result<(Rounding, f64), Invalid> {
+    let of = |given: Option<f64>, over_width: f64| given.unwrap_or(over_width * tif_width_mm);
+    let spacing_mm = of(settings.node_spacing_mm, SPACING_OVER_TIF_WIDTH);
+    if spacing_mm < LEAST_SPACING_OVER_TIF_WIDTH * tif_width_mm {
+        let problem = format!("is {spacing_mm:?} mm, the TIF is {tif_width_mm:.6} mm wide");
+        let remedy = "a tool does not see what is narrower than itself; give mm";
+        return Err(Invalid::whole("node_spacing_mm", problem, remedy));
+    }
+    let rounding = Rounding {
+        deviation_mm: of(settings.corner_deviation_mm, DEVIATION_OVER_TIF_WIDTH),
+        radius_mm: of(settings.corner_radius_mm, RADIUS_OVER_TIF_WIDTH),
+    };
+    Ok((rounding, spacing_mm))
+}
+
+/// The densities, and the motion that they are.
+struct Solved {
+    solution: Solution,
+    motion: Motion,
+    /// Why the judge refuses the motion.
+    refused: Option<String>,
+    price: f64,
+    iterations: usize,
+    rounds: usize,
+}
+
+/// Rounds of the solver until the judge finds the limits of the motion kept.
+fn solve(
+    curves: &[Curve],
+    mesh: &Mesh,
+    path: &ToolPath,
+    residual: &Residual<'_>,
+    level_s_per_mm: f64,
+    limits: &Limits,
+    settings: &Settings,
+) -> Result<Solved, FeedError> {
     // Nothing to remove is no reference: the density at the largest feed is one.
     let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
-    let mut rows = Rows::new(&curves, &mesh, limits, level.max(1.0 / fastest));
+    let reference = level_s_per_mm.max(1.0 / fastest);
+    let normal = residual.normal(&mesh.columns())?;
+    let mut rows = Rows::new(curves, mesh, limits, reference);
     let lo: Vec<f64> =
         rows.least_density().iter().map(|d| d.max(settings.min_dwell_s_per_mm)).collect();
-    let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
-    let lengths_mm = mesh.lengths_mm();
-    let normal = residual.normal(&mesh.columns())?;
-    let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
-    let alpha = settings.tikhonov * strongest;
-    let beta = settings.smoothness * strongest;
-    let steps: Vec<[usize; 2]> = mesh
-        .spans
-        .iter()
-        .filter_map(|s| match s.nodes {
-            [Some(a), Some(b)] => Some([a, b]),
-            _ => None,
-        })
-        .collect();
-    let (mut diagonal, mut below) = (vec![alpha; mesh.nodes], vec![0.0; mesh.nodes]);
-    for [a, b] in &steps {
-        diagonal[*a] += beta;
-        diagonal[*b] += beta;
-        below[*b] -= beta;
-    }
-    let mut price = match settings.price {
-        Price::Nm2PerS(price) => price,
-        Price::Elasticity(_) => 0.0,
-    };
-    let mut found = matches!(settings.price, Price::Nm2PerS(_));
-    let mut objective = |step: usize, density: &[f64]| {
-        let at = residual.evaluate(&mesh.times_s(density));
-        let mut gradient = mesh.collect(&at.gradient_nm2_per_s);
-        let total: f64 = lengths_mm.iter().zip(density).map(|(l, d)| l * d).sum();
-        if let (Price::Elasticity(x), false) = (settings.price, found) {
-            let next = x * at.half_mean_square_nm2 / total;
-            found = (next - price).abs() <= PRICE_FOUND * next || step >= PRICE_STEPS;
-            price = next;
-        }
-        gradient.iter_mut().zip(&lengths_mm).for_each(|(g, l)| *g += price * l);
-        let mut penalty = 0.0;
-        for j in 0..mesh.nodes {
-            penalty += 0.5 * alpha * (density[j] - lo[j]).powi(2);
-            gradient[j] += alpha * (density[j] - lo[j]);
-        }
-        for [a, b] in &steps {
-            let d = density[*b] - density[*a];
-            penalty += 0.5 * beta * d * d;
-            gradient[*b] += beta * d;
-            gradient[*a] -= beta * d;
-        }
-        let value = at.half_mean_square_nm2 + price * total + penalty;
-        (Objective { value, gradient }, found)
-    };
+    let weights = (settings.tikhonov, settings.smoothness);
+    let mut merit = Merit::new(residual, &normal, mesh, &lo, weights, settings.price);
+    let (chain, alpha) = (merit.chain(), merit.alpha);
     let stop =
         Stop { relative_gap: settings.relative_gap, max_iterations: settings.max_iterations };
-    let mut start = vec![level.max(FIRST_ABOVE_BOUNDS * bound); mesh.nodes];
-    let mut rounds = 0;
+    let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
+    let uniform = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); mesh.nodes];
+    let mut start = Start { density: uniform, duals: None };
+    let (mut iterations, mut rounds) = (0, 0);
     let (solution, motion, refused) = loop {
         rounds += 1;
-        let chain = (diagonal.as_slice(), below.as_slice());
-        let program = Program { normal: &normal, chain, alpha, lo: &lo, rows: &rows };
-        let solution = interior_point::solve(&program, start, &stop, &mut objective)
+        let program =
+            Program { normal: &normal, chain: (&chain.0, &chain.1), alpha, lo: &lo, rows: &rows };
+        let objective = |at: Progress, density: &[f64]| merit.evaluate(mesh, at, density);
+        let solution = interior_point::solve(&program, start, &stop, objective)
             .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
-        let motion = motion::motion(&curves, &mesh, path, &solution.density)?;
+        iterations += solution.objective.len() - 1;
+        let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
         let used = motion.use_of_acceleration(mesh.spans.len(), limits);
         let excess = used.iter().copied().fold(1.0, f64::max);
@@ -295,31 +293,10 @@ pub fn plan(
         rows.tighten(&tighter);
         // Times longer by a factor have accelerations smaller by its square.
         let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
-        start = solution.density.iter().map(|d| d * factor).collect();
+        let density = solution.density.iter().map(|d| d * factor).collect();
+        start = Start { density, duals: Some(solution.duals) };
     };
-    let times_s = mesh.times_s(&solution.density);
-    let model_rms_nm = (2.0 * residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
-    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
-    let removal = simulation.predict(&motion.trajectory, desired)?.removal;
-    let dwell = DwellTime::new(motion.trajectory.served_s(path.len(), |_| true)?)?;
-    let corners = || curves.iter().flat_map(Curve::corners);
-    let report = Report {
-        curves: curves.len(),
-        corners: corners().count(),
-        corner_deviation_mm: corners().map(|c| c.deviation_mm).fold(0.0, f64::max),
-        least_radius_mm: corners().map(|c| c.radius_mm).reduce(f64::min),
-        length_mm: curves.iter().map(Curve::length_mm).sum(),
-        nodes: mesh.nodes,
-        node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
-        price_nm2_per_s: price,
-        end: solution.end,
-        relative_gap: solution.relative_gap,
-        objective_nm2: solution.objective,
-        model_rms_nm,
-        fit_error_mm: motion.fit_error_mm,
-        rounds,
-    };
-    Ok(Plan { dwell, trajectory: motion.trajectory, removal, refused, report })
+    Ok(Solved { solution, motion, refused, price: merit.price, iterations, rounds })
 }
 
 /// The uniform density, s/mm, that removes on average what is above the lowest point.
