@@ -163,7 +163,7 @@ def check_table(browser, report):
     summary = json.loads((report / "summary.json").read_text())
     runs = summary.get("runs", [summary])
     methods = [m for run in runs for m in run["methods"].values()]
-    beside = ("execution", "remarks")
+    beside = ("execution", "specification", "remarks")
     wanted = [{k: v for k, v in {**m, **m["execution"]}.items() if k not in beside} for m in methods]
     cells = browser.js("[...document.querySelectorAll('#summary td')].map((c) => [c.dataset.key, +c.dataset.entry, c.dataset.value, c.textContent, c.className])")
     shown = {(key, entry): (json.loads(value), text) for key, entry, value, text, _ in cells}
@@ -184,6 +184,15 @@ def check_table(browser, report):
     least = min(m["rms_nm"] for m in kept)
     plans = [text for key, _, _, text, _ in cells if key == "plan"]
     check("how good every plan is known to be stands in the table", plans == [m["plan"]["word"] for m in wanted], plans)
+    judged = [l for run in runs for j in [run["specification"]["before"], *(m["specification"] for m in run["methods"].values()),
+              run["specification"]["after"]] if j for l in j["limits"]]
+    values = browser.js("[...document.querySelectorAll('#specifications td[data-value]')].map((c) => [JSON.parse(c.dataset.value), c.textContent])")
+    key = lambda v: (v[0] is None, v[0] or 0, v[1])
+    wanted_limits = sorted(((l["value"], not l["passed"]) for l in judged), key=key)
+    shown_limits = sorted(((value, text.endswith(" exceeded")) for value, text in values), key=key)
+    check("every limit of the specification stands in its table", shown_limits == wanted_limits, len(values))
+    near = all(v is None or abs(float(text.split()[0]) - v) <= 1e-3 * abs(v) for v, text in values)
+    check("with its value to four digits", near)
     notes = browser.js("document.getElementById('notes').textContent")
     check("and why, below it", all(m["plan"]["text"] in notes for m in wanted))
     signed = browser.js("[...document.querySelectorAll('td, p, li, .read, output')].map((e) => e.textContent).filter((t) => /-0(\\.0+)?(?![\\d.e])/.test(t))")
