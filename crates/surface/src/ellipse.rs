@@ -6,14 +6,14 @@
 //! mirror is where the path over it is p + q long. Squaring twice leaves
 //!
 //! ```text
-//! a z^2 - 2 b z + s^2 x^2 = 0,   s = sin theta,  c = cos theta,  k = (p - q) / (p + q)
-//! a = 1 - s^2 k^2,   b = s (2 p q / (p + q) - k c x)
+//! a z^2 - 2 b z + s^2 x^2 = 0,   s = sin theta,  c = cos theta
+//! k = (1/q - 1/p) / (1/p + 1/q),   a = 1 - s^2 k^2,   b = s (2 / (1/p + 1/q) - k c x)
 //! z  = s^2 x^2 / (b + sqrt(b^2 - a s^2 x^2))
 //! z' = (s^2 x + s k c z) / (b - a z)
 //! ```
 //!
 //! z = 0 and z' = 0 at the pole; the mirror is concave, so its ends are above its pole. To turn the mirror
-//! round, exchange p and q.
+//! round, exchange p and q. An infinite distance (1/p = 0) is a parabola; nothing is singular there.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -29,9 +29,9 @@ use serde::Serialize;
 /// Distances and angle of an elliptical mirror.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Ellipse {
-    /// Source to pole, mm; > 0.
+    /// Source to pole, mm; > 0, infinite for a parabola.
     pub p_mm: f64,
-    /// Pole to image, mm; > 0.
+    /// Pole to image, mm; > 0, infinite for a parabola.
     pub q_mm: f64,
     /// Grazing angle at the pole, rad; > 0, at most a right angle.
     pub theta_rad: f64,
@@ -57,9 +57,9 @@ impl Ellipse {
     /// [s, c, k, a, b] at x.
     fn coefficients(&self, x_mm: f64) -> [f64; 5] {
         let (s, c) = self.theta_rad.sin_cos();
-        let sum = self.p_mm + self.q_mm;
-        let k = (self.p_mm - self.q_mm) / sum;
-        let b = s * (2.0 * self.p_mm * self.q_mm / sum - k * c * x_mm);
+        let (u, v) = (1.0 / self.p_mm, 1.0 / self.q_mm);
+        let k = (v - u) / (u + v);
+        let b = s * (2.0 / (u + v) - k * c * x_mm);
         [s, c, k, 1.0 - (s * k).powi(2), b]
     }
 
@@ -76,35 +76,6 @@ impl Ellipse {
         let [s, c, k, a, b] = self.coefficients(x_mm);
         let z = self.height_mm(x_mm);
         (s * s * x_mm + s * k * c * z) / (b - a * z)
-    }
-
-    /// Derivatives of z by the logarithms of p, q and theta, mm.
-    pub fn height_derivatives_mm(&self, x_mm: f64) -> [f64; 3] {
-        self.by_logarithms(|ellipse| ellipse.height_mm(x_mm))
-    }
-
-    /// Derivatives of dz/dx by the logarithms of p, q and theta, rad.
-    pub fn slope_derivatives(&self, x_mm: f64) -> [f64; 3] {
-        self.by_logarithms(|ellipse| ellipse.slope(x_mm))
-    }
-
-    /// Central differences, extrapolated: off by the fourth power of the step, 1e-12, and by rounding, 1e-13.
-    fn by_logarithms(&self, of: impl Fn(&Self) -> f64) -> [f64; 3] {
-        const STEP: f64 = 1e-3;
-        [0, 1, 2].map(|parameter| {
-            let at = |step: f64| {
-                let mut moved = *self;
-                let value = match parameter {
-                    0 => &mut moved.p_mm,
-                    1 => &mut moved.q_mm,
-                    _ => &mut moved.theta_rad,
-                };
-                *value *= step.exp();
-                of(&moved)
-            };
-            let difference = |step: f64| (at(step) - at(-step)) / (2.0 * step);
-            (4.0 * difference(STEP) - difference(2.0 * STEP)) / 3.0
-        })
     }
 }
 

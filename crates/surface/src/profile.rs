@@ -21,7 +21,7 @@ pub const MIN_POSITIONS: usize = 8;
 const UNIFORMITY: f64 = 0.01;
 
 /// Longer positions, higher heights (both as maps have them) and steeper slopes than 1 rad have a wrong unit.
-const LARGEST: [(&str, f64); 3] = [("position", 1e7), ("height", 1e12), ("slope", 1e9)];
+const LARGEST_PLAUSIBLE: [(&str, f64); 3] = [("position", 1e7), ("height", 1e12), ("slope", 1e9)];
 
 /// What instruments write where they have no value.
 const NO_DATA: [&str; 5] = ["nan", "bad", "no data", "nodata", "n/a"];
@@ -125,7 +125,8 @@ impl Profile {
             return Err(Invalid::whole("profile", problem, remedy));
         }
         let beyond = |name: &str, v: f64| {
-            let largest = LARGEST.iter().find(|(n, _)| *n == name).map_or(0.0, |(_, l)| *l);
+            let largest =
+                LARGEST_PLAUSIBLE.iter().find(|(n, _)| *n == name).map_or(0.0, |(_, l)| *l);
             v.is_infinite() || v.abs() > largest
         };
         if let Some(i) = position_mm.iter().position(|x| x.is_nan() || beyond("position", *x)) {

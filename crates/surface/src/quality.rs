@@ -387,10 +387,12 @@ impl Piece {
         if let Some(ellipse) = &shape.ellipse {
             let names = ["p", "q", "theta"].iter().zip(ellipse.standard_error);
             for (name, error) in names.filter(|(_, e)| *e > NOTEWORTHY_ERROR) {
+                let how = match error.is_finite() {
+                    true => format!("standard error {} %", significant(100.0 * error, 2)),
+                    false => "it is infinite".into(),
+                };
                 notes.push(format!(
-                    "the data hardly tell {name} of the ellipse: its standard error is {} %; fit fewer of \
-                     p, q and theta",
-                    significant(100.0 * error, 2)
+                    "the data hardly tell {name} of the ellipse ({how}); what is left is of the best one all the same"
                 ));
             }
         }
