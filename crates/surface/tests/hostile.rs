@@ -245,7 +245,7 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
         ("small", Array2::from_shape_fn((9, 12), |(r, c)| 1e-300 * (r * c) as f64)),
         ("two-by-two", Array2::from_shape_fn((2, 2), |(r, c)| (r + c) as f64)),
     ];
-    let calls: [&[&str]; 18] = [
+    let calls: [&[&str]; 21] = [
         &["prepare"],
         &["prepare", "--level", "plane"],
         &["prepare", "--level", "legendre", "--level-order", "4"],
