@@ -801,7 +801,7 @@ fn after_shapes(subject: &Subject, settings: &QualitySettings) -> Vec<AfterShape
 
 fn band_report(spectra: &Spectra, band: [f64; 2]) -> Result<BandReport, Invalid> {
     let [low, high] = band;
-    let is_band = low >= 0.0 && low < high;
+    let is_band = low >= 0.0 && low < high && high.is_finite();
     if !is_band || !spectra.x.holds(band) {
         let f = &spectra.x.frequency_per_mm;
         let problem = format!(
