@@ -13,7 +13,9 @@ use planish_compare::{
     diff::Elements,
     dwell::{Row, Solver},
     plan::Plan,
+    reach::Reach,
     report::{Frames, Rounds, Run, RunMethod},
+    specification::{Around, Judged},
     summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
 };
 use planish_handoff::{
@@ -22,7 +24,7 @@ use planish_handoff::{
     kind::{self, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
 };
-use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory};
+use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -52,6 +54,20 @@ pub fn read_run(
         Some(dir) => Some(inputs.read("measured", dir)?),
         None => None,
     };
+    let reach = match names.tif {
+        Some(dir) => {
+            let tif: Tif = inputs.read(&format!("{role}/tif"), dir)?;
+            let digest = inputs.digest(&format!("{role}/tif")).unwrap_or_default().to_string();
+            Reach::new(&desired.value, &tif).map(|reach| (reach, digest))
+        }
+        None => None,
+    };
+    let mut judge = Judge { inputs, role: &role, specification: None, remarks: vec![] };
+    let around = Around {
+        before: judge.read("before", run, Some(("surface", &desired.recorded.digest)))?,
+        after: judge.read("after", run, None)?,
+    };
+    let Judge { specification, remarks: judge_remarks, .. } = judge;
     let records = RunRecords {
         surface: desired.recorded,
         tool_path: path.as_ref().map(|p| p.recorded.clone()),
@@ -72,6 +88,13 @@ pub fn read_run(
         let message = "holds no method; schedule, simulate and verify at least one";
         return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
     }
+    let mut judge = Judge { inputs, role: &role, specification, remarks: judge_remarks };
+    let mut judged = Vec::new();
+    for found in &read {
+        let removal = ("removal", found.records.removal.digest.as_str());
+        judged.push(judge.read(&found.name, run, Some(removal))?);
+    }
+    let judge_remarks = judge.remarks;
     let method_records: Vec<MethodRecords> = read.iter().map(|m| m.records.clone()).collect();
     let chains = chain::check(&records, &method_records);
     let shared = Shared {
@@ -82,12 +105,13 @@ pub fn read_run(
             .dwell
             .as_ref()
             .map_or(vec![], |dwell| chain::solved_for_another(&records, dwell)),
+        reach: reach.as_ref(),
     };
     let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
-    for (found, chain) in read.into_iter().zip(chains) {
+    for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
         if chain.standing == Standing::Valid {
             let name = found.name.clone();
-            let (number, method) = shared.method(found, chain.remarks)?;
+            let (number, method) = shared.method(found, judged, chain.remarks)?;
             numbers.push((name, number));
             methods.push(method);
         } else {
@@ -97,8 +121,10 @@ pub fn read_run(
     }
     let name = name_of(run);
     let pipeline = names.pipeline.unwrap_or(&name);
-    let remarks = chain::check_run(&records);
-    let summary = Summary::new(pipeline, names.fixture, &desired.value, numbers, left_out, remarks);
+    let mut remarks = chain::check_run(&records);
+    remarks.extend(judge_remarks);
+    let summary = Summary::new(pipeline, names.fixture, &desired.value, numbers, left_out, remarks)
+        .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
     let path = path.map(|p| p.value);
     Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
 }
@@ -112,6 +138,56 @@ pub struct Names<'a> {
     pub fixture: &'a str,
     /// Map as it was measured [surface artifact].
     pub measured: Option<&'a Path>,
+    /// The tool [tif artifact].
+    pub tif: Option<&'a Path>,
+}
+
+/// Reads what `planish-surface spec` said of the maps of a run: all by one specification, each of the map
+/// that stands there now.
+struct Judge<'a> {
+    inputs: &'a mut Inputs,
+    role: &'a str,
+    /// BLAKE3 of the specification.
+    specification: Option<String>,
+    remarks: Vec<String>,
+}
+
+impl Judge<'_> {
+    /// The verdict in `run`/specified/`name`/specification on the artifact of this role and digest; `None`, perhaps
+    /// with a remark, where there is none, or one on something else.
+    fn read(
+        &mut self,
+        name: &str,
+        run: &Path,
+        of: Option<(&str, &str)>,
+    ) -> Result<Option<Judged>, Failure> {
+        let dir = run.join("specified").join(name).join("specification");
+        if !dir.exists() {
+            return Ok(None);
+        }
+        let role = format!("{}/{name}/specification", self.role);
+        let manifest = self.inputs.read_manifest(&role, &dir, &kind::SPECIFICATION)?;
+        let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", dir.display()));
+        let Some(judged) = Judged::from_json(&manifest.outcome).map_err(of_dir)? else {
+            return Ok(None);
+        };
+        let record = record_of(&manifest);
+        let input =
+            |role: &str| record.inputs.iter().find(|(r, _)| r == role).map(|(_, d)| d.as_str());
+        if of.is_some_and(|(role, digest)| input(role) != Some(digest)) {
+            let remark =
+                format!("{name}: its specification was judged on another map; judge it again");
+            self.remarks.push(remark);
+            return Ok(None);
+        }
+        let by = input("specification").unwrap_or_default().to_string();
+        if *self.specification.get_or_insert_with(|| by.clone()) != by {
+            let remark = format!("{name}: it was judged by another specification; judge it again");
+            self.remarks.push(remark);
+            return Ok(None);
+        }
+        Ok(Some(judged))
+    }
 }
 
 /// Manifests by role.
@@ -241,11 +317,18 @@ struct Shared<'a> {
     plan: Option<&'a DwellTime>,
     plan_manifest: Option<&'a Value>,
     plan_is_for_another: Vec<&'static str>,
+    /// What the tool reaches, and its BLAKE3.
+    reach: Option<&'a (Reach, String)>,
 }
 
 impl Shared<'_> {
     /// The numbers of a method whose artifacts belong together, and the method.
-    fn method(&self, found: Found, remarks: Vec<String>) -> Result<(Method, RunMethod), Failure> {
+    fn method(
+        &self,
+        found: Found,
+        specification: Option<Judged>,
+        remarks: Vec<String>,
+    ) -> Result<(Method, RunMethod), Failure> {
         let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", found.dir.display()));
         let trajectory = manifest_of(&found.provenance, "trajectory");
         // A refined plan has dwell times of its own.
@@ -259,13 +342,20 @@ impl Shared<'_> {
         };
         let dwell = found.own_plan.or_else(|| self.plan.cloned());
         let outcome = VerdictOutcome::from_json(&found.verdict).map_err(of_dir)?;
+        // A prediction with another tool is not told by this one.
+        let tool = found.records.removal.record.as_ref();
+        let tool = tool.and_then(|r| r.inputs.iter().find(|(role, _)| role == "tif"));
+        let same = |digest: &String| tool.is_none_or(|(_, of)| of == digest);
+        let reach = self.reach.filter(|(_, digest)| same(digest));
+        let uncorrectable_rms_nm =
+            reach.map(|(reach, _)| reach.uncorrectable_rms_nm(found.removal.residual()));
         let numbers = Method::new(
             self.desired,
             &found.removal,
             &found.trajectory,
             dwell.as_ref(),
             &outcome,
-            Told { wall: found.wall, plan, remarks },
+            Told { wall: found.wall, plan, uncorrectable_rms_nm, specification, remarks },
         )
         .map_err(of_dir)?;
         let method = RunMethod {

@@ -7,6 +7,8 @@
 //! * [`report`]: a page to look at, and its figures.
 //! * [`chain`]: whether the artifacts of a run belong together.
 //! * [`plan`]: how good a plan is known to be.
+//! * [`reach`]: what of a residual no dwell time can change.
+//! * [`specification`]: what the runs keep of a specification.
 //! * [`diff`]: how far two arrays are apart.
 
 pub mod chain;
@@ -14,6 +16,8 @@ pub mod diff;
 pub mod dwell;
 pub mod execution;
 pub mod plan;
+pub mod reach;
 pub mod report;
+pub mod specification;
 pub mod summary;
 pub mod table;

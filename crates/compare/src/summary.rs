@@ -4,6 +4,7 @@
 //! RMS       = sqrt(mean((z - mean z)^2))        over the valid pixels of the residual z
 //! detilted  = RMS of z - plane(z)               least-squares plane
 //! PV        = max z - min z
+//! slope     = (z(x + base) - z(x)) / base       RMS without the mean, along x and along y
 //! ```
 //!
 //! The keys of these structures are those of `summary.json`, which other programs read.
@@ -12,6 +13,10 @@
 //! |---|---|---|---|
 //! | z | `residual` | (ny, nx) | nm |
 
+use planish_numerics::{
+    slope::{Along, slopes, steps_of_base},
+    statistics::statistics,
+};
 use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory, text::significant};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
@@ -20,6 +25,8 @@ use crate::{
     chain::Standing,
     execution::Execution,
     plan::{IDEAL, PROGRAM, Plan, State},
+    reach::{Reach, ReachReport},
+    specification::{Around, Judged},
 };
 
 /// Order of the methods; others follow by name. A refined method follows its base.
@@ -45,6 +52,9 @@ const SAME_HEIGHT: f64 = 1e-6;
 /// A motion executes a dwell time to this, s: what a dwell solver takes for no change.
 const SAME_DWELL_S: f64 = 1e-6;
 
+/// Base length of the slopes, mm: what mirrors are specified with; the nearest whole number of pixels is taken.
+const SLOPE_BASE_MM: f64 = 1.0;
+
 /// Two durations are the same to this fraction: far above the rounding of a sum of segments.
 const SAME_TIME: f64 = 1e-9;
 
@@ -57,6 +67,12 @@ pub struct Summary {
     pub fixture: String,
     /// The desired removal.
     pub initial: Initial,
+    /// Base length of the slopes along [x, y], mm; `null` along what is shorter.
+    pub slope_base_mm: [Option<f64>; 2],
+    /// Which waves the tool reaches; `null` where the tool is not known, or the map has no spectrum.
+    pub reach: Option<ReachReport>,
+    /// What was judged by a specification beside the methods.
+    pub specification: Around,
     /// Dwell applied at the dwell points, no dynamics; `null` when the run has no such method.
     pub ideal: Option<Ideal>,
     /// Methods by scheduler.
@@ -88,6 +104,10 @@ pub struct Initial {
     pub rms_nm: f64,
     /// Largest minus smallest, nm.
     pub pv_nm: f64,
+    /// RMS slope along [x, y], mean removed, nrad; `null` where the base does not fit.
+    pub slope_rms_nrad: [Option<f64>; 2],
+    /// RMS of what no dwell time can change, nm; `null` where the tool is not known.
+    pub uncorrectable_rms_nm: Option<f64>,
 }
 
 /// Dwell applied at the dwell points.
@@ -108,6 +128,10 @@ pub struct Method {
     pub pv_nm: f64,
     /// RMS of the residual, plane removed, nm.
     pub rms_detilted_nm: f64,
+    /// RMS slope of the residual along [x, y], mean removed, nrad; `null` where the base does not fit.
+    pub slope_rms_nrad: [Option<f64>; 2],
+    /// RMS of what of the residual no dwell time can change, nm; `null` where the tool is not known.
+    pub uncorrectable_rms_nm: Option<f64>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
     /// Largest |velocity| of [x, y], mm/s.
@@ -128,6 +152,8 @@ pub struct Method {
     pub execution: Execution,
     /// How good the plan is known to be.
     pub plan: Plan,
+    /// Whether the residual keeps a specification; `null` where none was asked.
+    pub specification: Option<Judged>,
     /// What else is worth knowing.
     pub remarks: Vec<String>,
 }
@@ -168,6 +194,10 @@ pub struct Told {
     pub wall: WallTimes,
     /// How good its plan is known to be.
     pub plan: Plan,
+    /// RMS of what of its residual no dwell time can change, nm, where the tool is known.
+    pub uncorrectable_rms_nm: Option<f64>,
+    /// Whether its residual keeps a specification, where one was asked.
+    pub specification: Option<Judged>,
     /// What else is worth knowing.
     pub remarks: Vec<String>,
 }
@@ -188,7 +218,7 @@ impl Method {
         verdict: &VerdictOutcome,
         told: Told,
     ) -> Result<Self, Invalid> {
-        let Told { wall, plan, mut remarks } = told;
+        let Told { wall, plan, uncorrectable_rms_nm, specification, mut remarks } = told;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -216,6 +246,8 @@ impl Method {
             rms_nm: statistics.rms,
             pv_nm: statistics.pv,
             rms_detilted_nm: residual.detilted_rms_nm(),
+            slope_rms_nrad: slope_rms_nrad(residual),
+            uncorrectable_rms_nm,
             total_time_s,
             max_velocity_mm_per_s: verdict.max_velocity_mm_per_s,
             max_acceleration_mm_per_s2: verdict.max_acceleration_mm_per_s2,
@@ -226,9 +258,31 @@ impl Method {
             simulate_wall_s: wall.simulate_s,
             execution,
             plan,
+            specification,
             remarks,
         })
     }
+}
+
+/// Whole pixels of the base of the slopes along x and y, and their length, mm.
+fn slope_base(surface: &Surface) -> [Option<(usize, f64)>; 2] {
+    let grid = surface.grid();
+    [&grid.x, &grid.y].map(|axis| {
+        let steps = steps_of_base(SLOPE_BASE_MM, axis.step_mm(), axis.len())?;
+        Some((steps, steps as f64 * axis.step_mm()))
+    })
+}
+
+/// RMS slope along x and y, without the mean, nrad.
+fn slope_rms_nrad(surface: &Surface) -> [Option<f64>; 2] {
+    let grid = surface.grid();
+    let [x, y] = slope_base(surface);
+    let along = |base: Option<(usize, f64)>, coordinates: Vec<f64>, along| {
+        let values = slopes(surface.height_nm().view(), &coordinates, along, base?.0);
+        // nm/mm is urad.
+        Some(1e3 * statistics(values.view())?.rms)
+    };
+    [along(x, grid.x.coordinates(), Along::X), along(y, grid.y.coordinates(), Along::Y)]
 }
 
 impl Summary {
@@ -270,12 +324,31 @@ impl Summary {
         Self {
             pipeline: pipeline.into(),
             fixture: fixture.into(),
-            initial: Initial { rms_nm: statistics.rms, pv_nm: statistics.pv },
+            initial: Initial {
+                rms_nm: statistics.rms,
+                pv_nm: statistics.pv,
+                slope_rms_nrad: slope_rms_nrad(desired),
+                uncorrectable_rms_nm: None,
+            },
+            slope_base_mm: slope_base(desired).map(|base| base.map(|(_, mm)| mm)),
+            reach: None,
+            specification: Around::default(),
             ideal,
             methods,
             left_out,
             remarks,
             best,
+        }
+    }
+
+    /// The same, with what is known of the tool of the run, and of the specification of the mirror.
+    pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
+        let uncorrectable_rms_nm = reach.map(|reach| reach.uncorrectable_rms_nm(desired));
+        Self {
+            initial: Initial { uncorrectable_rms_nm, ..self.initial },
+            reach: reach.map(Reach::report),
+            specification: around,
+            ..self
         }
     }
 
@@ -389,8 +462,18 @@ mod tests {
     fn method() -> Result<Method, Invalid> {
         let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
-        let told = Told { wall, plan: plan(), remarks: vec![] };
+        let told = told(wall);
         Method::new(&desired(), &removal(), &trajectory(), None, &verdict, told)
+    }
+
+    fn told(wall: WallTimes) -> Told {
+        Told {
+            wall,
+            plan: plan(),
+            uncorrectable_rms_nm: None,
+            specification: None,
+            remarks: vec![],
+        }
     }
 
     fn plan() -> Plan {
@@ -410,6 +493,8 @@ mod tests {
         // Plane 8 + (x - mean) * 2 leaves +-1 on every pixel.
         assert!((m.rms_detilted_nm - 1.0).abs() < 1e-14);
         assert_eq!(m.total_time_s, 4.0);
+        // Heights [[8, 8], [6, 10]] on pixels of 1 mm: slopes 0 and 4 along x, -2 and 2 along y, nm/mm.
+        assert_eq!(m.slope_rms_nrad, [Some(2000.0), Some(2000.0)]);
     }
 
     #[test]
@@ -425,10 +510,26 @@ mod tests {
         let keys = |v: &Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
         assert_eq!(
             keys(&json),
-            ["pipeline", "fixture", "initial", "ideal", "methods", "left_out", "remarks", "best"]
+            [
+                "pipeline",
+                "fixture",
+                "initial",
+                "slope_base_mm",
+                "reach",
+                "specification",
+                "ideal",
+                "methods",
+                "left_out",
+                "remarks",
+                "best",
+            ]
         );
+        assert_eq!(json["slope_base_mm"], json!([1.0, 1.0]));
         assert_eq!(keys(&json["methods"]["pvt"]["plan"]), ["state", "word", "text"]);
-        assert_eq!(keys(&json["initial"]), ["rms_nm", "pv_nm"]);
+        assert_eq!(
+            keys(&json["initial"]),
+            ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm"]
+        );
         assert_eq!(keys(&json["ideal"]), ["rms_nm", "total_time_s"]);
         assert_eq!(json["ideal"]["total_time_s"], 3.5);
         assert_eq!(keys(&json["methods"]), ["position", "pvt", "pvt+refined", "mine"]);
@@ -438,6 +539,8 @@ mod tests {
                 "rms_nm",
                 "pv_nm",
                 "rms_detilted_nm",
+                "slope_rms_nrad",
+                "uncorrectable_rms_nm",
                 "total_time_s",
                 "max_velocity_mm_per_s",
                 "max_acceleration_mm_per_s2",
@@ -448,6 +551,7 @@ mod tests {
                 "simulate_wall_s",
                 "execution",
                 "plan",
+                "specification",
                 "remarks",
             ]
         );
@@ -516,7 +620,7 @@ mod tests {
     fn what_does_not_belong_together_is_refused() {
         let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
         let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
-            let told = Told { wall: WallTimes::default(), plan: plan(), remarks: vec![] };
+            let told = told(WallTimes::default());
             Method::new(desired, removal, &trajectory(), None, verdict, told)
                 .unwrap_err()
                 .to_string()

@@ -1,17 +1,19 @@
 //! The summary of one or several runs as plain aligned tables: the results, and how the motions
 //! execute their plans.
 
-use planish_types::text::{fixed, visible};
+use planish_types::text::{fixed, significant, visible};
 
 use crate::{
     chain::Standing,
+    specification::{Around, Judged, JudgedLimit},
     summary::{Method, Summary},
 };
 
 /// Columns: two lines of heading; the first column is aligned left, the others right.
-const HEADINGS: [[&str; 2]; 14] = [
+const HEADINGS: [[&str; 2]; 15] = [
     ["", "method"],
     ["RMS", "nm"],
+    ["uncorrectable", "nm"],
     ["detilted", "nm"],
     ["PV", "nm"],
     ["time", "s"],
@@ -69,6 +71,13 @@ fn render(runs: &[(&str, &Summary)]) -> String {
         text += "* smallest RMS among the methods that keep the limits of the machine\n";
     } else {
         text += "no method keeps the limits of the machine\n";
+    }
+    if let Some(reach) = runs.iter().find_map(|(_, summary)| summary.reach) {
+        text += &format!(
+            "uncorrectable: of the RMS, what the tool lets through by less than {} %; no dwell time can change \
+             it\n",
+            significant(100.0 * reach.transfer_threshold, 3)
+        );
     }
     for (name, summary) in runs {
         let whose = if named { format!("{}: ", visible(name)) } else { String::new() };
@@ -133,11 +142,12 @@ fn heading(name: &str, summary: &Summary) -> String {
     text
 }
 
-fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 14] {
+fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 15] {
     let wall = |s: Option<f64>| s.map_or("-".to_string(), |s| fixed(s, 3));
     [
         visible(scheduler).into_owned(),
         fixed(m.rms_nm, 4),
+        m.uncorrectable_rms_nm.map_or("-".into(), |nm| fixed(nm, 4)),
         fixed(m.rms_detilted_nm, 4),
         fixed(m.pv_nm, 3),
         fixed(m.total_time_s, 2),
@@ -154,7 +164,7 @@ fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 14] {
 }
 
 /// A row without numbers: none is known to be of this method.
-fn cells_not_valid(scheduler: &str) -> [String; 14] {
+fn cells_not_valid(scheduler: &str) -> [String; 15] {
     std::array::from_fn(|column| match HEADINGS[column][1] {
         "method" => visible(scheduler).into_owned(),
         "kept" => "not valid".into(),
@@ -206,6 +216,61 @@ pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
     align(&rows, 2)
 }
 
+/// The columns that were judged, with their names: before, the methods, after.
+fn judged_columns(summary: &Summary) -> Vec<(&str, &Judged)> {
+    let Around { before, after } = &summary.specification;
+    let methods = summary.methods.iter();
+    let methods = methods.filter_map(|(name, m)| Some((name.as_str(), m.specification.as_ref()?)));
+    let before = before.iter().map(|judged| ("before", judged));
+    let after = after.iter().map(|judged| ("measured after", judged));
+    before.chain(methods).chain(after).collect()
+}
+
+/// The limits of each run that was judged, in rows, and what was judged, in columns; what fails has a mark.
+/// Empty where nothing was judged.
+pub fn specification_table(runs: &[(&str, &Summary)]) -> String {
+    let mut text = String::new();
+    for (name, summary) in runs {
+        let columns = judged_columns(summary);
+        let Some((_, first)) = columns.first() else { continue };
+        let whose = if runs.len() > 1 { format!("{}: ", visible(name)) } else { String::new() };
+        let heads = columns.iter().map(|(head, _)| visible(head).into_owned());
+        let mut rows =
+            vec![["specification".into(), "limit".into()].into_iter().chain(heads).collect()];
+        for (i, limit) in first.limits.iter().enumerate() {
+            let found: Vec<Option<&JudgedLimit>> =
+                columns.iter().map(|(_, judged)| judged.limits.get(i)).collect();
+            let one = found.iter().flatten().all(|l| l.limit == limit.limit);
+            let sign = if limit.bound == "at-most" { "<=" } else { ">=" };
+            let bound = if one { significant(limit.limit, 4) } else { "line".into() };
+            let unit =
+                if limit.unit.is_empty() { String::new() } else { format!(" ({})", limit.unit) };
+            let cells = found.into_iter().map(|limit| match limit {
+                Some(l) => {
+                    let value = l.value.map_or("-".into(), |v| significant(v, 4));
+                    format!("{value}{}", if l.passed { " " } else { "!" })
+                }
+                None => "-".into(),
+            });
+            let row = [
+                visible(&format!("{}{unit}", limit.quantity)).into_owned(),
+                format!("{sign} {bound}"),
+            ];
+            rows.push(row.into_iter().chain(cells).collect());
+        }
+        let verdicts =
+            columns.iter().map(|(_, j)| if j.passed { "kept " } else { "NOT KEPT " }.to_string());
+        rows.push(
+            [visible(&first.name).into_owned(), String::new()]
+                .into_iter()
+                .chain(verdicts)
+                .collect(),
+        );
+        text += &format!("{whose}{}", align(&rows, 1));
+    }
+    text
+}
+
 /// Two numbers in one cell.
 fn pair([x, y]: [f64; 2], decimals: usize) -> String {
     format!("{}, {}", fixed(x, decimals), fixed(y, decimals))
@@ -246,6 +311,8 @@ mod tests {
             rms_nm,
             pv_nm: 1.25,
             rms_detilted_nm: 0.75 * rms_nm,
+            slope_rms_nrad: [Some(200.0), None],
+            uncorrectable_rms_nm: Some(0.5 * rms_nm),
             total_time_s: 90.0,
             max_velocity_mm_per_s: [12.5, 0.0],
             max_acceleration_mm_per_s2: [87.7, 53.2],
@@ -256,6 +323,7 @@ mod tests {
             simulate_wall_s: None,
             execution: Default::default(),
             plan: Plan { state: State::Certified, word: "certified".into(), text: "near".into() },
+            specification: None,
             remarks: vec![],
         }
     }
@@ -264,7 +332,15 @@ mod tests {
         Summary {
             pipeline: "raster".into(),
             fixture: "coupon".into(),
-            initial: Initial { rms_nm: 6.3167, pv_nm: 37.0 },
+            initial: Initial {
+                rms_nm: 6.3167,
+                pv_nm: 37.0,
+                slope_rms_nrad: [None; 2],
+                uncorrectable_rms_nm: None,
+            },
+            slope_base_mm: [Some(1.0); 2],
+            reach: None,
+            specification: Default::default(),
             ideal: Some(Ideal { rms_nm: 0.1, total_time_s: 88.0 }),
             methods: vec![
                 ("position".into(), method(0.1, false)),
@@ -281,11 +357,11 @@ mod tests {
         // The words, in the order of the columns; how they are aligned is checked below.
         let expected = "raster, coupon: initial surface 6.3167 nm RMS, 37.00 nm PV; \
             ideal (dwell at the dwell points) 0.1000 nm RMS in 88.00 s \
-            RMS detilted PV time max v x, y max a x, y v step x, y limits schedule simulate \
-            method nm nm nm s min mm/s mm/s^2 mm/s kept plan s s best \
-            position 0.1000 0.0750 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 no \
+            RMS uncorrectable detilted PV time max v x, y max a x, y v step x, y limits schedule simulate \
+            method nm nm nm nm s min mm/s mm/s^2 mm/s kept plan s s best \
+            position 0.1000 0.0500 0.0750 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 no \
             certified 0.123 - \
-            pvt 0.2000 0.1500 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 yes \
+            pvt 0.2000 0.1000 0.1500 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 yes \
             certified 0.123 - * \
             * smallest RMS among the methods that keep the limits of the machine \
             position, pvt: certified: near";
@@ -295,6 +371,37 @@ mod tests {
         let lines: Vec<&str> = found.lines().filter(|l| l.contains("0.123")).collect();
         assert_eq!(lines[0].find("87.7"), lines[1].find("87.7"));
         assert!(found.lines().all(|l| l == l.trim_end()));
+    }
+
+    #[test]
+    fn limits_are_rows_and_what_was_judged_columns() {
+        assert_eq!(specification_table(&[("run", &summary())]), "");
+        let limit = |value: Option<f64>, limit: f64, passed| JudgedLimit {
+            quantity: "PSD along x".into(),
+            unit: "nm^2 mm".into(),
+            value,
+            limit,
+            bound: "at-most".into(),
+            passed,
+            worst: None,
+        };
+        let judged = |limits: Vec<JudgedLimit>| Judged {
+            name: "strict".into(),
+            passed: limits.iter().all(|l| l.passed),
+            limits,
+        };
+        let mut summary = summary();
+        summary.specification.before =
+            Some(judged(vec![limit(Some(3.0), 1.0, false), limit(None, 2.0, true)]));
+        summary.methods[1].1.specification =
+            Some(judged(vec![limit(Some(0.5), 1.5, true), limit(Some(1.0), 2.0, true)]));
+        let found = specification_table(&[("run", &summary)]);
+        let words: Vec<Vec<&str>> = found.lines().map(|l| l.split_whitespace().collect()).collect();
+        assert_eq!(words[0], ["specification", "limit", "before", "pvt"]);
+        // A line under a spectrum has another limit where the spectrum is worst.
+        assert_eq!(words[1][5..], ["<=", "line", "3!", "0.5"]);
+        assert_eq!(words[2][5..], ["<=", "2", "-", "1"]);
+        assert_eq!(words[3], ["strict", "NOT", "KEPT", "kept"]);
     }
 
     #[test]

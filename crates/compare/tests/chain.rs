@@ -169,6 +169,25 @@ impl Lab {
         writer.write_arrays(&kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
     }
 
+    /// What planish-surface says of the residual of a method, by the specification of this text.
+    fn specify(&self, name: &str, by: &str) {
+        let file = self.run.with_file_name("limits.json");
+        fs::write(&file, by).unwrap();
+        let mut inputs = Inputs::new();
+        inputs.read::<Removal>("removal", &self.method(name).join("removal")).unwrap();
+        inputs.read_json::<Value>("specification", &file).unwrap();
+        let out = self.run.join("specified").join(name);
+        let parts = [("specification", &kind::SPECIFICATION)];
+        let mut writer = self.writer("planish-surface", &inputs, &out, parts);
+        let limit = json!({ "quantity": "PV height", "unit": "nm", "value": 2.0, "limit": 1.0,
+            "bound": "at-most", "passed": false, "worst": "at x 0, y 0 mm" });
+        let outcome =
+            json!({ "specification": { "name": "strict", "passed": false, "limits": [limit] } });
+        let empty = || ArrayData::F64(Array1::zeros(0).into_dyn());
+        let arrays: Vec<ArrayData> = kind::SPECIFICATION.arrays.iter().map(|_| empty()).collect();
+        writer.write_arrays(&kind::SPECIFICATION, &arrays, &[], outcome, &Status::Done).unwrap();
+    }
+
     fn report(&self) -> process::Output {
         let dir = self.run.parent().unwrap();
         let run = self.run.file_name().unwrap().to_str().unwrap();
@@ -449,6 +468,37 @@ fn names_that_are_programs_stay_names() {
 }
 
 #[test]
+fn a_specification_counts_for_the_prediction_that_it_judged() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = lab(dir.path());
+    lab.specify("pvt", "{}");
+    let said = text(&lab.report().stdout);
+    let row =
+        said.lines().find(|l| l.starts_with("PV height (nm)")).unwrap_or_else(|| panic!("{said}"));
+    assert_eq!(row.split_whitespace().collect::<Vec<_>>()[3..], ["<=", "1", "2!"]);
+    let summary = lab.summary();
+    assert_eq!(summary["methods"]["pvt"]["specification"]["passed"], false);
+    assert!(summary["methods"]["constant-acceleration"]["specification"].is_null());
+    assert_eq!(summary["remarks"], json!([]));
+
+    // Another specification for the second method: two columns would not belong together.
+    lab.specify("constant-acceleration", "{}");
+    lab.specify("pvt", "[]");
+    let said = text(&lab.report().stdout);
+    assert!(said.contains("pvt: it was judged by another specification; judge it again"), "{said}");
+    assert!(lab.summary()["methods"]["pvt"]["specification"].is_null());
+
+    // Another prediction than the one that was judged.
+    lab.judge("constant-acceleration", 0.125, true);
+    let said = text(&lab.report().stdout);
+    let remark =
+        "constant-acceleration: its specification was judged on another map; judge it again";
+    assert!(said.contains(remark), "{said}");
+    assert!(lab.summary()["methods"]["constant-acceleration"]["specification"].is_null());
+    assert!(lab.summary()["methods"]["pvt"]["specification"]["passed"] == false);
+}
+
+#[test]
 fn flat_maps_and_points_are_drawn_with_numbers_only() {
     // A flat map, perfectly removed or not at all; a motion and a path of one point.
     for (height_nm, left) in [(0.0, 0.0), (0.0, 1.0), (3.0, 0.0), (1e-13, 0.5)] {
@@ -480,7 +530,9 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
             }
         }
         let numbers = lab.summary().to_string();
-        // Only the two times that were not measured, and the method `position`, are absent.
-        assert_eq!(numbers.matches("null").count(), 3, "{numbers}");
+        // The two times that were not measured, the method `position`, the tool (it, and the part that it does not
+        // reach, before and after), three verdicts by a specification; slopes along y, before and after, and
+        // their base, which is as long as the map.
+        assert_eq!(numbers.matches("null").count(), 2 + 1 + 3 + 3 + 3, "{numbers}");
     }
 }

@@ -394,6 +394,100 @@ pub const VERDICT: Kind = Kind {
     files: &[],
 };
 
+/// What a mirror is bought by.
+pub const SPECIFICATION: Kind = Kind {
+    name: "specification",
+    version: 1,
+    doc: "What a mirror is bought by: height and slope errors after the best shapes, in bands, along the centre line; and whether a specification is kept, limit by limit. The numbers are in the manifest's outcome. Of a profile the arrays along y and over rings are empty.",
+    frame: "part coordinates; frequencies ascend from 0",
+    arrays: &[
+        array(
+            "position_mm",
+            Dtype::F64,
+            &["n"],
+            &["x"],
+            "mm",
+            "Positions of the centre line, or of the profile.",
+        ),
+        or_nan(array(
+            "height_nm",
+            Dtype::F64,
+            &["n"],
+            &["x"],
+            "nm",
+            "Its heights after the shape that was taken off.",
+        )),
+        array(
+            "slope_position_mm",
+            Dtype::F64,
+            &["m"],
+            &["x"],
+            "mm",
+            "Middles of the bases of its slopes.",
+        ),
+        or_nan(array("slope_nrad", Dtype::F64, &["m"], &["x"], "nrad", "Its slopes.")),
+        array("frequency_x_per_mm", Dtype::F64, &["kx"], &["fx"], "1/mm", "Frequencies along x."),
+        array(
+            "psd_x_nm2_mm",
+            Dtype::F64,
+            &["kx"],
+            &["fx"],
+            "nm^2 mm",
+            "Density of the heights along x, one-sided, mean of the rows.",
+        ),
+        array(
+            "slope_psd_x_nrad2_mm",
+            Dtype::F64,
+            &["kx"],
+            &["fx"],
+            "nrad^2 mm",
+            "Density of the slopes along x.",
+        ),
+        array("frequency_y_per_mm", Dtype::F64, &["ky"], &["fy"], "1/mm", "Frequencies along y."),
+        array(
+            "psd_y_nm2_mm",
+            Dtype::F64,
+            &["ky"],
+            &["fy"],
+            "nm^2 mm",
+            "Density of the heights along y, one-sided, mean of the columns.",
+        ),
+        array(
+            "slope_psd_y_nrad2_mm",
+            Dtype::F64,
+            &["ky"],
+            &["fy"],
+            "nrad^2 mm",
+            "Density of the slopes along y.",
+        ),
+        array(
+            "frequency_radial_per_mm",
+            Dtype::F64,
+            &["kr"],
+            &["f"],
+            "1/mm",
+            "Middles of rings of frequencies.",
+        ),
+        array(
+            "psd_radial_nm2_mm2",
+            Dtype::F64,
+            &["kr"],
+            &["f"],
+            "nm^2 mm^2",
+            "Mean density of the heights over the rings, two-dimensional.",
+        ),
+        array(
+            "slope_psd_radial_nrad2_mm2",
+            Dtype::F64,
+            &["kr"],
+            &["f"],
+            "nrad^2 mm^2",
+            "Mean density of the slopes (both directions together) over the rings.",
+        ),
+    ],
+    files: &[],
+};
+
 /// Power spectral densities of a map.
 pub const PSD: Kind = Kind {
     name: "psd",
@@ -484,7 +578,7 @@ pub const REPORT: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 12] = [
+pub const ALL: [&Kind; 13] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -496,6 +590,7 @@ pub const ALL: [&Kind; 12] = [
     &ITERATIONS,
     &VERDICT,
     &PSD,
+    &SPECIFICATION,
     &REPORT,
 ];
 

@@ -9,6 +9,7 @@
 //! | [`linear`] | symmetric systems (skyline Cholesky, Woodbury), tridiagonal ones, Krylov methods |
 //! | [`qp`] | quadratic programs: bounds, non-negativity, chains of neighbours |
 //! | [`motion`] | motions between states, and motions given by a law of time |
+//! | [`slope`] | slopes of a map over a base length |
 //! | [`spectrum`] | power spectral densities of a rectangle of samples |
 //! | the others | interpolation, polynomials, quadrature, statistics, sorting by counting |
 
@@ -22,5 +23,6 @@ pub mod orthogonal;
 pub mod polynomial;
 pub mod qp;
 pub mod quadrature;
+pub mod slope;
 pub mod spectrum;
 pub mod statistics;

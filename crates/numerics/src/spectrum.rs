@@ -34,10 +34,11 @@
 
 use std::f64::consts::PI;
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2};
+use rayon::prelude::*;
 
 use crate::{
-    fft::transform,
+    fft::{Complex64, transform},
     statistics::{fit_plane, subtract_plane},
 };
 
@@ -154,6 +155,39 @@ pub fn along_rows(z: ArrayView2<f64>, step: f64, window: &[f64]) -> (Vec<f64>, V
     ((0..=n / 2).map(|k| k as f64 / (n as f64 * step)).collect(), density)
 }
 
+/// The transfer function of a kernel (my, mx) whose samples are at `x` and `y`, at the frequencies `f_x` and
+/// `f_y`, over that at 0: |sum t exp(-2 pi i (f_x x + f_y y))| / |sum t|, of shape (ny, nx).
+///
+/// Direct sums, one axis after the other: the steps of the kernel and of the frequencies have nothing in common.
+pub fn transfer(
+    kernel: ArrayView2<f64>,
+    [x, y]: [&[f64]; 2],
+    [f_x, f_y]: [&[f64]; 2],
+) -> Array2<f64> {
+    let wave = |f: f64, at: f64| Complex64::cis(-2.0 * PI * f * at);
+    // Along x: (nx, my)
+    let rows: Vec<Vec<Complex64>> = f_x
+        .par_iter()
+        .map(|f| {
+            let waves: Vec<Complex64> = x.iter().map(|x| wave(*f, *x)).collect();
+            let sum = |row: ArrayView1<f64>| row.iter().zip(&waves).map(|(t, w)| w * t).sum();
+            kernel.outer_iter().map(sum).collect()
+        })
+        .collect();
+    let whole = kernel.sum().abs();
+    let lines: Vec<Vec<f64>> = f_y
+        .par_iter()
+        .map(|f| {
+            let waves: Vec<Complex64> = y.iter().map(|y| wave(*f, *y)).collect();
+            let sum = |row: &Vec<Complex64>| {
+                row.iter().zip(&waves).map(|(t, w)| t * w).sum::<Complex64>().norm() / whole
+            };
+            rows.iter().map(sum).collect()
+        })
+        .collect();
+    Array2::from_shape_fn((f_y.len(), f_x.len()), |(r, c)| lines[r][c])
+}
+
 /// The mean of the squares of a window.
 pub fn mean_square(window: &[f64]) -> f64 {
     window.iter().map(|w| w * w).sum::<f64>() / window.len() as f64
@@ -232,6 +266,25 @@ mod tests {
         // Bins with 0 < |f| < 0.3: 20 (radius 2.4 bins); two of them hold 16.
         assert!((ring.density - 2.0 * 16.0 / 20.0).abs() < 1e-12, "{ring:?}");
         assert!(rings[0].unwrap().density < 1e-28);
+    }
+
+    #[test]
+    fn the_transfer_of_a_gaussian_is_a_gaussian_and_falls_to_its_bins() {
+        // Samples every 0.1 to 6 sigma: aliases are exp(-2 pi^2 sigma^2 (10 - f)^2), the cut tails 1e-8.
+        let (sigma_x, sigma_y) = (0.8, 1.3);
+        let at = |n: i32| (-n..=n).map(|i| 0.1 * f64::from(i)).collect::<Vec<f64>>();
+        let (x, y) = (at(48), at(78));
+        let kernel = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
+            3.0 * (-0.5 * ((x[c] / sigma_x).powi(2) + (y[r] / sigma_y).powi(2))).exp()
+        });
+        let (f_x, f_y) = ([-0.3, 0.0, 0.11, 0.5], [0.0, 0.2, -0.45]);
+        // A kernel beside its centre has another phase, and the same size.
+        let beside: Vec<f64> = x.iter().map(|x| x + 0.7).collect();
+        let found = transfer(kernel.view(), [&beside, &y], [&f_x, &f_y]);
+        for ((r, c), gain) in found.indexed_iter() {
+            let power = (sigma_x * f_x[c]).powi(2) + (sigma_y * f_y[r]).powi(2);
+            assert!((gain - (-2.0 * PI * PI * power).exp()).abs() < 1e-7, "{r} {c} {gain}");
+        }
     }
 
     #[test]

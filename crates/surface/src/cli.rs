@@ -3,6 +3,7 @@
 mod draw;
 mod prepare;
 mod psd;
+mod spec;
 mod statistics;
 mod tif;
 
@@ -25,6 +26,9 @@ pub enum Method {
     Statistics(statistics::StatisticsArgs),
     /// Power spectral densities of a map, or of a residual, and the RMS in bands
     Psd(psd::PsdArgs),
+    /// Slope errors, heights after the best shape, bands and spectra of a map, a residual or a profile; and
+    /// whether a specification is kept
+    Spec(Box<spec::SpecArgs>),
     /// Makes a measured tool ready: border, centre, rotation, pitch, taper; or fits a formula to it
     Tif(tif::TifArgs),
     /// Draws maps and a section through them as SVG
@@ -37,6 +41,7 @@ impl Method {
             Self::Prepare(arguments) => arguments.run(),
             Self::Statistics(arguments) => arguments.run(),
             Self::Psd(arguments) => arguments.run(),
+            Self::Spec(arguments) => arguments.run(),
             Self::Tif(arguments) => arguments.run(),
             Self::Draw(arguments) => arguments.run(),
         }

@@ -6,19 +6,26 @@
 //! * [`mod@fill`]: heights for holes.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
+//! * [`quality`]: what a mirror is bought by, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
+//!   shape; [`specification`]: limits on all of it.
 //! * [`tif`], [`tif_fit`]: a tool influence function made ready, and described by a formula.
 //! * [`draw`]: pictures of maps and spectra.
 
 mod basis;
 mod distance;
 pub mod draw;
+pub mod ellipse;
 pub mod extension;
 pub mod fill;
 pub mod low_order;
 mod median;
 pub mod outliers;
 pub mod prepare;
+pub mod profile;
 pub mod psd;
+pub mod quality;
+pub mod shape;
+pub mod specification;
 pub mod statistics;
 pub mod tif;
 pub mod tif_fit;

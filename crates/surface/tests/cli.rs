@@ -389,3 +389,139 @@ fn strips_flat_maps_and_hostile_names_are_drawn() {
     let svg = fs::read_to_string(tmp.path().join("0.svg")).unwrap();
     assert!(svg.contains(r"a&lt;b&gt;&amp;\u{1b}[31m\u{8}"), "{svg}");
 }
+
+fn spec(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+        .current_dir(dir)
+        .arg("spec")
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_specification_that_is_not_kept_ends_with_1_and_says_why() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_surface(&tmp.path().join("in"));
+    let limits = |nm: f64| {
+        format!(
+            r#"{{ "name": "flat", "limits": [ {{ "quantity": "height_pv", "at_most_nm": {nm} }},
+                {{ "quantity": "slope_rms", "along": "x", "base_mm": 0.5, "at_most_nrad": 1e6 }} ] }}"#
+        )
+    };
+    fs::write(tmp.path().join("strict.json"), limits(1.0)).unwrap();
+    fs::write(tmp.path().join("easy.json"), limits(100.0)).unwrap();
+    let with = |file: &str, out: &str| {
+        spec(tmp.path(), &["--surface", "in", "--specification", file, "--out", out])
+    };
+    let easy = with("easy.json", "easy");
+    assert_eq!(easy.status.code(), Some(0), "{easy:?}");
+    let strict = with("strict.json", "strict");
+    assert_eq!(strict.status.code(), Some(1), "{strict:?}");
+    let said = String::from_utf8(strict.stderr).unwrap();
+    assert!(said.contains("1 of 2 limits of flat are exceeded: PV height after plane: "), "{said}");
+    assert!(said.contains(" nm, at most 1 nm, ") && said.contains("worst at x "), "{said}");
+    let table = String::from_utf8(strict.stdout).unwrap();
+    assert!(
+        table.contains("FAILS  PV height") && table.contains("kept   RMS slope along x"),
+        "{table}"
+    );
+
+    let text = fs::read_to_string(tmp.path().join("strict/manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(manifest["kind"], "specification");
+    assert_eq!(manifest["outcome"]["status"], "negative");
+    assert_eq!(manifest["outcome"]["specification"]["passed"], false);
+    assert_eq!(manifest["outcome"]["slope_x"]["base_mm"], 1.0);
+    // Density and frequencies of the slopes: (2 pi f)^2 of the heights', in nrad and nm.
+    let array = |name: &str| {
+        let file = tmp.path().join("strict").join(format!("{name}.npy"));
+        match planish_handoff::npy::read(&file, planish_handoff::kind::Dtype::F64).unwrap().array {
+            ArrayData::F64(a) => a,
+            other => panic!("{other:?}"),
+        }
+    };
+    let (f, z, s) =
+        (array("frequency_x_per_mm"), array("psd_x_nm2_mm"), array("slope_psd_x_nrad2_mm"));
+    for i in 0..f.len() {
+        let want = (2e3 * std::f64::consts::PI * f[i]).powi(2) * z[i];
+        assert!((s[i] - want).abs() <= 1e-12 * want, "{i}");
+    }
+    assert_eq!(array("position_mm").len(), 80);
+    let again = with("strict.json", "strict");
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8(again.stdout).unwrap().contains("unchanged"));
+}
+
+#[test]
+fn a_profile_is_read_from_text_and_from_an_array() {
+    let tmp = tempfile::tempdir().unwrap();
+    let slope = |i: usize| 2.0 * (i as f64 / 7.0).sin();
+    let rows: Vec<String> =
+        (0..300).map(|i| format!("{i};{};{}", 0.001 * i as f64, slope(i))).collect();
+    let text = format!("LTP scan 4\nn;x (m);slope (urad)\n{}\n", rows.join("\n"));
+    fs::write(tmp.path().join("scan.txt"), text).unwrap();
+    let table =
+        Array2::from_shape_fn((300, 2), |(i, k)| if k == 0 { i as f64 } else { 1e-6 * slope(i) });
+    save(tmp.path(), "scan", table);
+    let text = ["--profile", "scan.txt", "--profile-columns", "2", "3", "--position-unit", "m"];
+    let text = [&text[..], &["--value-unit", "urad", "--out", "a"]].concat();
+    let array = ["--profile", "scan.npy", "--value-unit", "rad", "--out", "b"];
+    let number = |out: &str| {
+        let text = fs::read_to_string(tmp.path().join(out).join("manifest.json")).unwrap();
+        let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
+        manifest["outcome"]["slope_x"]["rms_nrad"].as_f64().unwrap()
+    };
+    for arguments in [&text[..], &array[..]] {
+        let output = spec(tmp.path(), arguments);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+    }
+    // sin over 6.8 periods: 2 urad / sqrt 2, within what the rest of a period changes.
+    assert!((number("a") / number("b") - 1.0).abs() < 1e-12);
+    assert!((number("a") / 1414.2 - 1.0).abs() < 0.05, "{}", number("a"));
+}
+
+#[test]
+fn what_cannot_be_specified_ends_with_2_and_no_output() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_surface(&tmp.path().join("in"));
+    fs::write(tmp.path().join("scan.txt"), "0 1\n1 2\n1 3\n2 1\n3 1\n4 1\n5 1\n6 1\n7 1\n")
+        .unwrap();
+    fs::write(tmp.path().join("typo.json"), r#"{ "name": "a", "limit": [] }"#).unwrap();
+    fs::write(
+        tmp.path().join("zone.json"),
+        r#"{ "name": "a", "zones": [ { "name": "far", "x_mm": [50, 60] } ],
+             "limits": [ { "quantity": "height_pv", "zone": "far", "at_most_nm": 1 } ] }"#,
+    )
+    .unwrap();
+    save(tmp.path(), "narrow", Array2::zeros((20, 1)));
+    let profile = |unit| ["--profile", "scan.txt", "--value-unit", unit];
+    let map = ["--surface", "in"];
+    let cases: [(&[&[&str]], &str); 11] = [
+        (&[&map, &["--base-mm", "0"]], "--base-mm is 0; give a length in mm"),
+        (&[&map, &["--base-mm", "7.9999"]], "--base-mm is 7.9999, the map is 7.9 mm long"),
+        (&[&map, &["--after", "ellipse"]], "give --ellipse"),
+        (&[&map, &["--ellipse", "1", "0", "3"]], "ellipse: q is 0 mm; give a distance"),
+        (&[&map, &["--band-per-mm", "20", "30"]], "holds no frequency along x"),
+        (&[&map, &["--specification", "typo.json"]], "typo.json: unknown field `limit`"),
+        (
+            &[&map, &["--specification", "zone.json"]],
+            "limits[0]: cannot be judged: zone \"far\" holds no",
+        ),
+        (&[&profile("urad")], "position[2]: 1 mm follows 1 mm; sort"),
+        (&[&profile("urad"), &["--profile-columns", "1", "1"]], "give two different ones"),
+        (&[&profile("urad"), &["--profile-columns", "1", "4"]], "give the right --profile-columns"),
+        (
+            &[&["--profile", "narrow.npy", "--value-unit", "nm"]],
+            "narrow.npy: has 1 column(s), not 2",
+        ),
+    ];
+    for (arguments, message) in cases {
+        let arguments = [&arguments.concat()[..], &["--out", "out"]].concat();
+        let output = spec(tmp.path(), &arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains(message), "{arguments:?}: {said}");
+        assert!(!tmp.path().join("out").exists(), "{arguments:?}");
+    }
+}

@@ -67,9 +67,22 @@ fn run(dir: &Path, arguments: &[&str]) -> Output {
     run_within(command.current_dir(dir).args(arguments), LIMIT)
 }
 
-/// Null in the outcome because there is nothing to report: steps that were not asked for, and the width
-/// of a TIF that does not fall to half of its peak.
-const ABSENT: [&str; 7] = [
+/// Null in the outcome because there is nothing to report: steps that were not asked for, the width of a TIF
+/// that does not fall to half of its peak; radii and ellipses of shapes that have none, slopes over a base that
+/// does not fit along y, and correlations that do not fall.
+const ABSENT: [&str; 19] = [
+    ".outcome.shape.radius_m",
+    ".outcome.shape.ellipse",
+    ".outcome.slope_y",
+    ".outcome.after[].shape.radius_m",
+    ".outcome.after[].shape.ellipse",
+    ".outcome.after[].slope_x_rms_nrad",
+    ".outcome.after[].slope_y_rms_nrad",
+    ".outcome.centre_line.slope_rms_nrad",
+    ".outcome.autocorrelation_length_x_mm",
+    ".outcome.autocorrelation_length_y_mm",
+    ".outcome.strehl",
+    ".outcome.specification",
     ".outcome.outliers",
     ".outcome.removed_low_order",
     ".outcome.filled",
@@ -120,7 +133,19 @@ fn judged(dir: &Path, arguments: &[&str], out: &str) -> (Option<String>, BTreeSe
 }
 
 /// A subcommand, its flags with a `?` where a hostile number goes, and a number that is usual there.
-const FLAGS: [(&str, &str, &str); 30] = [
+const FLAGS: [(&str, &str, &str); 42] = [
+    ("spec", "--base-mm ?", "1"),
+    ("spec", "--band-per-mm ? 0.3", "0.1"),
+    ("spec", "--band-per-mm 0.1 ?", "0.3"),
+    ("spec", "--centre-line-width-mm ?", "1"),
+    ("spec", "--wavelength-nm ?", "633"),
+    ("spec", "--wavelength-nm 1 --grazing-mrad ?", "3"),
+    ("spec", "--after ellipse --ellipse ? 900 3", "30000"),
+    ("spec", "--after ellipse --ellipse 30000 ? 3", "900"),
+    ("spec", "--after ellipse --ellipse 30000 900 ?", "3"),
+    ("spec", "--after ellipse --ellipse 30000 900 3 --ellipse-pole-mm ?", "0"),
+    ("spec", "--after ellipse --ellipse 30000 900 3 --ellipse-free q --ellipse-pole-mm ?", "0"),
+    ("spec", "--memory-gib ?", "1"),
     ("prepare", "--level legendre --level-order ?", "3"),
     ("prepare", "--level zernike --level-order ?", "3"),
     ("prepare", "--level zernike --level-order 2 --zernike-circle-mm 0 0 ?", "9"),
@@ -220,7 +245,7 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
         ("small", Array2::from_shape_fn((9, 12), |(r, c)| 1e-300 * (r * c) as f64)),
         ("two-by-two", Array2::from_shape_fn((2, 2), |(r, c)| (r + c) as f64)),
     ];
-    let calls: [&[&str]; 18] = [
+    let calls: [&[&str]; 21] = [
         &["prepare"],
         &["prepare", "--level", "plane"],
         &["prepare", "--level", "legendre", "--level-order", "4"],
@@ -242,6 +267,9 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
         ],
         &["psd"],
         &["psd", "--window", "none", "--detrend", "mean", "--band-per-mm", "0.1", "0.3"],
+        &["spec"],
+        &["spec", "--after", "sphere", "--base-mm", "0.3", "--wavelength-nm", "633"],
+        &["spec", "--after", "cylinder-y", "--centre-line-width-mm", "1"],
         &["draw"],
         &["draw", "--section-y-mm", "0"],
         &["tif"],

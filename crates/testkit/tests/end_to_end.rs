@@ -198,10 +198,25 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     // Exactly the keys that other programs read.
     assert_eq!(
         keys(&summary),
-        ["pipeline", "fixture", "initial", "ideal", "methods", "left_out", "remarks", "best"]
+        [
+            "pipeline",
+            "fixture",
+            "initial",
+            "slope_base_mm",
+            "reach",
+            "specification",
+            "ideal",
+            "methods",
+            "left_out",
+            "remarks",
+            "best",
+        ]
     );
     assert_eq!([&summary["pipeline"], &summary["fixture"]], ["raster", "coupon"]);
-    assert_eq!(keys(&summary["initial"]), ["rms_nm", "pv_nm"]);
+    assert_eq!(
+        keys(&summary["initial"]),
+        ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm"]
+    );
     assert_eq!(keys(&summary["ideal"]), ["rms_nm", "total_time_s"]);
     let methods = &summary["methods"];
     assert_eq!(keys(methods), METHODS.map(|(name, _)| name));
@@ -212,6 +227,8 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "rms_nm",
                 "pv_nm",
                 "rms_detilted_nm",
+                "slope_rms_nrad",
+                "uncorrectable_rms_nm",
                 "total_time_s",
                 "max_velocity_mm_per_s",
                 "max_acceleration_mm_per_s2",
@@ -222,6 +239,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "simulate_wall_s",
                 "execution",
                 "plan",
+                "specification",
                 "remarks",
             ]
         );

@@ -403,3 +403,33 @@ fn a_negative_verdict_on_the_plan_ends_the_run_with_1_after_the_report() {
         assert!(text.contains("b/report/report.html"), "the report came first: {text}");
     }
 }
+
+#[test]
+fn a_prediction_that_does_not_keep_the_specification_ends_the_run_with_1() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    // The coupon has 52 nm PV; what remains of it has 3 nm.
+    for (nm, code) in [(10.0, 0), (0.1, 1)] {
+        let limits = format!(
+            r#"{{ "name": "flat", "limits": [ {{ "quantity": "height_pv", "at_most_nm": {nm} }} ] }}"#
+        );
+        fs::write(dir.path().join("limits of mine.json"), limits).unwrap();
+        let settings = ["run", "raster", "specification=limits of mine.json", "out=out"];
+        let said = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), code);
+        assert!(said.contains("PV height after plane (nm)"), "{said}");
+        assert_eq!(
+            said.contains("out/specified/pvt/specification (planish-surface): 1 of 1"),
+            code == 1
+        );
+        let before = manifest(&dir.path().join("out/specified/before/specification"));
+        assert_eq!(before["outcome"]["status"], "negative");
+    }
+    // Without it the same run is judged by the machine alone.
+    let plain = ["run", "raster", "out=out"];
+    ended_with(&run(dir.path(), &[&plain[..], &QUICK_RUN].concat()), 0);
+    let alone = ["run", "raster", "measured_after=out/surface", "out=out"];
+    let said = ended_with(&run(dir.path(), &[&alone[..], &QUICK_RUN].concat()), 2);
+    assert!(said.contains("give one too (specification=FILE)"), "{said}");
+}

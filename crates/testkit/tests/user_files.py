@@ -3,7 +3,7 @@
     python3 user_files.py FIXTURE_DIR
 
 makes them in the current directory out of a fixture's surface and tif: `mirror.datx`, `spot.mat`,
-`rates.mat`, `depth.datx`, `before.datx`, `after.datx`. A reader goes by the content and not by the name:
+`rates.mat`, `depth.datx`, `before.datx`, `after.datx`, and the lines of a profiler `scan.csv`, `scan.npy`. A reader goes by the content and not by the name:
 what is called .datx here is FITS, which takes four lines to write and states its units as datx does.
 """
 
@@ -58,3 +58,11 @@ def piece_nm(shift_mm):
 fits("depth.datx", spot_nm, 0.25)
 fits("before.datx", piece_nm(0), 0.25)
 fits("after.datx", piece_nm(0.025) - spot_nm, 0.25)
+
+# A line of a profiler: slopes of a cylinder of 2 km with a ripple, in urad over mm; and of an ellipse of p 30 m,
+# q 0.4 m, 3 mrad in its leading orders, in rad over m.
+at_mm = np.arange(-50, 50.5, 0.5)
+slope_urad = at_mm / 2 + 0.2 * np.sin(2 * np.pi * at_mm / 8)
+np.savetxt("scan.csv", np.c_[at_mm, slope_urad], delimiter=",", header="position (mm), slope (urad)")
+curvature_per_mm = 3e-3 / 2 * (1 / 30000 + 1 / 400)
+np.save("scan.npy", np.c_[at_mm / 1e3, curvature_per_mm * at_mm])

@@ -10,7 +10,7 @@ use planish_compare::{
     chain::Standing,
     report::{figure::figures, page, sparkline, views},
     summary::{Summary, negative, to_json},
-    table::{execution_table, table, table_of_runs},
+    table::{execution_table, specification_table, table, table_of_runs},
 };
 use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
 use planish_types::text::visible;
@@ -33,6 +33,9 @@ pub struct Report {
     /// artifact; of one run only]
     #[arg(long, value_name = "DIR")]
     measured: Option<PathBuf>,
+    /// Tool of the runs, to tell what of a residual no dwell time can change [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: Option<PathBuf>,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -49,7 +52,7 @@ enum Plots {
 
 impl Report {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Report { runs, pipeline, fixture, measured, plots, output } = self;
+        let Report { runs, pipeline, fixture, measured, tif, plots, output } = self;
         let mut inputs = Inputs::new();
         let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
         let task =
@@ -58,6 +61,7 @@ impl Report {
             pipeline: pipeline.as_deref(),
             fixture,
             measured: measured.as_deref().filter(|_| runs.len() == 1),
+            tif: tif.as_deref(),
         };
         if measured.is_some() && runs.len() > 1 {
             let message =
@@ -93,6 +97,10 @@ impl Report {
             _ => table_of_runs(&runs),
         });
         say(execution_table(&runs));
+        let judged = specification_table(&runs);
+        if !judged.is_empty() {
+            say(judged);
+        }
         if plotted {
             say(sparkline::plots(&views));
         }

@@ -88,6 +88,7 @@ function pathContent(entry) {
 }
 
 function worstPlaces(entry) {
+  if (entry.run.summary.methods[entry.method.name].plan.state === "ideal") return [];
   const { steps, ...checks } = entry.method.limits;
   const times = [...Object.values(checks).flat().flatMap((check) => check.worst.map((w) => w[0])), ...steps];
   return times.map((t) => toolAt(entry, t)).map((p) => [p.x, p.y]);

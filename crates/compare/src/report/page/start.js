@@ -67,6 +67,8 @@ function play(on) {
 function start() {
   readTheme();
   fillSummary();
+  fillSpecifications();
+  fillReach();
   fillProvenance();
   if (!ENTRIES.length) {
     // Every method is left out, and why is said: there is nothing to draw.

@@ -1,0 +1,287 @@
+//! `planish-surface spec`.
+
+use std::path::{Path, PathBuf};
+
+use clap::{ArgAction, Args};
+use ndarray::Array1;
+use planish_handoff::{
+    Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, say, task,
+};
+use planish_surface::{
+    ellipse::Ellipse,
+    profile::{LengthUnit, Profile, ProfileSettings, ValueUnit, rows_of_text},
+    quality::{Light, Quality, QualityArrays, QualitySettings, Subject, quality},
+    shape::{EllipseParameter, EllipseSettings, Shape},
+    specification::{Specification, SpecificationReport},
+};
+use planish_types::{Removal, text::significant};
+use serde_json::json;
+
+/// Largest file of a profile, bytes: some million lines.
+const LARGEST_PROFILE_BYTES: u64 = 1 << 28;
+
+/// Grazing angle of normal incidence, mrad.
+const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
+
+#[derive(Debug, Args)]
+pub struct SpecArgs {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// Columns of the profile's positions and of its values, from 1
+    #[arg(long, num_args = 2, value_names = ["POSITION", "VALUE"], default_values_t = [1, 2], requires = "profile")]
+    profile_columns: Vec<usize>,
+    /// Unit of the profile's positions
+    #[arg(long, value_enum, default_value = "mm", requires = "profile")]
+    position_unit: LengthUnit,
+    /// Unit of the profile's values: of a length for heights, of an angle for slopes
+    #[arg(long, value_enum, requires = "profile")]
+    value_unit: Option<ValueUnit>,
+    /// Lines of the profile before its numbers [default: all that have none in both columns]
+    #[arg(long, value_name = "N", requires = "profile")]
+    header_lines: Option<usize>,
+    /// Shape that is taken off before anything is measured
+    #[arg(long, value_enum, default_value_t = Shape::Plane)]
+    after: Shape,
+    /// Elliptical mirror: source to pole (mm), pole to image (mm), grazing angle (mrad); the source is
+    /// where x is smallest [default: that of the specification]
+    #[arg(long, num_args = 3, value_names = ["P_MM", "Q_MM", "THETA_MRAD"], allow_negative_numbers = true)]
+    ellipse: Option<Vec<f64>>,
+    /// What of the ellipse is fitted, beside piston and tilt
+    #[arg(long, value_enum, value_delimiter = ',', requires = "ellipse")]
+    ellipse_free: Vec<EllipseParameter>,
+    /// Where the pole of the ellipse is, mm [default: the middle of the valid pixels]
+    #[arg(long, value_name = "X", requires = "ellipse", allow_negative_numbers = true)]
+    ellipse_pole_mm: Option<f64>,
+    /// Base length of slopes, mm; the whole number of pixels nearest to it is used
+    #[arg(long, value_name = "L", default_value_t = 1.0, allow_negative_numbers = true)]
+    base_mm: f64,
+    /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
+    #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = ArgAction::Append, allow_negative_numbers = true)]
+    band_per_mm: Vec<f64>,
+    /// Width of the strip about the middle of y whose mean is the centre line, mm; 0 for one row
+    #[arg(long, value_name = "W", default_value_t = 0.0, allow_negative_numbers = true)]
+    centre_line_width_mm: f64,
+    /// Wavelength for the Strehl ratio, nm
+    #[arg(long, value_name = "L", allow_negative_numbers = true)]
+    wavelength_nm: Option<f64>,
+    /// Grazing angle for the Strehl ratio, mrad [default: normal incidence]
+    #[arg(long, value_name = "A", requires = "wavelength_nm", allow_negative_numbers = true)]
+    grazing_mrad: Option<f64>,
+    /// Limits that the mirror must keep; exit code 1 names those that it does not [JSON]
+    #[arg(long, value_name = "FILE")]
+    specification: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+struct SourceArgs {
+    /// Map [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: Option<PathBuf>,
+    /// Predicted removal whose residual is the map [removal artifact]
+    #[arg(long, value_name = "DIR")]
+    removal: Option<PathBuf>,
+    /// Measured line: a table as text, or a .npy file of shape (positions, columns)
+    #[arg(long, value_name = "FILE", requires = "value_unit")]
+    profile: Option<PathBuf>,
+}
+
+impl SpecArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let subject = self.subject(&mut inputs)?;
+        let specification = match &self.specification {
+            Some(file) => {
+                let read: Specification = inputs.read_json("specification", file)?;
+                read.check().map_err(|e| Failure::new(format!("{}: {e}", file.display())))?;
+                Some((file, read))
+            }
+            None => None,
+        };
+        let settings = self.settings(specification.as_ref().map(|(_, s)| s))?;
+        let profile = self.source.profile.as_ref().map(|_| self.profile_settings());
+        let task = task!("spec", &json!({ "quality": settings, "profile": profile.transpose()? }));
+        let output = Output::directory(&self.output, &kind::SPECIFICATION);
+        let mut output = match output.begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let found = quality(&subject, &settings).map_err(Failure::with_flags)?;
+        let verdict = match &specification {
+            Some((file, specification)) => Some(
+                specification
+                    .judge(&subject)
+                    .map_err(|e| Failure::new(format!("{}: {e}", file.display())))?,
+            ),
+            None => None,
+        };
+        let mut outcome = serde_json::to_value(&found)?;
+        outcome["specification"] = serde_json::to_value(&verdict)?;
+        let status = verdict
+            .as_ref()
+            .and_then(SpecificationReport::failures)
+            .map_or(Status::Done, Status::Negative);
+        let arrays = arrays(&found.arrays);
+        output.write_arrays(&kind::SPECIFICATION, &arrays, &[], outcome, &status)?;
+        report(&found);
+        verdict.iter().flat_map(|v| &v.limits).for_each(|limit| {
+            say(format!("{}  {}", if limit.passed { "kept " } else { "FAILS" }, limit.text()));
+        });
+        Ok(status)
+    }
+
+    fn subject(&self, inputs: &mut Inputs) -> Result<Subject, Failure> {
+        let SourceArgs { surface, removal, profile } = &self.source;
+        match (surface, removal, profile) {
+            (Some(dir), ..) => Ok(Subject::Map(inputs.read("surface", dir)?)),
+            (_, Some(dir), _) => {
+                let removal: Removal = inputs.read("removal", dir)?;
+                Ok(Subject::Map(removal.residual().clone()))
+            }
+            (.., Some(file)) => Ok(Subject::Profile(self.profile(inputs, file)?)),
+            _ => Err(Failure::new("--surface: is missing; give it, --removal or --profile")),
+        }
+    }
+
+    fn profile(&self, inputs: &mut Inputs, file: &Path) -> Result<Profile, Failure> {
+        let settings = self.profile_settings()?;
+        let rows = match file.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
+            true => {
+                let table = inputs.read_map("profile", file)?;
+                let [position, value] = settings.columns;
+                if position.max(value) > table.ncols() {
+                    let message = format!(
+                        "{}: has {} column(s), not {}; give the right --profile-columns (an array of shape \
+                         (positions, columns))",
+                        file.display(),
+                        table.ncols(),
+                        position.max(value)
+                    );
+                    return Err(Failure::new(message));
+                }
+                table.outer_iter().map(|row| [row[position - 1], row[value - 1]]).collect()
+            }
+            false => {
+                let bytes = inputs.read_bytes("profile", file, LARGEST_PROFILE_BYTES)?;
+                rows_of_text(&bytes, &settings).map_err(Failure::with_flags)?
+            }
+        };
+        Profile::from_rows(&rows, &settings).map_err(Failure::with_flags)
+    }
+
+    fn profile_settings(&self) -> Result<ProfileSettings, Failure> {
+        let columns = [self.profile_columns[0], self.profile_columns[1]];
+        if columns.contains(&0) || columns[0] == columns[1] {
+            let [position, value] = columns;
+            let message = format!("--profile-columns: are {position} and {value}");
+            return Err(Failure::new(format!("{message}; give two different ones, from 1")));
+        }
+        let Some(value_unit) = self.value_unit else {
+            return Err(Failure::new(
+                "--value-unit: is missing; say what the profile's values are in",
+            ));
+        };
+        let Self { position_unit, header_lines, .. } = *self;
+        Ok(ProfileSettings { columns, position_unit, value_unit, header_lines })
+    }
+
+    fn settings(&self, specification: Option<&Specification>) -> Result<QualitySettings, Failure> {
+        let ellipse = match &self.ellipse {
+            Some(numbers) => Some(EllipseSettings {
+                design: Ellipse::new(numbers[0], numbers[1], 1e-3 * numbers[2])?,
+                free: self.ellipse_free.clone(),
+                pole_mm: self.ellipse_pole_mm,
+            }),
+            None => specification.map(Specification::ellipse).transpose()?.flatten(),
+        };
+        let grazing_mrad = self.grazing_mrad.unwrap_or(NORMAL_MRAD);
+        let light = self.wavelength_nm.map(|wavelength_nm| Light { wavelength_nm, grazing_mrad });
+        Ok(QualitySettings {
+            after: self.after,
+            ellipse,
+            base_mm: self.base_mm,
+            band_per_mm: self.band_per_mm.chunks_exact(2).map(|b| [b[0], b[1]]).collect(),
+            centre_line_width_mm: self.centre_line_width_mm,
+            light,
+        })
+    }
+}
+
+/// The numbers in lines.
+fn report(found: &Quality) {
+    let nrad = |v: Option<f64>| v.map_or("-".into(), |v| significant(v, 4));
+    let base_mm = found.slope_x.base_mm;
+    let over = match base_mm > 0.0 {
+        true => format!("over {} mm", significant(base_mm, 4)),
+        false => "as measured".into(),
+    };
+    say(format!("after            height RMS    PV (nm)    slope {over}: RMS along x, y (nrad)"));
+    for after in &found.after {
+        let shape = &after.shape;
+        let mut how = String::new();
+        if let Some(radius) = shape.radius_m {
+            how += &format!("  radius {} m", significant(radius, 6));
+        }
+        if let Some(e) = &shape.ellipse {
+            let [p, q, theta] = [e.p_mm, e.q_mm, e.theta_mrad].map(|v| significant(v, 9));
+            how += &format!("  p {p} mm, q {q} mm, theta {theta} mrad");
+        }
+        say(format!(
+            "{:<14} {:>12} {:>10}    {}, {}{how}",
+            shape.shape.name(),
+            significant(after.height_rms_nm, 4),
+            significant(after.height_pv_nm, 4),
+            nrad(after.slope_x_rms_nrad),
+            nrad(after.slope_y_rms_nrad),
+        ));
+    }
+    let after = found.shape.shape.name();
+    if let Some(line) = &found.centre_line {
+        let [low, high] = line.y_mm.map(|y| significant(y, 4));
+        say(format!(
+            "centre line (y {low} to {high} mm) after {after}: {} nm RMS, {} nm PV, {} nrad RMS",
+            significant(line.height_rms_nm, 4),
+            significant(line.height_pv_nm, 4),
+            nrad(line.slope_rms_nrad)
+        ));
+    }
+    for band in &found.bands {
+        let [low, high] = band.band_per_mm;
+        say(format!(
+            "{low} .. {high} /mm after {after}: {} nm RMS; slope along x {}, along y {} nrad RMS",
+            significant(band.height_rms_nm, 4),
+            significant(band.slope_x_rms_nrad, 4),
+            nrad(band.slope_y_rms_nrad)
+        ));
+    }
+    let [x, y] = [found.autocorrelation_length_x_mm, found.autocorrelation_length_y_mm].map(nrad);
+    say(format!("autocorrelation length after {after}: along x {x}, along y {y} mm"));
+    if let Some(s) = &found.strehl {
+        say(format!(
+            "Strehl ratio at {} nm after {after}: {} ({} rad RMS)",
+            significant(s.light.wavelength_nm, 6),
+            significant(s.strehl, 4),
+            significant(s.phase_rms_rad, 3)
+        ));
+    }
+    found.notes.iter().for_each(|note| say(format!("note: {note}")));
+}
+
+/// In the order of the kind.
+fn arrays(found: &QualityArrays) -> Vec<ArrayData> {
+    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn());
+    let mut all = vec![
+        line(&found.position_mm),
+        line(&found.height_nm),
+        line(&found.slope_position_mm),
+        line(&found.slope_nrad),
+    ];
+    for spectrum in &found.lines {
+        all.extend(
+            [&spectrum.frequency_per_mm, &spectrum.height, &spectrum.slope].map(|v| line(v)),
+        );
+    }
+    all
+}
