@@ -93,6 +93,7 @@ planish-verify --trajectory {run/methods/pvt/trajectory} --machine {machine.json
 planish-refine --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {refined}
 planish-refine pareto --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --min-dwell-s-per-mm 0.02 --prices 2 --out {pareto}
 planish-feed --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {feed-plan}
+planish-tolerance --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --draws 1000 --simulated-runs 2 --out {tolerance}
 planish-export galil --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.dmc}
 planish-export xps --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.trj}
 planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.pmc}
@@ -167,8 +168,9 @@ def make_base(programs, base):
     shutil.rmtree(base, ignore_errors=True)
     base.mkdir(parents=True)
     (base / "recipe.json").write_text(json.dumps(RECIPE))
-    machine = Path(__file__).resolve().parents[2] / "fixtures/machines/ion-beam.json"
-    shutil.copy(machine, base / "machine.json")
+    fixtures = Path(__file__).resolve().parents[2] / "fixtures"
+    shutil.copy(fixtures / "machines/ion-beam.json", base / "machine.json")
+    shutil.copy(fixtures / "processes/ion-beam.json", base / "process.json")
     for line in BASE.split("\n"):
         if not line:
             continue
