@@ -69,6 +69,7 @@ planish-toolpath maze --surface {run/surface} --tif {tif} --pitch-mm 1.5 --out {
 planish-toolpath random-adaptive --surface {run/surface} --tif {tif} --pitch-mm 1.5 --out {adaptive}
 planish-toolpath multi-pitch --surface {run/surface} --tif {tif} --max-velocity-mm-per-s 3 --step-mm 1 --out {multi}
 planish-toolpath spiral --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --out {spiral}
+planish-toolpath passes --tool-path {spiral} --passes 2 --return --out {passes}
 planish-toolpath inspect --tool-path {run/tool_path} --surface {run/surface}
 planish-toolpath draw --tool-path {run/tool_path} --surface {run/surface} --out {path.svg}
 planish-dwell bounded-least-squares --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --min-dwell-s 0.05 --out {run/dwell}

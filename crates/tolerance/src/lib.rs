@@ -640,7 +640,8 @@ impl Work<'_> {
                 let free = self.inner.cells.free.len() as f64;
                 let m = self.inner.count;
                 square = e.size * e.size * (1.0 - free / m).max(0.0);
-                reached = (e.size * e.size * (reach.count() as f64 - free).max(0.0) / m).min(square);
+                reached =
+                    (e.size * e.size * (reach.count() as f64 - free).max(0.0) / m).min(square);
             }
             let stated = &e.stated;
             Line {
