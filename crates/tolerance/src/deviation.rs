@@ -163,7 +163,7 @@ impl Deviation {
     }
 }
 
-/// Half the play behind where the axis last went to.
+/// Every axis short of its command by half the play, in the direction in which it last went.
 fn with_backlash(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece>, Vec<usize>) {
     let mut direction = [0.0; 2];
     let (mut cut, mut cut_origin) = (Vec::new(), Vec::new());

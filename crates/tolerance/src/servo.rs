@@ -6,7 +6,7 @@
 //! second order    q'' + 2 zeta w q' = w^2 (r - q),    w = 2 zeta / tau
 //! ```
 //!
-//! All three are `tau v` behind at the constant velocity v. The first is the quasi-static limit of the others.
+//! All three lag by `tau v` at the constant velocity v. The first is the quasi-static limit of the others.
 //! Of those the solution in a piece, where r is a cubic, is a cubic and an exponential that decays; the latter is
 //! exact at chosen times, and a cubic between them. The axes rest where the motion begins.
 
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn at_constant_velocity_every_servo_is_behind_by_its_lag() {
+    fn at_constant_velocity_every_servo_lags_by_its_lag() {
         let run = Piece {
             start_s: 0.0,
             duration_s: 5.0,
