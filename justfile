@@ -27,6 +27,14 @@ compare-dwell fixture="coupon" *settings: build
 compare fixture="flat-92x16" *settings: build
     @{{ quote(justfile_directory() / "pipelines/compare.sh") }} "$@"
 
+# What the errors of a process add to the plans of pipelines, the best first: just tolerance raster maze fixture=coupon
+# process=fixtures/processes/mrf.json; just tolerance reference: single errors on the mirror in PLANISH_REFERENCE
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+tolerance *words: build
+    @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
+
 # Show a pipeline with its settings and their defaults
 [positional-arguments]
 show pipeline:

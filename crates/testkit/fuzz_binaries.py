@@ -69,6 +69,7 @@ planish-toolpath maze --surface {run/surface} --tif {tif} --pitch-mm 1.5 --out {
 planish-toolpath random-adaptive --surface {run/surface} --tif {tif} --pitch-mm 1.5 --out {adaptive}
 planish-toolpath multi-pitch --surface {run/surface} --tif {tif} --max-velocity-mm-per-s 3 --step-mm 1 --out {multi}
 planish-toolpath spiral --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --out {spiral}
+planish-toolpath passes --tool-path {spiral} --passes 2 --return --out {passes}
 planish-toolpath inspect --tool-path {run/tool_path} --surface {run/surface}
 planish-toolpath draw --tool-path {run/tool_path} --surface {run/surface} --out {path.svg}
 planish-dwell bounded-least-squares --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --min-dwell-s 0.05 --out {run/dwell}
@@ -93,6 +94,7 @@ planish-verify --trajectory {run/methods/pvt/trajectory} --machine {machine.json
 planish-refine --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {refined}
 planish-refine pareto --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --min-dwell-s-per-mm 0.02 --prices 2 --out {pareto}
 planish-feed --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {feed-plan}
+planish-tolerance --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --draws 1000 --simulated-runs 2 --out {tolerance}
 planish-export galil --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.dmc}
 planish-export xps --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.trj}
 planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.pmc}
@@ -167,8 +169,9 @@ def make_base(programs, base):
     shutil.rmtree(base, ignore_errors=True)
     base.mkdir(parents=True)
     (base / "recipe.json").write_text(json.dumps(RECIPE))
-    machine = Path(__file__).resolve().parents[2] / "fixtures/machines/ion-beam.json"
-    shutil.copy(machine, base / "machine.json")
+    fixtures = Path(__file__).resolve().parents[2] / "fixtures"
+    shutil.copy(fixtures / "machines/ion-beam.json", base / "machine.json")
+    shutil.copy(fixtures / "processes/ion-beam.json", base / "process.json")
     for line in BASE.split("\n"):
         if not line:
             continue

@@ -245,15 +245,16 @@ fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
             continue;
         }
         let tangent = [dx / length, dy / length];
-        if let Some(last) = chords.last_mut() {
-            if last.tool_on == tool_on && turn(last.tangent, tangent).abs() < NO_TURN_RAD {
-                let along = [to[0] - last.from[0], to[1] - last.from[1]];
-                last.length_mm = along[0].hypot(along[1]);
-                last.tangent = along.map(|d| d / last.length_mm);
-                last.to = to;
-                last.segments.push((segment, last.length_mm));
-                continue;
-            }
+        let in_line = |last: &&mut Chord| {
+            last.tool_on == tool_on && turn(last.tangent, tangent).abs() < NO_TURN_RAD
+        };
+        if let Some(last) = chords.last_mut().filter(in_line) {
+            let along = [to[0] - last.from[0], to[1] - last.from[1]];
+            last.length_mm = along[0].hypot(along[1]);
+            last.tangent = along.map(|d| d / last.length_mm);
+            last.to = to;
+            last.segments.push((segment, last.length_mm));
+            continue;
         }
         let segments = vec![(segment, length)];
         chords.push(Chord { segments, from, to, tangent, length_mm: length, tool_on });

@@ -488,6 +488,44 @@ pub const SPECIFICATION: Kind = Kind {
     files: &[],
 };
 
+/// What the errors of a process add.
+pub const TOLERANCE: Kind = Kind {
+    name: "tolerance",
+    version: 1,
+    doc: "What the errors of a process add to the residual of a plan: its distribution over the runs, and where \
+          it scatters. What each error adds is in the manifest's outcome.",
+    frame: MAP_FRAME,
+    arrays: &[
+        array(
+            "part",
+            Dtype::F64,
+            &["m"],
+            &["level"],
+            "1",
+            "Parts of the runs, ascending from 0 to 1.",
+        ),
+        array(
+            "rms_nm",
+            Dtype::F64,
+            &["m"],
+            &["level"],
+            "nm",
+            "RMS of the residual (free terms removed) that this part of the runs is below.",
+        ),
+        or_nan(array(
+            "deviation_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Standard deviation over the runs of the residual of a pixel; NaN = invalid pixel.",
+        )),
+        X,
+        Y,
+    ],
+    files: &[],
+};
+
 /// Power spectral densities of a map.
 pub const PSD: Kind = Kind {
     name: "psd",
@@ -578,7 +616,7 @@ pub const REPORT: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 13] = [
+pub const ALL: [&Kind; 14] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -589,6 +627,7 @@ pub const ALL: [&Kind; 13] = [
     &FRAMES,
     &ITERATIONS,
     &VERDICT,
+    &TOLERANCE,
     &PSD,
     &SPECIFICATION,
     &REPORT,

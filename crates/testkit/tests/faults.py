@@ -88,6 +88,8 @@ STAGES = [
     Stage("feed", f"planish-feed {MAPS} --tool-path in/path --machine in/machine.json --max-iterations 2 --out out --force",
           f"planish-feed {MAPS} --tool-path in/path --machine in/machine.json --max-iterations 3 --out out --force",
           "planish-verify --trajectory out/trajectory --machine in/machine.json --out read --force"),
+    Stage("tolerance", "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --process in/process.json --simulated-runs 1 --out out/a --force",
+          "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --process in/process.json --simulated-runs 2 --out out/a --force"),
     Stage("export", "planish-export gcode --trajectory in/trajectory --machine in/machine.json --out out/p.ngc --force",
           "planish-export gcode --trajectory in/trajectory --machine in/machine.json --count-mm 0.001 --out out/p.ngc --force",
           "planish-import program out/p.ngc --controller gcode --about out/p.ngc.json --out read --force"),
@@ -144,6 +146,7 @@ class Faults:
         (inputs / "recipe.json").write_text(small)
         (inputs / "other.json").write_text(small.replace('"seed": 2012', '"seed": 2013'))
         (inputs / "machine.json").write_text(MACHINE)
+        (inputs / "process.json").write_text((ROOT / "fixtures/processes/ion-beam.json").read_text())
         (inputs / "slow.json").write_text((ROOT / "fixtures/machines/ion-beam-slow.json").read_text())
         generator = random.Random(1)
         rows = [",".join(f"{generator.gauss(0, 5):.3f}" for _ in range(20)) for _ in range(15)]

@@ -4,6 +4,7 @@ mod draw;
 mod inspect;
 mod maze;
 mod multi_pitch;
+mod passes;
 mod random_adaptive;
 mod raster;
 mod spiral;
@@ -31,6 +32,8 @@ pub enum Method {
     MultiPitch(multi_pitch::MultiPitchArgs),
     /// One line from the inside out, for round parts
     Spiral(spiral::SpiralArgs),
+    /// The same path several times, there and back
+    Passes(passes::PassesArgs),
     /// Print the statistics of a path as JSON
     Inspect(inspect::InspectArgs),
     /// Draw a path as SVG
@@ -45,6 +48,7 @@ impl Method {
             Self::RandomAdaptive(arguments) => arguments.run(),
             Self::MultiPitch(arguments) => arguments.run(),
             Self::Spiral(arguments) => arguments.run(),
+            Self::Passes(arguments) => arguments.run(),
             Self::Inspect(arguments) => arguments.run(),
             Self::Draw(arguments) => arguments.run(),
         }

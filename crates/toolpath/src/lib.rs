@@ -9,6 +9,8 @@
 //! * [`mod@multi_pitch`]: regions by depth, each a raster of its own pitch.
 //! * [`mod@spiral`]: one line from the inside out, for round parts.
 //!
+//! [`mod@passes`] repeats any of them, there and back.
+//!
 //! For any path: [`mod@statistics`] (length, steps, turns, crossings, coverage, least time), [`PathReport`]
 //! (these, and what the user should know) and [`mod@draw`] (a picture).
 
@@ -16,6 +18,7 @@ mod draft;
 pub mod draw;
 pub mod maze;
 pub mod multi_pitch;
+pub mod passes;
 pub mod random_adaptive;
 pub mod raster;
 mod region;
@@ -27,6 +30,7 @@ pub mod statistics;
 pub use draw::svg;
 pub use maze::{Maze, MazeSettings, Tree, maze};
 pub use multi_pitch::{MultiPitch, MultiPitchReport, MultiPitchSettings, multi_pitch};
+pub use passes::{PassesSettings, passes};
 pub use random_adaptive::{
     Construction, RandomAdaptive, RandomAdaptiveReport, RandomAdaptiveSettings, random_adaptive,
 };

@@ -391,3 +391,31 @@ fn a_path_of_one_point_but_for_rounding_is_drawn() {
         assert!(svg.contains(">7</text>") && svg.contains(">6.8</text>"), "{svg}");
     }
 }
+
+#[test]
+fn passes_repeat_any_path_there_and_back() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    run(tmp.path(), &[&BASIC[..], &["--overscan-mm", "2", "--out", "once"]].concat());
+    let ended = call(
+        tmp.path(),
+        "passes",
+        &["--tool-path", "once", "--passes", "4", "--return", "--out", "out"],
+    );
+    assert_eq!(ended.status.code(), Some(0), "{}", String::from_utf8_lossy(&ended.stderr));
+    let ((once, _), (path, manifest)) =
+        (read(&tmp.path().join("once")), read(&tmp.path().join("out")));
+    assert_eq!((path.len(), manifest.method.as_str()), (4 * once.len(), "passes"));
+    // Every pass but the first is that before it, backwards.
+    for (i, p) in path.dwell_point_mm().iter().enumerate() {
+        let (pass, k) = (i / once.len(), i % once.len());
+        let k = if pass % 2 == 1 { once.len() - 1 - k } else { k };
+        assert_eq!(*p, once.dwell_point_mm()[k], "{i}");
+    }
+    let ended =
+        call(tmp.path(), "passes", &["--tool-path", "once", "--passes", "1", "--out", "no"]);
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(2), "{said}");
+    assert!(said.contains("passes: are 1; give 2 to"), "{said}");
+    assert!(!tmp.path().join("no").exists());
+}

@@ -1,0 +1,158 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use ndarray::Array1;
+use planish_handoff::{
+    Begin, Failure, Inputs, Output, Status,
+    flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
+    kind,
+    npy::ArrayData,
+    say, task,
+};
+use planish_tolerance::{
+    Free, Settings,
+    process::{Distribution, ProcessFile},
+    tolerance,
+};
+use planish_types::{Surface, Tif, Trajectory, plausible, text::significant};
+
+#[derive(Args)]
+pub struct Tolerance {
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    #[command(flatten)]
+    mirror: MirrorArgs,
+    /// Process and its errors [JSON]
+    #[arg(long, value_name = "FILE")]
+    process: PathBuf,
+    /// What is not part of the residual
+    #[arg(long, value_enum, default_value = "piston")]
+    free: FreeArg,
+    /// Runs that are drawn to first order, for the distribution
+    #[arg(long, value_name = "N", default_value_t = Settings::default().draws)]
+    draws: usize,
+    /// Runs with all errors that are simulated, to check the first order
+    #[arg(long, value_name = "N", default_value_t = Settings::default().simulated_runs)]
+    simulated_runs: usize,
+    /// Move the TIF with its noise and the step at its border, which the tool has not
+    #[arg(long)]
+    tif_as_sampled: bool,
+    /// Random seed
+    #[arg(long, value_name = "S", default_value_t = Settings::default().seed)]
+    seed: u64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FreeArg {
+    /// The mean
+    Piston,
+    /// The best plane
+    Plane,
+}
+
+impl Tolerance {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = Settings {
+            free: match self.free {
+                FreeArg::Piston => Free::Piston,
+                FreeArg::Plane => Free::Plane,
+            },
+            draws: self.draws,
+            simulated_runs: self.simulated_runs,
+            tif_as_sampled: self.tif_as_sampled,
+            seed: self.seed,
+        };
+        let mut inputs = Inputs::new();
+        let (trajectory, manifest): (Trajectory, _) =
+            inputs.read_with_manifest("trajectory", &self.trajectory.trajectory)?;
+        let tif: Tif = inputs.read("tif", &self.mirror.tif)?;
+        let surface: Surface = inputs.read("surface", &self.mirror.surface)?;
+        for other in ["tif", "surface"] {
+            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
+        }
+        let file: ProcessFile = inputs.read_json("process", &self.process)?;
+        let process =
+            file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.process.display())))?;
+        let task = task!("tolerance", settings);
+        let output = Output::directory(&self.output, &kind::TOLERANCE);
+        let mut output = match output.begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        plausible::check_tool(&surface, &tif)?;
+
+        let found = tolerance(&trajectory, &tif, &surface, &process, &settings)
+            .map_err(Failure::with_flags)?;
+
+        let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
+        let grid = surface.grid();
+        let arrays = [
+            list(found.levels.iter().map(|l| l.0).collect()),
+            list(found.levels.iter().map(|l| l.1).collect()),
+            ArrayData::F64(found.deviation_nm.clone().into_dyn()),
+            list(grid.x.coordinates()),
+            list(grid.y.coordinates()),
+        ];
+        let outcome = serde_json::to_value(&found)?;
+        output.write_arrays(&kind::TOLERANCE, &arrays, &[], outcome, &Status::Done)?;
+        say(table(&found));
+        say(format!("-> {}", self.output.out.display()));
+        Ok(Status::Done)
+    }
+}
+
+/// What a person reads.
+fn table(found: &planish_tolerance::Tolerance) -> String {
+    let mut lines = vec![
+        format!("{}: {:.4} nm RMS as planned", found.process, found.nominal_rms_nm),
+        String::new(),
+        "                                             adds   reached  not reached  departs by"
+            .into(),
+        "error                            size      nm RMS    nm RMS       nm RMS      nm RMS"
+            .into(),
+    ];
+    for line in &found.errors {
+        let sign = if line.distribution == Distribution::Fixed { "" } else { "+-" };
+        let size = format!("{sign}{} {}", significant(line.size, 4), line.unit);
+        lines.push(format!(
+            "{:<22} {:>14} {:>11.4} {:>9.4} {:>12.4} {:>11.4}{}",
+            line.kind,
+            size,
+            line.adds_rms_nm,
+            line.reached_rms_nm,
+            line.unreached_rms_nm,
+            line.departs_by_rms_nm,
+            if line.simulated { "  simulated" } else { "" }
+        ));
+    }
+    let q = &found.residual;
+    let [low, high] = q.interval_95_percent_nm;
+    lines.push(String::new());
+    lines.push(format!(
+        "with this process expect {low:.4} to {high:.4} nm (95 % of the runs{}); half of the runs are below \
+         {:.4} nm, 95 % below {:.4} nm",
+        if found.simulated { ", simulated" } else { "" },
+        q.median_nm,
+        q.below_95_percent_nm
+    ));
+    if let Some(first) = &found.first {
+        lines.push(format!(
+            "improve {} first: without it 95 % of the runs are below {:.4} nm",
+            first.kind, first.without_it_95_percent_nm
+        ));
+    }
+    if !found.runs.is_empty() {
+        lines.push(format!(
+            "{} simulated runs differ from the first order by at most {:.2} % of their RMS; {} of them are in the \
+             interval",
+            found.runs.len(),
+            100.0 * found.largest_difference,
+            found.within_interval
+        ));
+    }
+    lines.join("\n")
+}

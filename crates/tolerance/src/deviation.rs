@@ -1,0 +1,199 @@
+//! What a run does in the place of what was planned: motion, TIF and map with their errors.
+//!
+//! A rate that differs from one is time in the place of rate: a piece of the motion that takes r times as
+//! long, along the same curve, removes r times as much. So every deviation of the run is a trajectory that the
+//! simulator executes as it is.
+//!
+//! The order is that of the machine: the servo follows the commanded motion, play adds to it, every dwell
+//! point is misplaced, the machine's axes are turned, scaled and shifted against the map, and the rate acts
+//! there.
+
+use ndarray::Array2;
+use planish_numerics::polynomial::{derivative, evaluate, quadratic_roots};
+use planish_types::{Grid, Invalid, Tif, Trajectory};
+
+use crate::{
+    motion::{Motion, Piece, shifted},
+    process::Scalar,
+    servo::Servo,
+};
+
+/// All that goes wrong in a run; nothing by default.
+#[derive(Clone, Debug, Default)]
+pub struct Deviation {
+    /// Factor of the rate less 1.
+    rate: f64,
+    /// Rise of the rate over the run.
+    drift: f64,
+    /// Time constant, s, and amount of each warm-up.
+    warm_up: Vec<(f64, f64)>,
+    offset_mm: [f64; 2],
+    rotation_rad: f64,
+    magnification: f64,
+    shear: f64,
+    tif_width: f64,
+    tif_ellipticity: f64,
+    tif_rotation_rad: f64,
+    servos: Vec<Servo>,
+    backlash_mm: f64,
+    /// Deviation of the rate in every piece; empty where there is none.
+    pub rate_of_piece: Vec<f64>,
+    /// Deviation of the place [x, y] of every stay, mm; empty where there is none.
+    pub place_of_stay_mm: Vec<[f64; 2]>,
+    /// Deviation of the time of every stay, s; empty where there is none.
+    pub time_of_stay_s: Vec<f64>,
+    /// What the residual has on top of that of the map, nm.
+    pub map_nm: Option<Array2<f64>>,
+}
+
+impl Deviation {
+    /// Adds an effect of this size.
+    pub fn add(&mut self, effect: Scalar, size: f64) {
+        match effect {
+            Scalar::RateScale => self.rate += size,
+            Scalar::RateDrift => self.drift += size,
+            Scalar::RateWarmUp { time_constant_s } => self.warm_up.push((time_constant_s, size)),
+            Scalar::OffsetX => self.offset_mm[0] += size,
+            Scalar::OffsetY => self.offset_mm[1] += size,
+            Scalar::Rotation => self.rotation_rad += size,
+            Scalar::Magnification => self.magnification += size,
+            Scalar::Shear => self.shear += size,
+            Scalar::TifWidth => self.tif_width += size,
+            Scalar::TifEllipticity => self.tif_ellipticity += size,
+            Scalar::TifRotation => self.tif_rotation_rad += size,
+            Scalar::VelocityLag => self.servos.push(Servo::Lag { lag_s: size }),
+            Scalar::ServoFirstOrder => self.servos.push(Servo::FirstOrder { lag_s: size }),
+            Scalar::ServoSecondOrder { damping_ratio } => {
+                self.servos.push(Servo::SecondOrder { lag_s: size, damping_ratio });
+            }
+            Scalar::Backlash => self.backlash_mm += size,
+        }
+    }
+
+    /// The TIF that runs, where it is another one.
+    pub fn tif(&self, tif: &Tif) -> Result<Option<Tif>, Invalid> {
+        let (w, e) = (1.0 + self.tif_width, 0.5 * self.tif_ellipticity);
+        if self.tif_width == 0.0 && self.tif_ellipticity == 0.0 && self.tif_rotation_rad == 0.0 {
+            return Ok(None);
+        }
+        // T'(u) = T(S^-1 u) with S a rotation after a stretch; the volume is kept.
+        let (sine, cosine) = self.tif_rotation_rad.sin_cos();
+        let stretch = [w * (1.0 + e), w * (1.0 - e)];
+        let grid = tif.grid();
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let u = [cosine * x + sine * y, cosine * y - sine * x];
+            tif.rate_at(u[0] / stretch[0], u[1] / stretch[1])
+        });
+        let volume = tif.rate_nm_per_s().sum() / rate.sum();
+        Tif::new(*grid, rate * volume).map(Some)
+    }
+
+    /// The motion that runs over a map of `grid`.
+    pub fn trajectory(&self, motion: &Motion, grid: &Grid) -> Result<Trajectory, Invalid> {
+        let mut pieces = motion.pieces.clone();
+        // Rates first: they belong to the times of the plan.
+        let mut rate: Vec<f64> =
+            pieces.iter().map(|p| 1.0 + self.rate_at(p, motion.total_s)).collect();
+        for (r, more) in rate.iter_mut().zip(&self.rate_of_piece) {
+            *r += more;
+        }
+        if !self.time_of_stay_s.is_empty() {
+            for (r, p) in rate.iter_mut().zip(&pieces) {
+                *r *= 1.0 + self.time_of_stay_s[p.stay] / motion.stay_s[p.stay];
+            }
+        }
+        let mut origin: Vec<usize> = (0..pieces.len()).collect();
+        for servo in &self.servos {
+            (pieces, origin) = servo.follow(&pieces, &origin);
+        }
+        if self.backlash_mm != 0.0 {
+            (pieces, origin) = with_backlash(&pieces, &origin, self.backlash_mm);
+        }
+        if !self.place_of_stay_mm.is_empty() {
+            for p in &mut pieces {
+                let place = self.place_of_stay_mm[p.stay];
+                p.coefficient_mm.iter_mut().zip(place).for_each(|(c, d)| c[0] += d);
+            }
+        }
+        let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
+        let (sine, cosine) = self.rotation_rad.sin_cos();
+        let m = 1.0 + self.magnification;
+        let mut breaks = vec![0.0];
+        let (mut coefficients, mut tool_on) = (Vec::new(), Vec::new());
+        for (p, from) in pieces.iter().zip(origin) {
+            let [mut x, mut y] = p.coefficient_mm;
+            x[0] -= middle[0];
+            y[0] -= middle[1];
+            let mut c = [[0.0; 4]; 2];
+            // A rate r is the time r: u = r u', so that the k-th coefficient is divided by r^k.
+            let r = rate[from];
+            let mut power = 1.0;
+            for k in 0..4 {
+                let (a, b) = (m * (x[k] + self.shear * y[k]), m * y[k]);
+                c[0][k] = (cosine * a - sine * b) / power;
+                c[1][k] = (sine * a + cosine * b) / power;
+                power *= r;
+            }
+            for axis in 0..2 {
+                c[axis][0] += middle[axis] + self.offset_mm[axis];
+            }
+            // A run removes nothing in a time that noise takes away altogether.
+            let removes = r > 0.0;
+            let end = breaks[breaks.len() - 1] + if removes { r * p.duration_s } else { 0.0 };
+            if removes && end > breaks[breaks.len() - 1] {
+                breaks.push(end);
+                coefficients.push(c);
+                tool_on.push(p.tool_on);
+            }
+        }
+        let index = vec![None; tool_on.len()];
+        Trajectory::new(breaks, coefficients, tool_on, index)
+    }
+
+    /// Mean deviation of the rate over a piece, noise left out.
+    fn rate_at(&self, p: &Piece, total_s: f64) -> f64 {
+        // d (t / T - 1/2), and -a exp(-t / tau)
+        let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;
+        let warm_up = |&(tau, a): &(f64, f64)| {
+            let gone = 1.0 - (-p.duration_s / tau).exp();
+            -a * (-p.start_s / tau).exp() * gone * tau / p.duration_s
+        };
+        self.rate + self.drift * middle + self.warm_up.iter().map(warm_up).sum::<f64>()
+    }
+}
+
+/// Every axis short of its command by half the play, in the direction in which it last went.
+fn with_backlash(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece>, Vec<usize>) {
+    let mut direction = [0.0; 2];
+    let (mut cut, mut cut_origin) = (Vec::new(), Vec::new());
+    for (p, from) in pieces.iter().zip(origin) {
+        let velocity = p.coefficient_mm.map(|c| derivative(&c));
+        let mut times = vec![0.0];
+        for v in &velocity {
+            times.extend(quadratic_roots(v[0], v[1], v[2], p.duration_s).filter(|u| *u > 0.0));
+        }
+        times.push(p.duration_s);
+        times.sort_unstable_by(f64::total_cmp);
+        times.dedup();
+        for w in times.windows(2) {
+            let mut part = *p;
+            part.start_s = p.start_s + w[0];
+            part.duration_s = w[1] - w[0];
+            part.coefficient_mm = p.coefficient_mm.map(|c| shifted(&c, w[0]));
+            for axis in 0..2 {
+                let v = evaluate(&velocity[axis], 0.5 * (w[0] + w[1]));
+                if v.abs() > STANDS_MM_PER_S {
+                    direction[axis] = v.signum();
+                }
+                part.coefficient_mm[axis][0] -= 0.5 * play_mm * direction[axis];
+            }
+            cut.push(part);
+            cut_origin.push(*from);
+        }
+    }
+    (cut, cut_origin)
+}
+
+/// Below this speed an axis stands, mm/s: rounding has no direction.
+const STANDS_MM_PER_S: f64 = 1e-9;

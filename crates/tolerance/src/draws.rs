@@ -1,0 +1,138 @@
+//! The distribution of the residual, from draws in the few dimensions in which its errors are.
+//!
+//! ```text
+//! e    = e0 - sum_i eta_i f_i - n         n: all that is noise, of covariance S
+//! |e|^2 = |a0 - sum_i eta_i a_i - z|^2 + |n_perp|^2
+//! ```
+//!
+//! in coordinates of an orthonormal basis of e0 and the f_i: a are theirs, z ~ N(0, basis' S basis) is what of the
+//! noise is among them. The rest of the noise, n_perp, is orthogonal to all of them; its mean square is a sum of
+//! squares of normal numbers, for which stands the gamma distribution of the same mean and variance,
+//! trace(S_perp) and 2 trace(S_perp^2).
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, Gamma, StandardNormal, StandardUniform};
+use rayon::prelude::*;
+
+use crate::process::Distribution;
+
+/// Draws from one stream of random numbers.
+const DRAWS_PER_STREAM: usize = 1000;
+
+/// The streams of the draws among those of a seed.
+const FIRST_STREAM: u64 = 1 << 32;
+
+/// A Gram matrix loses directions below this part of the largest.
+const INDEPENDENT: f64 = 1e-12;
+
+/// One number that a run draws, and what it does.
+#[derive(Clone, Debug)]
+pub struct Term {
+    /// How it scatters about zero, at size one.
+    pub distribution: Distribution,
+    /// a_i at its size.
+    pub coordinates: DVector<f64>,
+}
+
+/// What is drawn.
+#[derive(Clone, Debug)]
+pub struct Model {
+    /// a0.
+    pub nominal: DVector<f64>,
+    /// The f_i.
+    pub terms: Vec<Term>,
+    /// Covariance of z.
+    pub noise: DMatrix<f64>,
+    /// trace(S_perp), nm^2.
+    pub rest: f64,
+    /// 2 trace(S_perp^2), nm^4.
+    pub rest_variance: f64,
+}
+
+/// A standardised number: of standard deviation one, of half a width one, or one.
+pub fn draw(distribution: Distribution, rng: &mut impl rand::Rng) -> f64 {
+    match distribution {
+        Distribution::Normal => StandardNormal.sample(rng),
+        Distribution::Uniform => {
+            let u: f64 = StandardUniform.sample(rng);
+            2.0 * u - 1.0
+        }
+        Distribution::Fixed => 1.0,
+    }
+}
+
+/// The random numbers of stream `index` of a seed.
+pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(index);
+    rng
+}
+
+/// Coordinates (columns) of vectors with this Gram matrix in an orthonormal basis of their span, and the basis
+/// as combinations (columns) of the vectors.
+pub fn orthonormal(gram: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
+    let eigen = SymmetricEigen::new(gram.clone());
+    let largest = eigen.eigenvalues.iter().fold(0.0_f64, |m, v| m.max(*v));
+    let kept: Vec<usize> =
+        (0..gram.nrows()).filter(|i| eigen.eigenvalues[*i] > INDEPENDENT * largest).collect();
+    let root = |i: usize| eigen.eigenvalues[i].sqrt();
+    let n = gram.nrows();
+    let vector = |i: usize, k: usize| eigen.eigenvectors[(i, kept[k])];
+    let coordinates = DMatrix::from_fn(kept.len(), n, |k, i| root(kept[k]) * vector(i, k));
+    let basis = DMatrix::from_fn(n, kept.len(), |i, k| vector(i, k) / root(kept[k]));
+    (coordinates, basis)
+}
+
+impl Model {
+    /// RMS, nm, of `count` runs.
+    pub fn draw(&self, count: usize, seed: u64) -> Vec<f64> {
+        // noise = root root'; a map of one pixel has no residual, and no dimension
+        let root = if self.noise.is_empty() {
+            self.noise.clone()
+        } else {
+            let eigen = SymmetricEigen::new(self.noise.clone());
+            let scale = eigen.eigenvalues.map(|v| v.max(0.0).sqrt());
+            &eigen.eigenvectors * DMatrix::from_diagonal(&scale)
+        };
+        let rest = match self.rest_variance > 0.0 && self.rest > 0.0 {
+            true => Gamma::new(
+                self.rest * self.rest / self.rest_variance,
+                self.rest_variance / self.rest,
+            )
+            .ok(),
+            false => None,
+        };
+        let streams = count.div_ceil(DRAWS_PER_STREAM);
+        (0..streams)
+            .into_par_iter()
+            .flat_map_iter(|s| {
+                let mut rng = stream(seed, FIRST_STREAM + s as u64);
+                let here = DRAWS_PER_STREAM.min(count - s * DRAWS_PER_STREAM);
+                let mut e = self.nominal.clone();
+                let (root, rest) = (&root, &rest);
+                (0..here).map(move |_| {
+                    e.copy_from(&self.nominal);
+                    for term in &self.terms {
+                        e.axpy(-draw(term.distribution, &mut rng), &term.coordinates, 1.0);
+                    }
+                    for column in root.column_iter() {
+                        let xi: f64 = StandardNormal.sample(&mut rng);
+                        e.axpy(-xi, &column, 1.0);
+                    }
+                    let more = rest.as_ref().map_or(self.rest, |gamma| gamma.sample(&mut rng));
+                    (e.norm_squared() + more).sqrt()
+                })
+            })
+            .collect()
+    }
+}
+
+/// Values below which these parts of the sorted `values` are, between two of them linear.
+pub fn quantile(sorted: &[f64], part: f64) -> f64 {
+    let at = part * (sorted.len() - 1) as f64;
+    let (below, f) = (at.floor() as usize, at.fract());
+    let above = (below + 1).min(sorted.len() - 1);
+    sorted[below] + f * (sorted[above] - sorted[below])
+}

@@ -1,0 +1,166 @@
+//! The inner product in which residuals are judged: the mean over the valid pixels, without the free terms.
+//!
+//! ```text
+//! <f, g> = 1/m sum f g over the m valid pixels,    |f|^2 = <f, f>
+//! P f    = f - sum_q <q, f> q                       the free terms q (piston, or a plane) removed
+//! ```
+//!
+//! What is smooth on the scale of the TIF (all that noise along the run removes) is known on cells of pixels, a
+//! third of the TIF's width wide, at the centroid of the valid pixels of each.
+
+use ndarray::Array2;
+use planish_types::{Grid, Surface};
+
+use crate::Free;
+
+/// Width of the TIF over that of a cell. The product of two Gaussians of this width is summed over cells with an
+/// error of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of what lies there.
+const CELLS_PER_WIDTH: f64 = 3.0;
+
+/// A free term is none where this part of it is left beside those before it: a plane on one row of pixels.
+const INDEPENDENT: f64 = 1e-9;
+
+/// The valid pixels of a map, its free terms, and its cells.
+pub struct Inner {
+    /// Pixels of the map.
+    pub grid: Grid,
+    valid: Array2<bool>,
+    /// Valid pixels.
+    pub count: f64,
+    /// Orthonormal free terms (ny, nx); 0 where invalid.
+    free: Vec<Array2<f64>>,
+    /// Its cells.
+    pub cells: Cells,
+}
+
+/// Blocks of pixels, row by row.
+pub struct Cells {
+    /// Pixels per cell [x, y].
+    pub pixels: [usize; 2],
+    /// Cells (rows, columns).
+    pub shape: (usize, usize),
+    /// Valid pixels of each.
+    pub weight: Vec<f64>,
+    /// Centroid of the valid pixels of each, mm.
+    pub centre_mm: Vec<[f64; 2]>,
+    /// Orthonormal free terms.
+    pub free: Vec<Vec<f64>>,
+}
+
+impl Inner {
+    /// Of the map `desired` for a TIF of this width.
+    pub fn new(desired: &Surface, free: Free, width_mm: f64) -> Self {
+        let grid = *desired.grid();
+        let valid = desired.height_nm().mapv(|z| !z.is_nan());
+        let count = valid.iter().filter(|v| **v).count() as f64;
+        let block =
+            |step: f64, n: usize| ((width_mm / CELLS_PER_WIDTH / step) as usize).clamp(1, n);
+        let pixels = [block(grid.x.step_mm(), grid.x.len()), block(grid.y.step_mm(), grid.y.len())];
+        let shape = (grid.y.len().div_ceil(pixels[1]), grid.x.len().div_ceil(pixels[0]));
+        let mut weight = vec![0.0; shape.0 * shape.1];
+        let mut centre_mm = vec![[0.0; 2]; weight.len()];
+        for ((r, c), _) in valid.indexed_iter().filter(|(_, v)| **v) {
+            let cell = r / pixels[1] * shape.1 + c / pixels[0];
+            weight[cell] += 1.0;
+            centre_mm[cell][0] += grid.x.at(c);
+            centre_mm[cell][1] += grid.y.at(r);
+        }
+        for (centre, w) in centre_mm.iter_mut().zip(&weight).filter(|(_, w)| **w > 0.0) {
+            centre.iter_mut().for_each(|v| *v /= w);
+        }
+        let cells = Cells { pixels, shape, weight, centre_mm, free: Vec::new() };
+        let mut inner = Self { grid, valid, count, free: Vec::new(), cells };
+        let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
+        let terms: &[fn(f64, f64) -> f64] = match free {
+            Free::Piston => &[|_, _| 1.0],
+            Free::Plane => &[|_, _| 1.0, |x, _| x, |_, y| y],
+        };
+        for term in terms {
+            let of = |(r, c)| term(grid.x.at(c) - middle[0], grid.y.at(r) - middle[1]);
+            let mut map = inner.masked(Array2::from_shape_fn(grid.shape(), of));
+            let before = inner.dot(&map, &map);
+            inner.project(&mut map);
+            let norm = inner.dot(&map, &map);
+            if norm > INDEPENDENT * before {
+                map /= norm.sqrt();
+                inner.cells.free.push(inner.to_cells(&map));
+                inner.free.push(map);
+            }
+        }
+        inner
+    }
+
+    /// The map with 0 where it is invalid.
+    pub fn masked(&self, mut map: Array2<f64>) -> Array2<f64> {
+        map.zip_mut_with(&self.valid, |v, valid| {
+            if !valid {
+                *v = 0.0;
+            }
+        });
+        map
+    }
+
+    /// The map with NaN where it is invalid.
+    pub fn with_nan(&self, mut map: Array2<f64>) -> Array2<f64> {
+        map.zip_mut_with(&self.valid, |v, valid| {
+            if !valid {
+                *v = f64::NAN;
+            }
+        });
+        map
+    }
+
+    /// Removes the free terms of a masked map.
+    pub fn project(&self, map: &mut Array2<f64>) {
+        for q in &self.free {
+            let c = self.dot(q, map);
+            map.zip_mut_with(q, |v, q| *v -= c * q);
+        }
+    }
+
+    /// A map without its invalid pixels and its free terms.
+    pub fn judged(&self, map: Array2<f64>) -> Array2<f64> {
+        let mut map = self.masked(map);
+        self.project(&mut map);
+        map
+    }
+
+    /// Inner product of two masked maps.
+    pub fn dot(&self, f: &Array2<f64>, g: &Array2<f64>) -> f64 {
+        let rows = f.outer_iter().zip(g.outer_iter());
+        rows.map(|(f, g)| f.iter().zip(g).map(|(f, g)| f * g).sum::<f64>()).sum::<f64>()
+            / self.count
+    }
+
+    /// Means of a masked map over the valid pixels of the cells.
+    pub fn to_cells(&self, map: &Array2<f64>) -> Vec<f64> {
+        let Cells { pixels, shape, weight, .. } = &self.cells;
+        let mut sum = vec![0.0; weight.len()];
+        for ((r, c), v) in map.indexed_iter() {
+            sum[r / pixels[1] * shape.1 + c / pixels[0]] += v;
+        }
+        sum.iter_mut().zip(weight).filter(|(_, w)| **w > 0.0).for_each(|(s, w)| *s /= w);
+        sum
+    }
+
+    /// The map that is constant on every cell.
+    pub fn from_cells(&self, of_cell: &[f64]) -> Array2<f64> {
+        let Cells { pixels, shape, .. } = &self.cells;
+        let of = |(r, c)| of_cell[r / pixels[1] * shape.1 + c / pixels[0]];
+        self.masked(Array2::from_shape_fn(self.grid.shape(), of))
+    }
+
+    /// Inner product of two fields on the cells.
+    pub fn dot_on_cells(&self, f: &[f64], g: &[f64]) -> f64 {
+        let each = f.iter().zip(g).zip(&self.cells.weight);
+        each.map(|((f, g), w)| w * f * g).sum::<f64>() / self.count
+    }
+
+    /// Removes the free terms of a field on the cells.
+    pub fn project_on_cells(&self, field: &mut [f64]) {
+        for q in &self.cells.free {
+            let c = self.dot_on_cells(q, field);
+            field.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The motion in pieces that are short enough to have one place and one rate.
+
+use planish_numerics::polynomial::{derivative, evaluate};
+use planish_types::{Invalid, Segment, Trajectory, budget};
+
+/// Most parts of the run of equal time in which the rate may be taken as constant: the error of a linear
+/// drift is a 1/2000 of its size at most, and its mean is exact.
+const TIME_PARTS: f64 = 1000.0;
+
+/// A part of the motion short enough for its rate and its place to be one.
+#[derive(Clone, Copy, Debug)]
+pub struct Piece {
+    /// Start since the start of the motion, s.
+    pub start_s: f64,
+    /// Duration, s.
+    pub duration_s: f64,
+    /// Ascending coefficients [x, y], mm/s^k.
+    pub coefficient_mm: [[f64; 4]; 2],
+    /// Whether the tool removes.
+    pub tool_on: bool,
+    /// Index of the stay it belongs to.
+    pub stay: usize,
+}
+
+/// A motion in pieces, and in stays: what serves one dwell point without interruption.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// In the order of time.
+    pub pieces: Vec<Piece>,
+    /// Time of every stay, s.
+    pub stay_s: Vec<f64>,
+    /// Duration of the whole, s.
+    pub total_s: f64,
+}
+
+impl Motion {
+    /// Cuts `trajectory` so that the tool goes at most `longest_mm` in a piece.
+    pub fn new(trajectory: &Trajectory, longest_mm: f64) -> Result<Self, Invalid> {
+        let total_s = trajectory.total_time_s();
+        let parts = |segment: &Segment<'_>| {
+            let travel = travel_mm(segment.coefficient_mm, segment.duration_s) / longest_mm;
+            let parts = travel.max(segment.duration_s * TIME_PARTS / total_s).ceil().max(1.0);
+            if segment.tool_on { parts } else { 1.0 }
+        };
+        let count: f64 = trajectory.segments().map(|s| parts(&s)).sum();
+        let remedy = "give a motion over the part, in mm";
+        budget::affordable("coefficient_mm", count, size_of::<Piece>(), remedy)?;
+        let first_s = trajectory.break_time_s()[0];
+        let mut pieces = Vec::with_capacity(trajectory.len());
+        let mut stay_s: Vec<f64> = Vec::new();
+        let mut last = None;
+        for segment in trajectory.segments() {
+            // Of segments that serve no point each is a stay.
+            if segment.dwell_index.is_none() || last != Some(segment.dwell_index) {
+                stay_s.push(0.0);
+            }
+            last = Some(segment.dwell_index);
+            let stay = stay_s.len() - 1;
+            stay_s[stay] += segment.duration_s;
+            let parts = parts(&segment);
+            let duration_s = segment.duration_s / parts;
+            for k in 0..parts as usize {
+                let from = k as f64 * duration_s;
+                pieces.push(Piece {
+                    start_s: segment.start_s - first_s + from,
+                    duration_s,
+                    coefficient_mm: segment.coefficient_mm.map(|c| shifted(&c, from)),
+                    tool_on: segment.tool_on,
+                    stay,
+                });
+            }
+        }
+        Ok(Self { pieces, stay_s, total_s })
+    }
+
+    /// Largest speed at the ends and in the middle of the pieces, mm/s.
+    pub fn largest_speed_mm_per_s(&self) -> f64 {
+        let speed = |p: &Piece| {
+            let v = p.coefficient_mm.map(|c| derivative(&c));
+            let at = |u: f64| evaluate(&v[0], u).hypot(evaluate(&v[1], u));
+            [0.0, 0.5, 1.0].map(|f| at(f * p.duration_s)).into_iter().fold(0.0, f64::max)
+        };
+        self.pieces.iter().map(speed).fold(0.0, f64::max)
+    }
+}
+
+/// Length of the way, by eight chords.
+fn travel_mm(c: &[[f64; 4]; 2], duration_s: f64) -> f64 {
+    let at = |k: i32| [0, 1].map(|a| evaluate(&c[a], duration_s * f64::from(k) / 8.0));
+    (0..8).map(|k| (at(k), at(k + 1))).map(|(p, q)| (q[0] - p[0]).hypot(q[1] - p[1])).sum()
+}
+
+/// q(u) = p(u + d): q_k = p^(k)(d) / k!
+pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
+    if d == 0.0 {
+        return *p;
+    }
+    let v = derivative(p);
+    let a = derivative(&v);
+    let j = derivative(&a);
+    [evaluate(p, d), evaluate(&v, d), evaluate(&a, d) / 2.0, evaluate(&j, d) / 6.0]
+}

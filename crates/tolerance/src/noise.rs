@@ -1,0 +1,496 @@
+//! What independent errors along the run add: variances without a draw.
+//!
+//! A piece k of the motion removes b_k(x), the integral of the TIF over it. With the deviation g_k of the rate
+//! the residual changes by `-sum g_k b_k`, and for a zero-mean g of covariance C the mean square that is added is
+//!
+//! ```text
+//! E |P sum g_k b_k|^2 = sum_kl C_kl <P b_k, P b_l>
+//! ```
+//!
+//! Nothing of the size (pieces)^2 is made. Errors of their own for every stay have a diagonal C. The
+//! Ornstein-Uhlenbeck process is Markovian: with the mean of g over piece k, whose covariance with that over an
+//! earlier piece l is `sigma^2 a_k a_l exp(-gap / tau)`, `a = tau / h (1 - exp(-h / tau))` of its duration h,
+//! one pass over the pieces carries `s = sum_l a_l b_l exp(-gap / tau)` along, cell by cell, or for whatever
+//! linear functional of b is wanted.
+//!
+//! Every quantity here is for an error of size one.
+
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+use planish_numerics::{polynomial::evaluate, quadrature::gauss_legendre};
+use planish_types::{Axis, Invalid, Tif, budget};
+use rand::Rng;
+use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
+use rayon::prelude::*;
+
+use crate::{
+    deviation::Deviation,
+    inner::Inner,
+    motion::{Motion, Piece},
+    process::Noise,
+    reach::CosinesOnCells,
+};
+
+/// Gauss points of a piece, over which the tool goes half the width of the TIF at most.
+const POINTS: usize = 3;
+
+/// A field on a box of the cells.
+#[derive(Clone, Debug, Default)]
+struct Field {
+    rows: Range<usize>,
+    columns: Range<usize>,
+    value: Vec<f64>,
+}
+
+impl Field {
+    fn on(rows: Range<usize>, columns: Range<usize>) -> Self {
+        let value = vec![0.0; rows.len() * columns.len()];
+        Self { rows, columns, value }
+    }
+
+    /// Index on the cells of each row's first value, and its values.
+    fn lines(&self, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
+        let first = move |r: usize| (self.rows.start + r) * cells_per_row + self.columns.start;
+        let width = self.columns.len().max(1);
+        self.value.chunks_exact(width).enumerate().map(move |(r, line)| (first(r), line))
+    }
+
+    /// Sum of fields times numbers, on a box that holds them all.
+    fn sum(parts: &[(&Self, f64)]) -> Self {
+        let filled: Vec<_> = parts.iter().filter(|(f, _)| !f.value.is_empty()).collect();
+        let hull = |of: fn(&Self) -> &Range<usize>| {
+            let low = filled.iter().map(|(f, _)| of(f).start).min().unwrap_or(0);
+            low..filled.iter().map(|(f, _)| of(f).end).max().unwrap_or(0)
+        };
+        let mut sum = Self::on(hull(|f| &f.rows), hull(|f| &f.columns));
+        let width = sum.columns.len();
+        for (field, by) in filled {
+            for (r, line) in field.value.chunks_exact(field.columns.len()).enumerate() {
+                let row = field.rows.start + r - sum.rows.start;
+                let first = row * width + field.columns.start - sum.columns.start;
+                let into = &mut sum.value[first..first + line.len()];
+                into.iter_mut().zip(line).for_each(|(s, v)| *s += by * v);
+            }
+        }
+        sum
+    }
+}
+
+/// What the errors of one kind add at size one.
+pub struct Response {
+    /// Variance on the cells, nm^2.
+    pub variance: Vec<f64>,
+    /// Mean square that is added, free terms removed, nm^2.
+    pub mean_square: f64,
+    /// The part of it that the tool reaches.
+    pub reached: f64,
+    /// Covariance of the inner products with the basis that was asked for.
+    pub covariance: DMatrix<f64>,
+}
+
+/// The removal of every piece and stay of a motion on the cells of a map.
+pub struct Columns<'a> {
+    motion: &'a Motion,
+    inner: &'a Inner,
+    /// Of every piece.
+    piece: Vec<Field>,
+    /// Of every stay.
+    stay: Vec<Field>,
+    /// Of every stay per displacement along x and y; only where it was asked for.
+    displaced: [Vec<Field>; 2],
+    /// Rows of the functionals of a field: free terms, basis, cosines.
+    functionals: Functionals,
+}
+
+/// Linear functionals of fields: inner products with the free terms and a basis, and cosines.
+struct Functionals {
+    /// Free terms, then the basis, on the cells.
+    fields: Vec<Vec<f64>>,
+    free: usize,
+    cosines: CosinesOnCells,
+    /// Cosines of the free terms.
+    of_free: Vec<Vec<f64>>,
+}
+
+impl Functionals {
+    fn len(&self) -> usize {
+        self.fields.len() + self.cosines.pairs.len()
+    }
+
+    /// All of them; the cosines are those of P f.
+    fn of(&self, field: &Field, inner: &Inner) -> Vec<f64> {
+        let per_row = inner.cells.shape.1;
+        let weight = &inner.cells.weight;
+        let mut all = Vec::with_capacity(self.len());
+        for other in &self.fields {
+            let mut sum = 0.0;
+            for (first, line) in field.lines(per_row) {
+                let cells = first..first + line.len();
+                let each = line.iter().zip(&weight[cells.clone()]).zip(&other[cells]);
+                sum += each.map(|((v, w), o)| v * w * o).sum::<f64>();
+            }
+            all.push(sum / inner.count);
+        }
+        let mut cosines = self.cosines_of(field, inner);
+        for (of_free, part) in self.of_free.iter().zip(&all[..self.free]) {
+            cosines.iter_mut().zip(of_free).for_each(|(c, f)| *c -= part * f);
+        }
+        all.extend(cosines);
+        all
+    }
+
+    /// sum over the cells of w f cos(y) cos(x) / sqrt(m)
+    fn cosines_of(&self, field: &Field, inner: &Inner) -> Vec<f64> {
+        let CosinesOnCells { y, x, pairs } = &self.cosines;
+        let (ny, nx) = (y.ncols(), x.ncols());
+        let mut table = vec![0.0; ny * nx];
+        let mut along_x = vec![0.0; nx];
+        for (r, (first, line)) in field.lines(inner.cells.shape.1).enumerate() {
+            along_x.fill(0.0);
+            for (c, v) in line.iter().enumerate() {
+                let v = v * inner.cells.weight[first + c];
+                let cosines = x.row(field.columns.start + c);
+                along_x.iter_mut().zip(cosines).for_each(|(a, x)| *a += v * x);
+            }
+            for (k, y) in y.row(field.rows.start + r).iter().enumerate() {
+                let into = &mut table[k * nx..(k + 1) * nx];
+                into.iter_mut().zip(&along_x).for_each(|(t, a)| *t += y * a);
+            }
+        }
+        let scale = inner.count.sqrt();
+        pairs.iter().map(|(k, j)| table[k * nx + j] / scale).collect()
+    }
+}
+
+impl<'a> Columns<'a> {
+    /// Of a motion; with `displaced`, also the change with the place. `basis` are fields on the cells without
+    /// free terms.
+    pub fn new(
+        motion: &'a Motion,
+        inner: &'a Inner,
+        tif: &Tif,
+        cosines: CosinesOnCells,
+        basis: Vec<Vec<f64>>,
+        displaced: bool,
+    ) -> Result<Self, Invalid> {
+        let kinds = if displaced { 3.0 } else { 1.0 };
+        let cells = cells_of_tif(inner, tif);
+        let functionals = inner.cells.free.len() + basis.len() + cosines.pairs.len();
+        let each = 2.0 * kinds * cells as f64 + 2.0 * kinds * functionals as f64;
+        let remedy = "give a motion of fewer segments, or crop and bin the map and the TIF";
+        budget::affordable("trajectory", motion.pieces.len() as f64 * each, 8, remedy)?;
+
+        let free = inner.cells.free.len();
+        let fields: Vec<Vec<f64>> = inner.cells.free.iter().cloned().chain(basis).collect();
+        let mut functionals = Functionals { fields, free, cosines, of_free: Vec::new() };
+        functionals.of_free = inner
+            .cells
+            .free
+            .iter()
+            .map(|f| {
+                let (rows, columns) = inner.cells.shape;
+                let whole = Field { rows: 0..rows, columns: 0..columns, value: f.clone() };
+                functionals.cosines_of(&whole, inner)
+            })
+            .collect();
+        let fields = |of: fn(&Tif, f64, f64) -> f64| -> Vec<Field> {
+            motion.pieces.par_iter().map(|p| field(p, inner, tif, of)).collect()
+        };
+        let piece = fields(Tif::rate_at);
+        let stays = |of_piece: &[Field]| -> Vec<Field> {
+            let mut first = 0;
+            let mut stays = Vec::with_capacity(motion.stay_s.len());
+            while first < of_piece.len() {
+                let same = |p: &&Piece| p.stay == motion.pieces[first].stay;
+                let end = first + motion.pieces[first..].iter().take_while(same).count();
+                let parts: Vec<_> = of_piece[first..end].iter().map(|f| (f, 1.0)).collect();
+                stays.push(Field::sum(&parts));
+                first = end;
+            }
+            stays
+        };
+        let stay = stays(&piece);
+        let displaced = match displaced {
+            true => [stays(&fields(slope_x)), stays(&fields(slope_y))],
+            false => Default::default(),
+        };
+        Ok(Self { motion, inner, piece, stay, displaced, functionals })
+    }
+
+    /// What the errors of a kind add at size one.
+    pub fn response(&self, noise: Noise) -> Response {
+        match noise {
+            Noise::Rate { correlation_s } => self.of_rate(correlation_s),
+            Noise::Position => self.of_independent(self.displaced.iter().flatten().cloned(), 1.0),
+            Noise::Jitter => self.of_independent(self.longer().into_iter(), 1.0),
+            Noise::Tick => {
+                // The boundary i moves: the stay before it is longer, that after it shorter.
+                let longer = self.longer();
+                let nothing = Field::default();
+                let moved = (0..=longer.len()).map(|i| {
+                    let before = if i > 0 { &longer[i - 1] } else { &nothing };
+                    let after = longer.get(i).unwrap_or(&nothing);
+                    Field::sum(&[(before, 1.0), (after, -1.0)])
+                });
+                self.of_independent(moved, TICK_VARIANCE)
+            }
+        }
+    }
+
+    /// What a second more in every stay removes.
+    fn longer(&self) -> Vec<Field> {
+        let stays = self.stay.iter().zip(&self.motion.stay_s);
+        stays.map(|(f, t)| Field::sum(&[(f, 1.0 / t)])).collect()
+    }
+
+    /// Independent errors of this variance, each times its field.
+    fn of_independent(&self, fields: impl Iterator<Item = Field>, variance: f64) -> Response {
+        let fields: Vec<Field> = fields.collect();
+        let all: Vec<Vec<f64>> =
+            fields.par_iter().map(|f| self.functionals.of(f, self.inner)).collect();
+        let mut on_cells = vec![0.0; self.inner.cells.weight.len()];
+        for field in &fields {
+            for (first, line) in field.lines(self.inner.cells.shape.1) {
+                let into = &mut on_cells[first..first + line.len()];
+                into.iter_mut().zip(line).for_each(|(s, v)| *s += variance * v * v);
+            }
+        }
+        let (free, basis) = self.parts();
+        let mut squares = vec![0.0; self.functionals.len()];
+        let mut covariance = DMatrix::zeros(basis.len(), basis.len());
+        for z in &all {
+            squares.iter_mut().zip(z).for_each(|(s, v)| *s += variance * v * v);
+            add_outer(&mut covariance, &z[basis.clone()], &z[basis.clone()], variance);
+        }
+        self.finish(on_cells, &squares, free, basis, covariance)
+    }
+
+    /// The Ornstein-Uhlenbeck process of standard deviation one.
+    fn of_rate(&self, tau: f64) -> Response {
+        let all: Vec<Vec<f64>> =
+            self.piece.par_iter().map(|f| self.functionals.of(f, self.inner)).collect();
+        let cells = self.inner.cells.weight.len();
+        let mut on_cells = vec![0.0; cells];
+        // s of the module on every cell, at the time up to which it is known
+        let (mut carried, mut until) = (vec![0.0; cells], vec![0.0; cells]);
+        let (free, basis) = self.parts();
+        let mut squares = vec![0.0; self.functionals.len()];
+        let mut covariance = DMatrix::zeros(basis.len(), basis.len());
+        let mut carried_z = vec![0.0; self.functionals.len()];
+        let mut now = 0.0;
+        for ((piece, field), z) in self.motion.pieces.iter().zip(&self.piece).zip(&all) {
+            let (start, h) = (piece.start_s, piece.duration_s);
+            let mean = Mean::over(h / tau);
+            for (first, line) in field.lines(self.inner.cells.shape.1) {
+                for (c, v) in line.iter().enumerate() {
+                    let (i, b) = (first + c, *v);
+                    let s = carried[i] * ((until[i] - start) / tau).exp();
+                    on_cells[i] += mean.variance * b * b + 2.0 * mean.weight * b * s;
+                    carried[i] = s * (-h / tau).exp() + mean.weight * b;
+                    until[i] = start + h;
+                }
+            }
+            let gap = ((now - start) / tau).exp();
+            carried_z.iter_mut().for_each(|s| *s *= gap);
+            for ((square, v), s) in squares.iter_mut().zip(z).zip(&carried_z) {
+                *square += mean.variance * v * v + 2.0 * mean.weight * v * s;
+            }
+            let (b, s) = (&z[basis.clone()], &carried_z[basis.clone()]);
+            add_outer(&mut covariance, b, b, mean.variance);
+            add_outer(&mut covariance, b, s, mean.weight);
+            add_outer(&mut covariance, s, b, mean.weight);
+            let decay = (-h / tau).exp();
+            for (s, v) in carried_z.iter_mut().zip(z) {
+                *s = *s * decay + mean.weight * v;
+            }
+            now = start + h;
+        }
+        self.finish(on_cells, &squares, free, basis, covariance)
+    }
+
+    /// Where the free terms and the basis stand among the functionals.
+    fn parts(&self) -> (Range<usize>, Range<usize>) {
+        let f = &self.functionals;
+        (0..f.free, f.free..f.fields.len())
+    }
+
+    fn finish(
+        &self,
+        variance: Vec<f64>,
+        squares: &[f64],
+        free: Range<usize>,
+        basis: Range<usize>,
+        covariance: DMatrix<f64>,
+    ) -> Response {
+        let weight = &self.inner.cells.weight;
+        let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
+        let mean_square = (all - squares[free].iter().sum::<f64>()).max(0.0);
+        // What sampling on cells adds to the cosines is not more than there is.
+        let reached = squares[basis.end..].iter().sum::<f64>().clamp(0.0, mean_square);
+        Response { variance, mean_square, reached, covariance }
+    }
+
+    /// The change of the removal by the errors of a run, to first order, on the cells.
+    pub fn change(&self, run: &Deviation) -> Vec<f64> {
+        let mut change = vec![0.0; self.inner.cells.weight.len()];
+        let mut add = |field: &Field, by: f64| {
+            for (first, line) in field.lines(self.inner.cells.shape.1) {
+                let into = &mut change[first..first + line.len()];
+                into.iter_mut().zip(line).for_each(|(s, v)| *s += by * v);
+            }
+        };
+        for (field, g) in self.piece.iter().zip(&run.rate_of_piece) {
+            add(field, *g);
+        }
+        for ((field, t), more) in self.stay.iter().zip(&self.motion.stay_s).zip(&run.time_of_stay_s)
+        {
+            add(field, more / t);
+        }
+        for (axis, fields) in self.displaced.iter().enumerate() {
+            for (field, place) in fields.iter().zip(&run.place_of_stay_mm) {
+                add(field, place[axis]);
+            }
+        }
+        change
+    }
+}
+
+/// Variance of what is uniform in a tick.
+const TICK_VARIANCE: f64 = 1.0 / 12.0;
+
+/// The mean of an Ornstein-Uhlenbeck process of variance 1 over a piece of x = h / tau.
+struct Mean {
+    /// a = (1 - exp(-x)) / x: its covariance with the value at the start.
+    weight: f64,
+    /// 2 (x - 1 + exp(-x)) / x^2: its variance.
+    variance: f64,
+}
+
+impl Mean {
+    fn over(x: f64) -> Self {
+        let gone = -(-x).exp_m1();
+        // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.
+        let variance =
+            if x > 1e-3 { 2.0 * (x - gone) / (x * x) } else { 1.0 - x / 3.0 + x * x / 12.0 };
+        Self { weight: gone / x, variance }
+    }
+}
+
+/// m += by a b'
+fn add_outer(m: &mut DMatrix<f64>, a: &[f64], b: &[f64], by: f64) {
+    for (mut column, b) in m.column_iter_mut().zip(b) {
+        column.iter_mut().zip(a).for_each(|(m, a)| *m += by * a * b);
+    }
+}
+
+/// Draws the errors of a kind for a run.
+pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run: &mut Deviation) {
+    let mut normal = || -> f64 { StandardNormal.sample(rng) };
+    let stays = motion.stay_s.len();
+    match noise {
+        Noise::Rate { correlation_s: tau } => {
+            run.rate_of_piece.resize(motion.pieces.len(), 0.0);
+            let mut x = normal();
+            for (piece, rate) in motion.pieces.iter().zip(&mut run.rate_of_piece) {
+                // The value at the end and the mean over the piece, given the value at the start
+                let h = piece.duration_s / tau;
+                let Mean { weight, variance } = Mean::over(h);
+                let decay = (-h).exp();
+                let end_variance = -(-2.0 * h).exp_m1();
+                let covariance = weight * -(-h).exp_m1();
+                let (u, v) = (normal(), normal());
+                let slope = if end_variance > 0.0 { covariance / end_variance.sqrt() } else { 0.0 };
+                let left = (variance - weight * weight - slope * slope).max(0.0);
+                *rate += size * (x * weight + slope * u + left.sqrt() * v);
+                x = x * decay + end_variance.sqrt() * u;
+            }
+        }
+        Noise::Position => {
+            run.place_of_stay_mm.resize(stays, [0.0; 2]);
+            for place in &mut run.place_of_stay_mm {
+                place.iter_mut().for_each(|p| *p += size * normal());
+            }
+        }
+        Noise::Jitter => {
+            run.time_of_stay_s.resize(stays, 0.0);
+            run.time_of_stay_s.iter_mut().for_each(|t| *t += size * normal());
+        }
+        Noise::Tick => {
+            run.time_of_stay_s.resize(stays, 0.0);
+            let mut uniform = || {
+                let part: f64 = StandardUniform.sample(rng);
+                size * (part - 0.5)
+            };
+            let mut before = uniform();
+            for time in &mut run.time_of_stay_s {
+                let after = uniform();
+                *time += after - before;
+                before = after;
+            }
+        }
+    }
+}
+
+/// dR/dx at a fixed place for a tool that moves along x.
+fn slope_x(tif: &Tif, x: f64, y: f64) -> f64 {
+    let h = 0.5 * tif.grid().x.step_mm();
+    (tif.rate_at(x - h, y) - tif.rate_at(x + h, y)) / (2.0 * h)
+}
+
+fn slope_y(tif: &Tif, x: f64, y: f64) -> f64 {
+    let h = 0.5 * tif.grid().y.step_mm();
+    (tif.rate_at(x, y - h) - tif.rate_at(x, y + h)) / (2.0 * h)
+}
+
+/// Cells that a resting tool reaches, at most.
+fn cells_of_tif(inner: &Inner, tif: &Tif) -> usize {
+    let across = |map: &Axis, tif: &Axis, pixels: usize| {
+        let cells = (tif.end_mm() - tif.start_mm()) / (map.step_mm() * pixels as f64);
+        (cells as usize + 3).min(map.len().div_ceil(pixels))
+    };
+    let (map, tool) = (&inner.grid, tif.grid());
+    let [px, py] = inner.cells.pixels;
+    across(&map.x, &tool.x, px) * across(&map.y, &tool.y, py)
+}
+
+/// The integral of `of` over a piece, on the cells it reaches.
+fn field(piece: &Piece, inner: &Inner, tif: &Tif, of: fn(&Tif, f64, f64) -> f64) -> Field {
+    if !piece.tool_on {
+        return Field::default();
+    }
+    let points = gauss_legendre::<POINTS>().map(|(node, weight)| {
+        let u = node * piece.duration_s;
+        let place = [0, 1].map(|a| evaluate(&piece.coefficient_mm[a], u));
+        (place, weight * piece.duration_s)
+    });
+    let cells = &inner.cells;
+    // Cells whose pixels are within the TIF of any of the points, and one more.
+    let reach = |axis: usize| {
+        let (map, tool) = match axis {
+            0 => (&inner.grid.x, &tif.grid().x),
+            _ => (&inner.grid.y, &tif.grid().y),
+        };
+        let low = points.iter().map(|(p, _)| p[axis]).fold(f64::INFINITY, f64::min);
+        let high = points.iter().map(|(p, _)| p[axis]).fold(f64::NEG_INFINITY, f64::max);
+        let last = if axis == 0 { cells.shape.1 } else { cells.shape.0 };
+        let size = cells.pixels[axis] as f64 * map.step_mm();
+        let cell = |mm: f64| (mm - map.start_mm()) / size;
+        let from = (cell(low + tool.start_mm()) - 1.0).floor().clamp(0.0, last as f64);
+        let to = (cell(high + tool.end_mm()) + 2.0).ceil().clamp(0.0, last as f64);
+        from as usize..(to as usize).max(from as usize)
+    };
+    let mut field = Field::on(reach(1), reach(0));
+    let width = field.columns.len();
+    if width == 0 {
+        return Field::default();
+    }
+    for (r, line) in field.value.chunks_exact_mut(width).enumerate() {
+        let first = (field.rows.start + r) * cells.shape.1 + field.columns.start;
+        for (c, v) in line.iter_mut().enumerate().filter(|(c, _)| cells.weight[first + c] > 0.0) {
+            let [x, y] = cells.centre_mm[first + c];
+            *v = points.iter().map(|([px, py], t)| t * of(tif, x - px, y - py)).sum();
+        }
+    }
+    field
+}

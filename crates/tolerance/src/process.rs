@@ -1,0 +1,365 @@
+//! The errors of a process, as its file states them.
+//!
+//! ```json
+//! { "name": "ion beam",
+//!   "errors": [
+//!     { "kind": "rate_scale", "size": 1, "unit": "%", "distribution": "normal", "note": "rate of the day" },
+//!     { "kind": "rate_noise", "size": 1, "unit": "%", "distribution": "normal", "correlation_s": 20, "note": "" }
+//!   ] }
+//! ```
+//!
+//! The size is the standard deviation of a normal error, half the width of a uniform one, and the value of one
+//! that is fixed: known, but not corrected. A tick is uniform, and its size is the whole tick.
+
+use planish_types::Invalid;
+use serde::{Deserialize, Serialize};
+
+/// What goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// The removal rate is larger by a factor throughout the run.
+    RateScale,
+    /// The rate rises linearly by this much from the start to the end of the run, about its middle.
+    RateDrift,
+    /// The rate is too low by this much at the start and approaches its value exponentially.
+    RateWarmUp,
+    /// The rate fluctuates: an Ornstein-Uhlenbeck process of this standard deviation.
+    RateNoise,
+    /// The part is misplaced along x.
+    OffsetX,
+    /// The part is misplaced along y.
+    OffsetY,
+    /// The part is rotated about the middle of the map.
+    Rotation,
+    /// The machine's lengths are larger than those of the map.
+    Magnification,
+    /// The machine's x grows with the y of the map.
+    Shear,
+    /// The TIF is wider, at the same volumetric removal rate.
+    TifWidth,
+    /// The TIF is longer along x by half of this, and shorter along y.
+    TifEllipticity,
+    /// The TIF is rotated.
+    TifRotation,
+    /// The beam is beside the place of the tool along x.
+    TifOffsetX,
+    /// The beam is beside the place of the tool along y.
+    TifOffsetY,
+    /// Every dwell point is misplaced for itself, along x and along y.
+    PositionNoise,
+    /// The tool is where it should have been this much earlier.
+    VelocityLag,
+    /// The axes follow as a servo of first order with this time constant.
+    ServoFirstOrder,
+    /// The axes follow as a servo of second order with this lag at constant velocity.
+    ServoSecondOrder,
+    /// An axis has this much play when it turns back.
+    Backlash,
+    /// The time of every dwell point is off for itself.
+    TimingJitter,
+    /// The controller begins and ends what it does at multiples of a tick.
+    TimingTick,
+    /// Every pixel of the map has noise of its own.
+    MapNoise,
+    /// The map has an error of low order: Legendre polynomials up to this total degree, piston left out, of this
+    /// RMS together.
+    MapLowOrder,
+}
+
+/// How an error scatters from run to run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Distribution {
+    /// Normal about zero; the size is the standard deviation.
+    Normal,
+    /// Uniform about zero; the size is half the width.
+    Uniform,
+    /// Always the size itself.
+    Fixed,
+}
+
+/// A process as its file states it, not checked yet.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProcessFile {
+    /// Name of the process.
+    pub name: String,
+    /// Its errors.
+    pub errors: Vec<ErrorFile>,
+}
+
+/// An error as the file states it, not checked yet.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ErrorFile {
+    /// What goes wrong.
+    pub kind: Kind,
+    /// By how much, in `unit`.
+    pub size: f64,
+    /// Unit of the size.
+    pub unit: String,
+    /// How it scatters.
+    pub distribution: Distribution,
+    /// Where the figure comes from.
+    pub note: String,
+    /// Correlation time of `rate_noise`, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlation_s: Option<f64>,
+    /// Time constant of `rate_warm_up`, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_constant_s: Option<f64>,
+    /// Damping ratio of `servo_second_order`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub damping_ratio: Option<f64>,
+    /// Largest total degree of `map_low_order`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub degree: Option<usize>,
+}
+
+/// The errors of a process, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Process {
+    /// Name of the process.
+    pub name: String,
+    /// Its errors.
+    pub errors: Vec<ProcessError>,
+}
+
+/// One error of a process, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProcessError {
+    /// As the file states it.
+    pub stated: ErrorFile,
+    /// Its size as a fraction, or in mm, rad, s or nm.
+    pub size: f64,
+    /// What it does.
+    pub effect: Effect,
+}
+
+/// What an error does, with all that the kind asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Effect {
+    /// One number decides it: [`Scalar`].
+    Scalar(Scalar),
+    /// Independent numbers along the run: [`Noise`].
+    Noise(Noise),
+    /// Legendre polynomials of the map up to a total degree.
+    MapLowOrder {
+        /// The largest total degree.
+        degree: usize,
+    },
+    /// White noise of the map.
+    MapNoise,
+}
+
+/// An effect that one number decides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)] // what each is stands at its kind
+pub enum Scalar {
+    RateScale,
+    RateDrift,
+    RateWarmUp { time_constant_s: f64 },
+    OffsetX,
+    OffsetY,
+    Rotation,
+    Magnification,
+    Shear,
+    TifWidth,
+    TifEllipticity,
+    TifRotation,
+    VelocityLag,
+    ServoFirstOrder,
+    ServoSecondOrder { damping_ratio: f64 },
+    Backlash,
+}
+
+/// An effect of independent numbers along the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)] // what each is stands at its kind
+pub enum Noise {
+    Rate { correlation_s: f64 },
+    Position,
+    Jitter,
+    Tick,
+}
+
+/// A unit that a file may state, and its value in the unit of the calculation.
+type Unit = (&'static str, f64);
+
+const FRACTIONS: &[Unit] = &[("%", 0.01), ("1", 1.0)];
+const LENGTHS: &[Unit] = &[("mm", 1.0), ("um", 1e-3)];
+const ANGLES: &[Unit] = &[("deg", std::f64::consts::PI / 180.0), ("mrad", 1e-3), ("rad", 1.0)];
+const TIMES: &[Unit] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
+const HEIGHTS: &[Unit] = &[("nm", 1.0)];
+
+/// Largest size of a fraction and of an angle in rad: what is larger is another process, not an error of this
+/// one, and a rate could become negative.
+const LARGEST_FRACTION: f64 = 0.25;
+const LARGEST_ANGLE_RAD: f64 = 0.25;
+/// Largest size of a time, s, a length, mm, and a height, nm: beyond them the unit is wrong.
+const LARGEST_TIME_S: f64 = 1e3;
+const LARGEST_LENGTH_MM: f64 = 1e3;
+const LARGEST_HEIGHT_NM: f64 = 1e6;
+
+/// Longest time that a correlation or a warm-up may take, s: a year.
+const LONGEST_TIME_S: f64 = 3.2e7;
+
+/// Least and largest damping ratio of a servo that anyone runs.
+const DAMPING_RATIOS: [f64; 2] = [0.1, 2.0];
+
+/// Largest degree of a low-order error: beyond it is what a map measures.
+const LARGEST_DEGREE: usize = 8;
+
+impl Kind {
+    /// The units of its size, and the largest size.
+    fn units(self) -> (&'static [Unit], f64) {
+        use Kind::*;
+        match self {
+            RateScale | RateDrift | RateWarmUp | RateNoise | Magnification | Shear | TifWidth
+            | TifEllipticity => (FRACTIONS, LARGEST_FRACTION),
+            OffsetX | OffsetY | TifOffsetX | TifOffsetY | PositionNoise | Backlash => {
+                (LENGTHS, LARGEST_LENGTH_MM)
+            }
+            Rotation | TifRotation => (ANGLES, LARGEST_ANGLE_RAD),
+            VelocityLag | ServoFirstOrder | ServoSecondOrder | TimingJitter | TimingTick => {
+                (TIMES, LARGEST_TIME_S)
+            }
+            MapNoise | MapLowOrder => (HEIGHTS, LARGEST_HEIGHT_NM),
+        }
+    }
+
+    /// Its name in a file.
+    pub fn name(self) -> String {
+        let value = serde_json::to_value(self).expect("a name serialises");
+        value.as_str().expect("an enumeration without contents is a string").into()
+    }
+}
+
+impl ProcessFile {
+    /// Checks what the JSON types do not: units, signs, magnitudes, and the settings of every kind.
+    pub fn checked(self) -> Result<Process, Invalid> {
+        if self.errors.is_empty() {
+            let remedy = "give at least one error";
+            return Err(Invalid::whole("errors", "are none", remedy));
+        }
+        let errors = self.errors.into_iter().enumerate().map(|(i, e)| e.checked(i));
+        Ok(Process { name: self.name, errors: errors.collect::<Result<_, _>>()? })
+    }
+}
+
+impl ErrorFile {
+    fn checked(self, index: usize) -> Result<ProcessError, Invalid> {
+        let name = self.kind.name();
+        let bad = |problem: String, remedy: &str| Invalid::at("errors", index, problem, remedy);
+        let (units, largest) = self.kind.units();
+        let Some((_, factor)) = units.iter().find(|(unit, _)| *unit == self.unit) else {
+            let known: Vec<&str> = units.iter().map(|(unit, _)| *unit).collect();
+            let problem = format!("the unit of {name} is {:?}", self.unit);
+            return Err(bad(problem, &format!("give one of {known:?}")));
+        };
+        let size = self.size * factor;
+        if !size.is_finite() {
+            return Err(bad(
+                format!("the size of {name} is {}", self.size),
+                "give a finite number",
+            ));
+        }
+        if size < 0.0 && self.distribution != Distribution::Fixed {
+            let problem = format!("the size of {name} is {} {}", self.size, self.unit);
+            let remedy = "a standard deviation or half a width is not negative; give its magnitude";
+            return Err(bad(problem, remedy));
+        }
+        if size.abs() > largest {
+            let problem = format!("the size of {name} is {} {}", self.size, self.unit);
+            let remedy =
+                format!("give at most {} {}; is the unit right?", largest / factor, self.unit);
+            return Err(bad(problem, &remedy));
+        }
+        self.check_distribution(index, &name)?;
+        let effect = self.effect(index, &name)?;
+        Ok(ProcessError { stated: self, size, effect })
+    }
+
+    /// Noise along the run is normal, a tick uniform; all else may scatter as it likes.
+    fn check_distribution(&self, index: usize, name: &str) -> Result<(), Invalid> {
+        use Kind::*;
+        let only = match self.kind {
+            RateNoise | PositionNoise | TimingJitter | MapNoise | MapLowOrder => {
+                Distribution::Normal
+            }
+            TimingTick => Distribution::Uniform,
+            _ => return Ok(()),
+        };
+        if self.distribution == only {
+            return Ok(());
+        }
+        let shown = |d: Distribution| format!("{d:?}").to_lowercase();
+        let problem = format!("the distribution of {name} is {:?}", shown(self.distribution));
+        Err(Invalid::at("errors", index, problem, format!("give {:?}", shown(only))))
+    }
+
+    /// The effect, with the settings that its kind asks for; refuses any other.
+    fn effect(&self, index: usize, name: &str) -> Result<Effect, Invalid> {
+        let degree = self.degree.map(|d| d as f64);
+        let settings = [
+            ("correlation_s", self.correlation_s),
+            ("time_constant_s", self.time_constant_s),
+            ("damping_ratio", self.damping_ratio),
+            ("degree", degree),
+        ];
+        let wanted = match self.kind {
+            Kind::RateNoise => Some(("correlation_s", 1e-6, LONGEST_TIME_S)),
+            Kind::RateWarmUp => Some(("time_constant_s", 1e-6, LONGEST_TIME_S)),
+            Kind::ServoSecondOrder => Some(("damping_ratio", DAMPING_RATIOS[0], DAMPING_RATIOS[1])),
+            Kind::MapLowOrder => Some(("degree", 1.0, LARGEST_DEGREE as f64)),
+            _ => None,
+        };
+        let is_wanted = |setting: &str| wanted.is_some_and(|(name, ..)| name == setting);
+        if let Some((extra, _)) = settings.iter().find(|(s, v)| v.is_some() && !is_wanted(s)) {
+            let problem = format!("`{extra}` is given for {name}");
+            return Err(Invalid::at("errors", index, problem, "leave it out: this kind has none"));
+        }
+        let value = match wanted {
+            None => 0.0,
+            Some((setting, least, most)) => {
+                let remedy = format!("give {least} to {most}");
+                let given = settings.iter().find(|(s, _)| *s == setting).and_then(|(_, v)| *v);
+                let Some(value) = given else {
+                    let problem = format!("{name} has no `{setting}`");
+                    return Err(Invalid::at("errors", index, problem, remedy));
+                };
+                if !(least..=most).contains(&value) {
+                    let problem = format!("`{setting}` of {name} is {value}");
+                    return Err(Invalid::at("errors", index, problem, remedy));
+                }
+                value
+            }
+        };
+        Ok(match self.kind {
+            Kind::RateScale => Effect::Scalar(Scalar::RateScale),
+            Kind::RateDrift => Effect::Scalar(Scalar::RateDrift),
+            Kind::RateWarmUp => Effect::Scalar(Scalar::RateWarmUp { time_constant_s: value }),
+            Kind::RateNoise => Effect::Noise(Noise::Rate { correlation_s: value }),
+            Kind::OffsetX | Kind::TifOffsetX => Effect::Scalar(Scalar::OffsetX),
+            Kind::OffsetY | Kind::TifOffsetY => Effect::Scalar(Scalar::OffsetY),
+            Kind::Rotation => Effect::Scalar(Scalar::Rotation),
+            Kind::Magnification => Effect::Scalar(Scalar::Magnification),
+            Kind::Shear => Effect::Scalar(Scalar::Shear),
+            Kind::TifWidth => Effect::Scalar(Scalar::TifWidth),
+            Kind::TifEllipticity => Effect::Scalar(Scalar::TifEllipticity),
+            Kind::TifRotation => Effect::Scalar(Scalar::TifRotation),
+            Kind::PositionNoise => Effect::Noise(Noise::Position),
+            Kind::VelocityLag => Effect::Scalar(Scalar::VelocityLag),
+            Kind::ServoFirstOrder => Effect::Scalar(Scalar::ServoFirstOrder),
+            Kind::ServoSecondOrder => {
+                Effect::Scalar(Scalar::ServoSecondOrder { damping_ratio: value })
+            }
+            Kind::Backlash => Effect::Scalar(Scalar::Backlash),
+            Kind::TimingJitter => Effect::Noise(Noise::Jitter),
+            Kind::TimingTick => Effect::Noise(Noise::Tick),
+            Kind::MapNoise => Effect::MapNoise,
+            Kind::MapLowOrder => Effect::MapLowOrder { degree: value as usize },
+        })
+    }
+}

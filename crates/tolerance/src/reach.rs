@@ -1,0 +1,146 @@
+//! What the tool can correct of a residual, and what it cannot.
+//!
+//! ```text
+//! f(x, y) = sum over j, k of f_jk cos(pi j (x - x0) / Lx) cos(pi k (y - y0) / Ly)
+//! ```
+//!
+//! The cosines of the rectangle of the map are orthonormal over its pixels, so that the mean square of the map
+//! (0 where it is invalid) is the sum of the squares of its coefficients. A wave of the dwell-time density at a
+//! spatial frequency removes a wave that is smaller by the transfer function of the TIF, its Fourier transform
+//! over its volume. The tool reaches the cosines at which that is at least [`LEAST_TRANSFER`].
+
+use std::f64::consts::PI;
+
+use ndarray::{Array1, Array2};
+use planish_types::{Axis, Tif};
+use rayon::prelude::*;
+
+use crate::inner::Inner;
+
+/// Least value of the transfer function at which the tool corrects: below it, to correct a wave asks for a
+/// variation of the removal ten times as large.
+pub const LEAST_TRANSFER: f64 = 0.1;
+
+/// Largest frequency that is looked at, times the width of the TIF; at it the transfer function of a Gaussian is
+/// exp(-2 pi^2).
+const LARGEST_FREQUENCY: f64 = 1.0;
+
+/// The cosines that the tool reaches.
+pub struct Reach {
+    /// Cosines along y (rows k) on the pixels, orthonormal.
+    y: Array2<f64>,
+    /// Cosines along x (rows j) on the pixels, orthonormal.
+    x: Array2<f64>,
+    /// Whether the tool reaches (k, j).
+    reached: Array2<bool>,
+    /// The reached pairs.
+    pairs: Vec<(usize, usize)>,
+    x_axis: Axis,
+    y_axis: Axis,
+}
+
+/// Orthonormal cosine j of n at the place i, which is the pixel i or between two.
+fn cosine(j: usize, n: usize, i: f64) -> f64 {
+    let scale = if j == 0 { 1.0 } else { 2.0_f64.sqrt() };
+    scale / (n as f64).sqrt() * (PI * j as f64 * (i + 0.5) / n as f64).cos()
+}
+
+impl Reach {
+    /// For maps on the pixels of `inner`.
+    pub fn new(inner: &Inner, tif: &Tif, width_mm: f64) -> Self {
+        let (x_axis, y_axis) = (inner.grid.x, inner.grid.y);
+        let frequency = |j: usize, a: &Axis| j as f64 / (2.0 * a.len() as f64 * a.step_mm());
+        let most = |a: &Axis| {
+            let limit = LARGEST_FREQUENCY / width_mm;
+            (0..a.len()).take_while(|j| frequency(*j, a) <= limit).count()
+        };
+        let (nx, ny) = (most(&x_axis), most(&y_axis));
+        let rate = tif.rate_nm_per_s();
+        let grid = tif.grid();
+        // sum_x T cos, sum_x T sin (rows of the TIF), then along y; the mirrored wave has -f_y.
+        let wave = |f: f64, a: &Axis| -> (Array1<f64>, Array1<f64>) {
+            let phase: Vec<f64> = (0..a.len()).map(|i| 2.0 * PI * f * a.at(i)).collect();
+            (phase.iter().map(|p| p.cos()).collect(), phase.iter().map(|p| p.sin()).collect())
+        };
+        let along_y: Vec<_> = (0..ny).map(|k| wave(frequency(k, &y_axis), &grid.y)).collect();
+        let volume = rate.sum();
+        let columns: Vec<Vec<bool>> = (0..nx)
+            .into_par_iter()
+            .map(|j| {
+                let (cx, sx) = wave(frequency(j, &x_axis), &grid.x);
+                let (re, im) = (rate.dot(&cx), rate.dot(&sx));
+                let transfer = |(cy, sy): &(Array1<f64>, Array1<f64>)| {
+                    let (rc, rs, ic, is) = (re.dot(cy), re.dot(sy), im.dot(cy), im.dot(sy));
+                    let plus = (rc - is).hypot(rs + ic);
+                    let minus = (rc + is).hypot(rs - ic);
+                    ((plus * plus + minus * minus) / 2.0).sqrt() / volume
+                };
+                along_y.iter().map(|w| transfer(w) >= LEAST_TRANSFER).collect()
+            })
+            .collect();
+        // Only as far as the last that is reached.
+        let nx = columns.iter().rposition(|c| c.contains(&true)).map_or(1, |j| j + 1);
+        let last = columns.iter().filter_map(|c| c.iter().rposition(|r| *r)).max();
+        let ny = last.map_or(1, |k| k + 1);
+        let reached = Array2::from_shape_fn((ny, nx), |(k, j)| columns[j][k]);
+        let pairs = reached.indexed_iter().filter(|(_, r)| **r).map(|(p, _)| p).collect();
+        let all = |n: usize, of: &Axis| {
+            Array2::from_shape_fn((n, of.len()), |(j, i)| cosine(j, of.len(), i as f64))
+        };
+        Self { y: all(ny, &y_axis), x: all(nx, &x_axis), reached, pairs, x_axis, y_axis }
+    }
+
+    /// Number of cosines.
+    pub fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    /// What the tool reaches of the mean square of a map that is 0 where it is invalid.
+    pub fn mean_square(&self, inner: &Inner, map: &Array2<f64>) -> f64 {
+        let coefficients = self.y.dot(map).dot(&self.x.t());
+        let reached = coefficients.iter().zip(&self.reached).filter(|(_, r)| **r);
+        reached.map(|(c, _)| c * c).sum::<f64>() / inner.count
+    }
+
+    /// The cosines as fields on the cells, so that their inner products with fields there are the coefficients
+    /// over sqrt(m): cosines along y and x at the centres, and the scale.
+    pub fn on_cells(&self, inner: &Inner) -> CosinesOnCells {
+        let at = |a: &Axis, mm: f64| (mm - a.start_mm()) / a.step_mm();
+        let cells = &inner.cells;
+        let (ny, nx) = self.reached.dim();
+        // Rows (and columns) of cells have one coordinate where the map is whole; at its border a centroid
+        // is elsewhere, which the mean over the row stands for.
+        let mean = |axis: usize, index: usize, of: &Axis| {
+            let (rows, columns) = cells.shape;
+            let members: Vec<usize> = if axis == 1 {
+                (0..columns).map(|c| index * columns + c).collect()
+            } else {
+                (0..rows).map(|r| r * columns + index).collect()
+            };
+            let total: f64 = members.iter().map(|i| cells.weight[*i]).sum();
+            let sum: f64 =
+                members.iter().map(|i| cells.weight[*i] * cells.centre_mm[*i][axis]).sum();
+            if total > 0.0 { at(of, sum / total) } else { 0.0 }
+        };
+        let y: Vec<f64> = (0..cells.shape.0).map(|r| mean(1, r, &self.y_axis)).collect();
+        let x: Vec<f64> = (0..cells.shape.1).map(|c| mean(0, c, &self.x_axis)).collect();
+        let table = |n: usize, len: usize, places: &[f64]| {
+            Array2::from_shape_fn((places.len(), n), |(i, j)| cosine(j, len, places[i]))
+        };
+        CosinesOnCells {
+            y: table(ny, self.y_axis.len(), &y),
+            x: table(nx, self.x_axis.len(), &x),
+            pairs: self.pairs.clone(),
+        }
+    }
+}
+
+/// The reached cosines at the rows and columns of the cells.
+pub struct CosinesOnCells {
+    /// (rows, k)
+    pub y: Array2<f64>,
+    /// (columns, j)
+    pub x: Array2<f64>,
+    /// The reached (k, j).
+    pub pairs: Vec<(usize, usize)>,
+}

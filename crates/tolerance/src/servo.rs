@@ -1,0 +1,259 @@
+//! Axes that follow their command: where they are when they should be at r(t).
+//!
+//! ```text
+//! lag             q(t) = r(t) - tau r'(t)
+//! first order     tau q' = r - q
+//! second order    q'' + 2 zeta w q' = w^2 (r - q),    w = 2 zeta / tau
+//! ```
+//!
+//! All three lag by `tau v` at the constant velocity v. The first is the quasi-static limit of the others.
+//! Of those the solution in a piece, where r is a cubic, is a cubic and an exponential that decays; the latter is
+//! exact at chosen times, and a cubic between them. The axes rest where the motion begins.
+
+use planish_numerics::polynomial::{derivative, evaluate};
+
+use crate::motion::Piece;
+
+/// How the axes follow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)] // the lag at constant velocity, s, of each; the equations are above
+pub enum Servo {
+    Lag { lag_s: f64 },
+    FirstOrder { lag_s: f64 },
+    SecondOrder { lag_s: f64, damping_ratio: f64 },
+}
+
+/// First step between the times at which the transient is exact, in units of its fastest time: a cubic between
+/// two of them errs by 0.5^4 / 384 of it. The steps grow as the fourth root of what is left falls, so that the
+/// error stays.
+const STEP: f64 = 0.5;
+
+/// The transient is followed over this many of its slowest times; then exp(-16) of it is left.
+const FOLLOWED: f64 = 16.0;
+
+/// A transient below this, mm, is not followed: the TIF is a thousand times wider than the smallest of machines'
+/// counts.
+const LEAST_TRANSIENT_MM: f64 = 1e-7;
+
+/// Where an axis is, and its velocity.
+type State = [f64; 2];
+
+impl Servo {
+    /// The motion of the axes under the command `pieces`; each new piece with the origin of its command.
+    pub fn follow(self, pieces: &[Piece], origin: &[usize]) -> (Vec<Piece>, Vec<usize>) {
+        let lag_s = match self {
+            Self::Lag { lag_s } | Self::FirstOrder { lag_s } | Self::SecondOrder { lag_s, .. } => {
+                lag_s
+            }
+        };
+        // No lag is no servo; a negative one, which only the first can have, is an early tool.
+        if matches!(self, Self::Lag { .. }) || lag_s <= 0.0 {
+            let late = |p: &Piece| Piece {
+                coefficient_mm: p.coefficient_mm.map(|c| lagging(&c, lag_s)),
+                ..*p
+            };
+            return (pieces.iter().map(late).collect(), origin.to_vec());
+        }
+        let (mut motion, mut from) = (Vec::new(), Vec::new());
+        let Some(first) = pieces.first() else { return (motion, from) };
+        let mut state: [State; 2] = first.coefficient_mm.map(|c| [c[0], 0.0]);
+        for (p, command) in pieces.iter().zip(origin) {
+            let steady = p.coefficient_mm.map(|c| self.steady(&c));
+            let transient: [State; 2] =
+                std::array::from_fn(|a| [state[a][0] - steady[a][0], state[a][1] - steady[a][1]]);
+            let (fastest_s, slowest_s) = self.times_s();
+            let is_seen = |t: &State| {
+                t[0].abs() > LEAST_TRANSIENT_MM || t[1].abs() * slowest_s > LEAST_TRANSIENT_MM
+            };
+            let mut times = vec![0.0];
+            if transient.iter().any(is_seen) {
+                let until = (FOLLOWED * slowest_s).min(p.duration_s);
+                let next = |u: &f64| {
+                    let next = u + STEP * fastest_s * (u / (4.0 * slowest_s)).exp();
+                    (next < until).then_some(next)
+                };
+                times.extend(std::iter::successors(next(&0.0), next));
+                if until < p.duration_s {
+                    times.push(until);
+                }
+            }
+            times.push(p.duration_s);
+            let at = |axis: usize, u: f64| -> State {
+                let [h, dh] = self.decayed(transient[axis], u);
+                let s = &steady[axis];
+                [evaluate(s, u) + h, evaluate(&derivative(s), u) + dh]
+            };
+            for w in times.windows(2).filter(|w| w[1] > w[0]) {
+                let h = w[1] - w[0];
+                let coefficient_mm = std::array::from_fn(|a| hermite(at(a, w[0]), at(a, w[1]), h));
+                motion.push(Piece {
+                    start_s: p.start_s + w[0],
+                    duration_s: h,
+                    coefficient_mm,
+                    ..*p
+                });
+                from.push(*command);
+            }
+            state = std::array::from_fn(|a| at(a, p.duration_s));
+        }
+        (motion, from)
+    }
+
+    /// The cubic that solves the equation: with D = d/dt, q = r / (1 + A D + B D^2).
+    fn steady(self, r: &[f64; 4]) -> [f64; 4] {
+        let (a, b) = match self {
+            Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, 0.0),
+            Self::SecondOrder { lag_s, damping_ratio } => {
+                (lag_s, (lag_s / (2.0 * damping_ratio)).powi(2))
+            }
+        };
+        let d1 = derivative(r);
+        let d2 = derivative(&d1);
+        let d3 = derivative(&d2);
+        let third = a * a * a - 2.0 * a * b;
+        std::array::from_fn(|k| r[k] - a * d1[k] + (a * a - b) * d2[k] - third * d3[k])
+    }
+
+    /// Fastest and slowest time of the transient, s.
+    fn times_s(self) -> (f64, f64) {
+        match self {
+            Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, lag_s),
+            Self::SecondOrder { lag_s, damping_ratio: z } => {
+                let period = lag_s / (2.0 * z);
+                let spread = if z > 1.0 { z + (z * z - 1.0).sqrt() } else { 1.0 };
+                (period / spread, period * if z > 1.0 { spread } else { 1.0 / z })
+            }
+        }
+    }
+
+    /// The transient after the time u.
+    fn decayed(self, [h, dh]: State, u: f64) -> State {
+        match self {
+            Self::Lag { lag_s } | Self::FirstOrder { lag_s } => {
+                let h = h * (-u / lag_s).exp();
+                [h, -h / lag_s]
+            }
+            Self::SecondOrder { lag_s, damping_ratio: z } => {
+                let w = 2.0 * z / lag_s;
+                // h = exp(-z w u) (h0 C + (h0' + z w h0) S),  C' = -k S, S' = C,  k = w^2 (1 - z^2)
+                let k = w * w * (1.0 - z * z);
+                let (c, s) = if k * u * u > 1e-12 {
+                    let f = k.sqrt();
+                    ((f * u).cos(), (f * u).sin() / f)
+                } else if k * u * u < -1e-12 {
+                    let f = (-k).sqrt();
+                    ((f * u).cosh(), (f * u).sinh() / f)
+                } else {
+                    (1.0, u)
+                };
+                let (decay, b) = ((-z * w * u).exp(), dh + z * w * h);
+                let now = h * c + b * s;
+                [decay * now, decay * (b * c - k * h * s - z * w * now)]
+            }
+        }
+    }
+}
+
+/// r - tau r'
+fn lagging(r: &[f64; 4], lag_s: f64) -> [f64; 4] {
+    let v = derivative(r);
+    std::array::from_fn(|k| r[k] - lag_s * v[k])
+}
+
+/// The cubic over the time h from one state to the next.
+fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
+    let mean = (q - p) / h;
+    [p, v, (3.0 * mean - 2.0 * v - w) / h, (v + w - 2.0 * mean) / (h * h)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::shifted;
+
+    /// A command that runs, brakes and turns, in three pieces.
+    fn command() -> Vec<Piece> {
+        let c = [[0.0, 3.0, 0.5, -0.2], [1.0, 0.0, 1.0, 0.1]];
+        let d = [c[0], c[1]].map(|c| shifted(&c, 1.0));
+        let brake = d.map(|c| [c[0], -0.5 * c[1], 0.3, 0.0]);
+        let rest = brake.map(|c| [evaluate(&c, 0.7), 0.0, 0.0, 0.0]);
+        let piece = |start_s, duration_s, coefficient_mm| Piece {
+            start_s,
+            duration_s,
+            coefficient_mm,
+            tool_on: true,
+            stay: 0,
+        };
+        vec![piece(0.0, 1.0, c), piece(1.0, 0.7, brake), piece(1.7, 2.0, rest)]
+    }
+
+    /// Both servos against small steps of their equations (Runge and Kutta's).
+    #[test]
+    fn a_servo_solves_its_equation() {
+        let pieces = command();
+        for servo in [
+            Servo::FirstOrder { lag_s: 0.05 },
+            Servo::SecondOrder { lag_s: 0.05, damping_ratio: 0.3 },
+            Servo::SecondOrder { lag_s: 0.05, damping_ratio: 1.0 },
+            Servo::SecondOrder { lag_s: 0.05, damping_ratio: 2.0 },
+        ] {
+            let (motion, origin) = servo.follow(&pieces, &[0, 1, 2]);
+            assert_eq!((motion.len(), origin[0]), (origin.len(), 0));
+            let slope = |q: State, r: f64| -> State {
+                match servo {
+                    Servo::SecondOrder { lag_s, damping_ratio: z } => {
+                        let w = 2.0 * z / lag_s;
+                        [q[1], w * w * (r - q[0]) - 2.0 * z * w * q[1]]
+                    }
+                    _ => [(r - q[0]) / 0.05, 0.0],
+                }
+            };
+            let mut q: State = [pieces[0].coefficient_mm[0][0], 0.0];
+            let mut worst: f64 = 0.0;
+            for p in &pieces {
+                let n = 4000;
+                let h = p.duration_s / f64::from(n);
+                for k in 0..n {
+                    let r = |f: f64| evaluate(&p.coefficient_mm[0], (f64::from(k) + f) * h);
+                    let plus =
+                        |q: State, d: State, f: f64| [q[0] + f * h * d[0], q[1] + f * h * d[1]];
+                    let a = slope(q, r(0.0));
+                    let b = slope(plus(q, a, 0.5), r(0.5));
+                    let c = slope(plus(q, b, 0.5), r(0.5));
+                    let d = slope(plus(q, c, 1.0), r(1.0));
+                    q = std::array::from_fn(|i| {
+                        q[i] + h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * c[i] + d[i])
+                    });
+                    let t = p.start_s + f64::from(k + 1) * h;
+                    let of = |m: &&Piece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
+                    let m = motion.iter().find(of).unwrap();
+                    worst = worst.max((evaluate(&m.coefficient_mm[0], t - m.start_s) - q[0]).abs());
+                }
+            }
+            // The transient is some 0.2 mm; its cubic errs by 0.5^4 / 384 of it, and exp(-8) of it is given up.
+            assert!(worst < 1.5e-4, "{servo:?}: {worst}");
+        }
+    }
+
+    #[test]
+    fn at_constant_velocity_every_servo_lags_by_its_lag() {
+        let run = Piece {
+            start_s: 0.0,
+            duration_s: 5.0,
+            coefficient_mm: [[1.0, 4.0, 0.0, 0.0], [0.0; 4]],
+            tool_on: true,
+            stay: 0,
+        };
+        for servo in [
+            Servo::Lag { lag_s: 0.1 },
+            Servo::FirstOrder { lag_s: 0.1 },
+            Servo::SecondOrder { lag_s: 0.1, damping_ratio: 0.7 },
+        ] {
+            let (motion, _) = servo.follow(&[run], &[0]);
+            let last = motion.last().unwrap();
+            let end = evaluate(&last.coefficient_mm[0], last.duration_s);
+            // exp(-50) of the transient is left.
+            assert!((end - (21.0 - 0.4)).abs() < 1e-12, "{servo:?}: {end}");
+        }
+    }
+}

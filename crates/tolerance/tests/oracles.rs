@@ -1,0 +1,251 @@
+//! The lines of the table against closed forms, against each other, and against simulated runs.
+
+mod example;
+
+use example::{desired, process, raster, tif};
+use planish_simulate::{Settings as Simulation, simulate};
+use planish_tolerance::{Free, Settings, Tolerance, tolerance};
+use planish_types::{Trajectory, TrajectoryBuilder};
+use serde_json::{Value, json};
+
+fn settings() -> Settings {
+    Settings { draws: 4000, simulated_runs: 2, ..Settings::default() }
+}
+
+fn of(errors: Value, settings: &Settings) -> Tolerance {
+    let process = process(&json!({ "name": "test", "errors": errors })).unwrap();
+    tolerance(&raster(), &tif(), &desired(), &process, settings).unwrap()
+}
+
+fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
+    json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
+}
+
+fn with(mut error: Value, setting: &str, value: f64) -> Value {
+    error[setting] = if setting == "degree" { json!(value as usize) } else { json!(value) };
+    error
+}
+
+/// One of every kind, times `scale`.
+fn every(scale: f64) -> Value {
+    json!([
+        error("rate_scale", scale, "%", "normal"),
+        error("rate_drift", 5.0 * scale, "%", "uniform"),
+        with(error("rate_warm_up", 2.0 * scale, "%", "fixed"), "time_constant_s", 30.0),
+        with(error("rate_noise", scale, "%", "normal"), "correlation_s", 5.0),
+        error("offset_x", 20.0 * scale, "um", "normal"),
+        error("offset_y", 0.02 * scale, "mm", "uniform"),
+        error("rotation", 0.01 * scale, "deg", "normal"),
+        error("magnification", 0.1 * scale, "%", "normal"),
+        error("shear", 0.1 * scale, "%", "normal"),
+        error("tif_width", scale, "%", "normal"),
+        error("tif_ellipticity", scale, "%", "normal"),
+        error("tif_rotation", 5.0 * scale, "mrad", "normal"),
+        error("tif_offset_x", 20.0 * scale, "um", "normal"),
+        error("tif_offset_y", 20.0 * scale, "um", "normal"),
+        error("position_noise", 10.0 * scale, "um", "normal"),
+        error("velocity_lag", 5.0 * scale, "ms", "normal"),
+        error("servo_first_order", 5.0 * scale, "ms", "fixed"),
+        with(error("servo_second_order", 5.0 * scale, "ms", "fixed"), "damping_ratio", 0.7),
+        error("backlash", 10.0 * scale, "um", "fixed"),
+        error("timing_jitter", 2.0 * scale, "ms", "normal"),
+        error("timing_tick", 2.0 * scale, "ms", "uniform"),
+        error("map_noise", 0.1 * scale, "nm", "normal"),
+        with(error("map_low_order", 0.1 * scale, "nm", "normal"), "degree", 3.0),
+    ])
+}
+
+#[test]
+fn errors_of_size_zero_add_exactly_nothing() {
+    let found = of(every(0.0), &settings());
+    for line in &found.errors {
+        let all =
+            [line.adds_rms_nm, line.reached_rms_nm, line.unreached_rms_nm, line.departs_by_rms_nm];
+        assert_eq!(all, [0.0; 4], "{}", line.kind);
+    }
+    assert!(found.first.is_none() && !found.simulated);
+    for run in &found.runs {
+        assert_eq!(run.simulated_rms_nm, found.nominal_rms_nm);
+    }
+    // The Gram matrix has one element: its root and the sum of squares round once each.
+    let [low, high] = found.residual.interval_95_percent_nm;
+    for rms in [low, high, found.residual.median_nm, found.expected_rms_nm] {
+        assert!((rms / found.nominal_rms_nm - 1.0).abs() < 1e-14, "{rms}");
+    }
+    assert!(found.deviation_nm.iter().all(|v| *v == 0.0 || v.is_nan()));
+}
+
+#[test]
+fn twice_the_error_is_twice_its_line() {
+    let (once, twice) = (of(every(0.5), &settings()), of(every(1.0), &settings()));
+    for (a, b) in once.errors.iter().zip(&twice.errors) {
+        assert!(!a.simulated && !b.simulated, "{}", a.kind);
+        assert!(a.adds_rms_nm > 0.0 || a.kind.contains("lag"), "{}", a.kind);
+        // The size is scaled after all else: sums of squares and their roots round.
+        let error = (b.adds_rms_nm - 2.0 * a.adds_rms_nm).abs();
+        assert!(error <= 1e-12 * b.adds_rms_nm, "{}: {error}", a.kind);
+        let bands = (b.reached_rms_nm.powi(2) + b.unreached_rms_nm.powi(2)).sqrt();
+        assert!((bands - b.adds_rms_nm).abs() <= 1e-12 * b.adds_rms_nm, "{}", a.kind);
+    }
+}
+
+/// RMS of the difference between the removal of two motions, free terms as `free` says.
+fn apart(a: &Trajectory, b: &Trajectory) -> f64 {
+    let removal = |t: &Trajectory| {
+        simulate(t, &tif(), &desired(), Simulation::Gridded).unwrap().removal.removal_nm().clone()
+    };
+    let difference = removal(a) - removal(b);
+    let valid = desired().height_nm().mapv(|z| !z.is_nan());
+    let values: Vec<f64> =
+        difference.iter().zip(&valid).filter(|(_, v)| **v).map(|(d, _)| *d).collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// The motion with every piece replaced.
+fn changed(of: impl Fn(f64, f64, [[f64; 4]; 2]) -> (f64, [[f64; 4]; 2])) -> Trajectory {
+    let mut builder = TrajectoryBuilder::default();
+    for s in raster().segments() {
+        let (duration_s, c) = of(s.start_s, s.duration_s, *s.coefficient_mm);
+        builder.push(duration_s, c, s.tool_on, s.dwell_index);
+    }
+    builder.build().unwrap()
+}
+
+fn slower(by: f64, c: [[f64; 4]; 2]) -> [[f64; 4]; 2] {
+    c.map(|c| [c[0], c[1] / by, c[2] / by.powi(2), c[3] / by.powi(3)])
+}
+
+/// The first order within 2 % of the planned motion with the error in it, made here and simulated: at a rate
+/// off by 1 %, a shift of 50 um, a rotation of 0.01 degree, a drift of 1 %, and a magnification of 0.1 %.
+#[test]
+fn the_first_order_is_what_a_changed_motion_does() {
+    let total = raster().total_time_s();
+    let (cx, cy) = (10.0, 6.0);
+    let moved = |f: &dyn Fn(f64, f64) -> [f64; 2]| {
+        changed(|_, h, c| {
+            // An affine map of the plane acts on coefficients; the offset on the first.
+            let zero = f(0.0, 0.0);
+            let mut out = [[0.0; 4]; 2];
+            for k in 0..4 {
+                let at = f(c[0][k], c[1][k]);
+                for a in 0..2 {
+                    out[a][k] = at[a] - if k > 0 { zero[a] } else { 0.0 };
+                }
+            }
+            (h, out)
+        })
+    };
+    let angle = 0.01_f64.to_radians();
+    let rotated = |x: f64, y: f64| {
+        let (s, c) = angle.sin_cos();
+        [cx + c * (x - cx) - s * (y - cy), cy + s * (x - cx) + c * (y - cy)]
+    };
+    let cases = [
+        (error("rate_scale", 1.0, "%", "fixed"), changed(|_, h, c| (1.01 * h, slower(1.01, c)))),
+        (
+            error("rate_drift", 1.0, "%", "fixed"),
+            changed(|t, h, c| {
+                let rate = 1.0 + 0.01 * ((t + 0.5 * h) / total - 0.5);
+                (rate * h, slower(rate, c))
+            }),
+        ),
+        (error("offset_x", 50.0, "um", "fixed"), moved(&|x, y| [x + 0.05, y])),
+        (error("offset_y", 50.0, "um", "fixed"), moved(&|x, y| [x, y + 0.05])),
+        (error("tif_offset_y", -50.0, "um", "fixed"), moved(&|x, y| [x, y - 0.05])),
+        (error("rotation", 0.01, "deg", "fixed"), moved(&rotated)),
+        (
+            error("magnification", 0.1, "%", "fixed"),
+            moved(&|x, y| [cx + 1.001 * (x - cx), cy + 1.001 * (y - cy)]),
+        ),
+        (error("shear", 0.1, "%", "fixed"), moved(&|x, y| [x + 0.001 * (y - cy), y])),
+    ];
+    for (error, motion) in cases {
+        let line = &of(json!([error]), &settings()).errors[0];
+        let simulated = apart(&motion, &raster());
+        let ratio = line.adds_rms_nm / simulated;
+        assert!((ratio - 1.0).abs() < 0.02, "{}: {ratio}", line.kind);
+        assert!(line.departs_by_rms_nm < 0.05 * simulated, "{}", line.kind);
+    }
+}
+
+/// A rate that keeps its deviation throughout the run is a rate that is off.
+#[test]
+fn noise_of_the_rate_becomes_a_scale_where_it_lasts_and_vanishes_where_it_does_not() {
+    let line = |tau: f64| {
+        let noise = with(error("rate_noise", 1.0, "%", "normal"), "correlation_s", tau);
+        of(json!([noise]), &settings()).errors[0].adds_rms_nm
+    };
+    let scale =
+        of(json!([error("rate_scale", 1.0, "%", "normal")]), &settings()).errors[0].adds_rms_nm;
+    // Over a run of 1e-5 of the correlation time the covariance is 1 - 1e-5; cells are off by 0.5 % at a border.
+    let lasting = line(1e7);
+    assert!((lasting / scale - 1.0).abs() < 0.01, "{lasting} {scale}");
+    // White noise: the variance is proportional to the correlation time.
+    let ratio = line(2e-3) / line(1e-3);
+    assert!((ratio - 2.0_f64.sqrt()).abs() < 1e-3, "{ratio}");
+}
+
+/// The mean square over drawn runs, each simulated, is that of the line; every kind of noise.
+#[test]
+fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
+    for noise in [
+        with(error("rate_noise", 2.0, "%", "normal"), "correlation_s", 3.0),
+        error("position_noise", 50.0, "um", "normal"),
+        error("timing_jitter", 10.0, "ms", "normal"),
+        error("timing_tick", 20.0, "ms", "uniform"),
+    ] {
+        let runs = 200;
+        let many = Settings { simulated_runs: runs, ..settings() };
+        let found = of(json!([noise]), &many);
+        let line = &found.errors[0];
+        let mean = found.runs.iter().map(|r| r.simulated_rms_nm.powi(2)).sum::<f64>() / runs as f64;
+        let added = mean - found.nominal_rms_nm.powi(2);
+        let first: Vec<f64> = found.runs.iter().map(|r| r.simulated_rms_nm.powi(2)).collect();
+        let spread = (first.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / runs as f64).sqrt();
+        // Four standard errors of the mean, and 3 % for the first order and the cells.
+        let bound = 4.0 * spread / (runs as f64).sqrt() + 0.03 * line.adds_rms_nm.powi(2);
+        let error = (added - line.adds_rms_nm.powi(2)).abs();
+        assert!(error < bound, "{}: {added} {}", line.kind, line.adds_rms_nm.powi(2));
+    }
+}
+
+/// 95 % of the runs with all errors are in the interval: of 150 simulated ones 142.5 are expected with a
+/// standard deviation of 2.7, so that fewer than 131 (or none outside) has a probability below 1e-3.
+#[test]
+fn the_interval_covers_simulated_runs() {
+    let many = Settings { draws: 20_000, simulated_runs: 150, ..settings() };
+    let found = of(every(1.0), &many);
+    assert!(!found.simulated);
+    assert!((131..150).contains(&found.within_interval), "{}", found.within_interval);
+    // Of the largest of 150 runs: a shift of 3 standard deviations, 0.06 of the width of the TIF, is off by half
+    // of that times what it adds, which is of the size of the residual.
+    assert!(found.largest_difference < 0.05, "{}", found.largest_difference);
+}
+
+/// What the plane is free of is not counted: a magnification along one axis of a ramp, say.
+#[test]
+fn free_planes_are_not_counted() {
+    let plane = Settings { free: Free::Plane, ..settings() };
+    let tilt = with(error("map_low_order", 1.0, "nm", "normal"), "degree", 1.0);
+    let found = of(json!([tilt.clone()]), &plane);
+    assert!(found.errors[0].adds_rms_nm < 1e-9, "{}", found.errors[0].adds_rms_nm);
+    // Where it is not free, a tilt of 1 nm RMS over the rectangle adds that.
+    let found = of(json!([tilt]), &settings());
+    // A tenth of the pixels is invalid.
+    assert!((found.errors[0].adds_rms_nm - 1.0).abs() < 0.1, "{}", found.errors[0].adds_rms_nm);
+}
+
+/// Beyond its first order an error is simulated: a shift by half the width of the tool.
+#[test]
+fn large_errors_are_simulated() {
+    let large = error("offset_x", 0.8, "mm", "uniform");
+    let found = of(json!([large]), &settings());
+    assert!(found.simulated && found.errors[0].simulated);
+    assert_eq!(found.runs.len(), 200);
+    let small = of(json!([error("offset_x", 0.01, "mm", "uniform")]), &settings());
+    let linear = 80.0 * small.errors[0].adds_rms_nm;
+    let ratio = found.errors[0].adds_rms_nm / linear;
+    // Less than the tangent, and not by orders of magnitude.
+    assert!((0.3..1.3).contains(&ratio), "{ratio}");
+}
