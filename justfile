@@ -166,6 +166,10 @@ pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_
 refine-table:
     @cargo run --quiet --release --locked -p planish-testkit --example refined
 
+# The tables of docs/feed.md: motion and times as one problem beside the closed loop; with PLANISH_REFERENCE set, also those of the reference mirror
+feed-table:
+    @cargo run --quiet --release --locked -p planish-testkit --example refined -- feed
+
 # `just run` and its relatives as a user calls them: hostile settings, races, exit codes
 test-pipelines: build
     cargo test --locked -p planish-testkit --test pipelines

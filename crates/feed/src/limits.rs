@@ -9,7 +9,7 @@
 //!
 //! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along
 //! the curve the acceleration is linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a
-//! clothoid (1) is also imposed at eight places, towards the bend; what may happen between them has
+//! clothoid (1) is also imposed every 0.1 rad, towards the bend; what may happen between the places has
 //! a margin, and the motion is judged in the end.
 //! (4) keeps the cubic of a span monotone: its feeds at both ends are at most three times its mean feed where r is
 //! at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).

@@ -26,7 +26,7 @@ const GAUSS_POINTS: usize = 4;
 /// A corner of a smaller turn gets no node of its own, rad: the feed need not fall there.
 const GENTLE_TURN_RAD: f64 = 0.1;
 
-/// A corner of a larger turn gets nodes at its ends too: the feed may rise at once behind it.
+/// A corner of a larger turn gets nodes at its ends too: the feed may rise at once after it.
 const SHARP_TURN_RAD: f64 = 0.5;
 
 /// A corner or an end of one nearer to a node than this fraction of the spacing gets no node of its own.

@@ -1,25 +1,23 @@
 //! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
-//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool.
-use std::fs;
+//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool. With the argument
+//! `feed`: those of docs/feed.md, motion and times as one problem beside the closed loop.
+
+mod feed;
+mod paths;
 
 use planish_dwell::bounded_least_squares::{self, Bound};
-use planish_fixture::{Fixture, Recipe, make};
+use planish_fixture::Fixture;
 use planish_refine::{Refined, Scheduler, Settings, refine};
 use planish_schedule::pvt::Mode;
 use planish_simulate::{Settings::Gridded, simulate};
-use planish_testkit::{ion_beam, machine, mirror, workspace};
-use planish_toolpath::{
-    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
-    Turn, maze, random_adaptive, raster,
-};
+use planish_testkit::{ion_beam, machine, mirror};
+use planish_toolpath::{Construction, Scan};
 use planish_types::{Limits, Surface, Tif, ToolPath};
+
+use paths::{fixture, lines, own_maze, random};
 
 const FLOORS: [(&str, Bound); 2] =
     [("0.1 s", Bound::Seconds(0.1)), ("0.02 s/mm", Bound::SecondsPerMm(0.02))];
-/// Pitches at which the random paths have about the published number of dwell points, 2678.
-const MESH_TREE_PITCH_MM: f64 = 1.13;
-const TOUR_PITCH_MM: f64 = 1.17;
-
 /// The part, the tool, and what is to happen to them.
 struct Case<'a> {
     desired: &'a Surface,
@@ -64,36 +62,6 @@ impl Case<'_> {
 fn heading() {
     println!("| path | points | floor | before, nm | after, nm | before, s | after, s | rounds |");
     println!("|---|---|---|---|---|---|---|---|");
-}
-
-fn random(desired: &Surface, construction: Construction, seed: u64) -> ToolPath {
-    let (pitch_mm, rounding_passes) = match construction {
-        Construction::MeshTree => (MESH_TREE_PITCH_MM, 1),
-        Construction::Tour => (TOUR_PITCH_MM, 0),
-    };
-    let settings = RandomAdaptiveSettings {
-        pitch_mm,
-        overscan_mm: 5.0,
-        step_mm: Some(pitch_mm),
-        contrast: 1.0,
-        construction,
-        rounding_passes,
-        seed,
-    };
-    random_adaptive(desired, &settings).expect("a path").path
-}
-
-fn own_maze(desired: &Surface) -> ToolPath {
-    let settings = MazeSettings {
-        pitch_mm: 1.0,
-        step_mm: 1.0,
-        overscan_mm: 5.0,
-        corner_radius_mm: 0.0,
-        tree: Tree::DepthFirst { straightness: 0.0 },
-        open: false,
-        seed: 1,
-    };
-    maze(desired, &settings).expect("a path").path
 }
 
 fn on_the_mirror(reference: &mirror::Mirror) {
@@ -159,32 +127,6 @@ fn on_the_mirror(reference: &mirror::Mirror) {
     case(&slow, bound).row("tour, seed 1", floor, &tour[0]);
 }
 
-fn fixture(name: &str, noise: bool) -> Fixture {
-    let file = workspace().join("fixtures").join(format!("{name}.json"));
-    let text = fs::read_to_string(file).expect("the recipe is in fixtures/");
-    let mut recipe: Recipe = serde_json::from_str(&text).expect("a recipe");
-    if !noise {
-        recipe.noise_rms_nm = 0.0;
-    }
-    make(&recipe).expect("a fixture")
-}
-
-fn over_the_coupon(desired: &Surface, tif: &Tif) -> ToolPath {
-    let [x, y] = tif.half_size_mm();
-    let settings = RasterSettings {
-        pitch_mm: 1.0,
-        step_mm: 1.0,
-        overscan_mm: x.max(y),
-        scan: Scan::X,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
-    raster(desired, &settings).expect("a path")
-}
-
 fn with_noise() {
     println!(
         "\nNoise of 5 %: `coupon-noise`, raster, residual against the measured and the true map\n"
@@ -195,7 +137,7 @@ fn with_noise() {
     );
     let (measured, truth) = (fixture("coupon-noise", true), fixture("coupon-noise", false));
     let (tif, limits) = (&measured.tif, &ion_beam());
-    let path = over_the_coupon(&measured.surface, tif);
+    let path = lines(&measured.surface, tif, 1.0, Scan::X);
     let missed = |motion: &_| {
         let p = simulate(motion, tif, &truth.surface, Gridded).expect("a removal");
         p.removal.residual().statistics().rms
@@ -234,7 +176,7 @@ fn on_the_coupons() {
     heading();
     for name in ["coupon", "coupon-ring"] {
         let Fixture { surface, tif, .. } = fixture(name, true);
-        let path = over_the_coupon(&surface, &tif);
+        let path = lines(&surface, &tif, 1.0, Scan::X);
         for (mode, shape) in [(Mode::Monotone, "monotone"), (Mode::Smooth, "smooth")] {
             for (floor, bound) in FLOORS {
                 let case = Case {
@@ -252,6 +194,9 @@ fn on_the_coupons() {
 }
 
 fn main() {
+    if std::env::args().nth(1).as_deref() == Some("feed") {
+        return feed::tables();
+    }
     if let Some(reference) = mirror::mirror() {
         on_the_mirror(&reference);
     }

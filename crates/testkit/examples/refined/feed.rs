@@ -1,0 +1,131 @@
+//! The tables of docs/feed.md: motion and times as one problem, beside the closed loop on the same path.
+//!
+//! Every number is of the executed motion. The closed loop has a floor of 0.02 s/mm and its own price of time.
+
+use planish_dwell::bounded_least_squares::Bound;
+use planish_feed::{Price, Settings, plan};
+use planish_fixture::Fixture;
+use planish_schedule::pvt::Mode;
+use planish_testkit::{ion_beam, machine, mirror};
+use planish_toolpath::{Construction, Scan, SpiralSettings, spiral};
+use planish_types::{Limits, Surface, Tif, ToolPath, plausible::Rms};
+
+use crate::{
+    Case,
+    paths::{fixture, lines, own_maze, random},
+};
+
+/// Of the second plan: nodes half as far apart, and a second that is dear enough for shorter times than those of the
+/// closed loop.
+const FINE_SPACING_MM: f64 = 0.5;
+const FINE_ELASTICITY: f64 = 0.6;
+
+const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
+
+fn heading(title: &str, plans: &[Settings]) {
+    let name = |s: &Settings| {
+        let nodes = s.node_spacing_mm.map_or("default".into(), |mm| format!("nodes {mm} mm apart"));
+        match s.price {
+            Price::Elasticity(x) => format!(" {nodes}, elasticity {x}: nm | s |"),
+            Price::Nm2PerS(price) => format!(" {nodes}, {price:e} nm^2/s: nm | s |"),
+        }
+    };
+    let plans_head: String = plans.iter().map(name).collect();
+    println!("\n{title}\n\n| path | closed loop: nm | s |{plans_head}");
+    println!("|---|---|---|{}", "---|---|".repeat(plans.len()));
+}
+
+/// A mirror and a machine.
+struct Part<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    limits: &'a Limits,
+    plans: &'a [Settings],
+}
+
+impl Part<'_> {
+    /// RMS (nm) and time (s) of the closed loop and of the plans.
+    fn measured(&self, path: &ToolPath) -> Vec<[f64; 2]> {
+        let Self { desired, tif, limits, plans } = *self;
+        let floor = Bound::SecondsPerMm(0.02);
+        let case = Case { desired, tif, limits, mode: Mode::Monotone, floor, noise_rms_nm: None };
+        let refined = case.refined(path);
+        let best = &refined.iterates[refined.best];
+        assert!(best.limits_respected);
+        let of = |settings: &Settings| {
+            let plan = plan(desired, tif, path, limits, settings).expect("a plan");
+            assert_eq!(plan.refused, None);
+            [Rms::of(plan.removal.residual()).rms_nm, plan.trajectory.total_time_s()]
+        };
+        let closed_loop = [best.rms_nm, best.total_time_s];
+        std::iter::once(closed_loop).chain(plans.iter().map(of)).collect()
+    }
+
+    fn row(&self, name: &str, path: &ToolPath) {
+        print_row(name, &self.measured(path));
+    }
+
+    /// Residuals and times of the seeds, each in the middle of its own order.
+    fn median_row(&self, name: &str, construction: Construction) {
+        let of_seed = |seed| self.measured(&random(self.desired, construction, seed));
+        let seeds: Vec<_> = SEEDS.map(of_seed).collect();
+        let median = |method: usize, k: usize| {
+            let mut all: Vec<f64> = seeds.iter().map(|m| m[method][k]).collect();
+            all.sort_by(f64::total_cmp);
+            all[all.len() / 2]
+        };
+        let middle: Vec<_> = (0..=self.plans.len()).map(|m| [median(m, 0), median(m, 1)]).collect();
+        print_row(&format!("random-adaptive, {name}, median of {} seeds", seeds.len()), &middle);
+    }
+}
+
+fn print_row(name: &str, of: &[[f64; 2]]) {
+    let cells: String = of.iter().map(|[rms, time]| format!(" {rms:.4} | {time:.1} |")).collect();
+    println!("| {name} |{cells}");
+}
+
+fn on_the_mirror(desired: &Surface, tif: &Tif, published: &ToolPath) {
+    let around = SpiralSettings { pitch_mm: 1.0, step_mm: 1.0, overscan_mm: 5.0 };
+    let paths = [
+        ("published raster", published.clone()),
+        ("raster", lines(desired, tif, 1.0, Scan::X)),
+        ("raster at 30 degrees", lines(desired, tif, 1.0, Scan::Angle { angle_deg: 30.0 })),
+        ("maze", own_maze(desired)),
+        ("spiral", spiral(desired, &around).expect("a path")),
+    ];
+    let fine = Settings {
+        node_spacing_mm: Some(FINE_SPACING_MM),
+        price: Price::Elasticity(FINE_ELASTICITY),
+        ..Settings::default()
+    };
+    let plans = &[Settings::default(), fine];
+    let slow = machine([25.0, 15.0], [200.0, 100.0]);
+    for (title, limits) in
+        [("The reference mirror", &ion_beam()), ("The same, a tenth of every limit", &slow)]
+    {
+        heading(title, plans);
+        let part = Part { desired, tif, limits, plans };
+        for (name, path) in &paths {
+            part.row(name, path);
+        }
+        part.median_row("mesh-tree", Construction::MeshTree);
+        part.median_row("tour", Construction::Tour);
+    }
+}
+
+/// Of the reference mirror, where it is there, and of fixtures.
+pub fn tables() {
+    if let Some(reference) = mirror::mirror() {
+        on_the_mirror(&reference.desired, &reference.tif, &reference.path("raster"));
+    }
+    let (limits, plans) = (&ion_beam(), &[Settings::default()]);
+    heading("Fixtures", plans);
+    for (name, pitch_mm) in
+        [("coupon", 1.0), ("flat-92x16", 1.0), ("disk-100", 1.0), ("square-200", 2.0)]
+    {
+        let Fixture { surface, tif, .. } = fixture(name, true);
+        let path = lines(&surface, &tif, pitch_mm, Scan::X);
+        let part = Part { desired: &surface, tif: &tif, limits, plans };
+        part.row(&format!("`{name}`, raster {pitch_mm} mm"), &path);
+    }
+}

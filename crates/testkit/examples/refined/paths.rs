@@ -1,0 +1,75 @@
+//! The paths and fixtures of the tables.
+
+use std::fs;
+
+use planish_fixture::{Fixture, Recipe, make};
+use planish_testkit::workspace;
+use planish_toolpath::{
+    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
+    Turn, maze, random_adaptive, raster,
+};
+use planish_types::{Surface, Tif, ToolPath};
+
+/// Pitches at which the random paths have about the published number of dwell points, 2678.
+const MESH_TREE_PITCH_MM: f64 = 1.13;
+const TOUR_PITCH_MM: f64 = 1.17;
+
+/// A path along which the pitch follows what is to be removed, with about as many points as the published ones.
+pub fn random(desired: &Surface, construction: Construction, seed: u64) -> ToolPath {
+    let (pitch_mm, rounding_passes) = match construction {
+        Construction::MeshTree => (MESH_TREE_PITCH_MM, 1),
+        Construction::Tour => (TOUR_PITCH_MM, 0),
+    };
+    let settings = RandomAdaptiveSettings {
+        pitch_mm,
+        overscan_mm: 5.0,
+        step_mm: Some(pitch_mm),
+        contrast: 1.0,
+        construction,
+        rounding_passes,
+        seed,
+    };
+    random_adaptive(desired, &settings).expect("a path").path
+}
+
+/// A maze of the pitch of the published one.
+pub fn own_maze(desired: &Surface) -> ToolPath {
+    let settings = MazeSettings {
+        pitch_mm: 1.0,
+        step_mm: 1.0,
+        overscan_mm: 5.0,
+        corner_radius_mm: 0.0,
+        tree: Tree::DepthFirst { straightness: 0.0 },
+        open: false,
+        seed: 1,
+    };
+    maze(desired, &settings).expect("a path").path
+}
+
+/// A recipe in `fixtures/`, with or without its noise.
+pub fn fixture(name: &str, noise: bool) -> Fixture {
+    let file = workspace().join("fixtures").join(format!("{name}.json"));
+    let text = fs::read_to_string(file).expect("the recipe is in fixtures/");
+    let mut recipe: Recipe = serde_json::from_str(&text).expect("a recipe");
+    if !noise {
+        recipe.noise_rms_nm = 0.0;
+    }
+    make(&recipe).expect("a fixture")
+}
+
+/// Lines `pitch_mm` apart, which the tool leaves the part between.
+pub fn lines(desired: &Surface, tif: &Tif, pitch_mm: f64, scan: Scan) -> ToolPath {
+    let [x, y] = tif.half_size_mm();
+    let settings = RasterSettings {
+        pitch_mm,
+        step_mm: pitch_mm,
+        overscan_mm: x.max(y),
+        scan,
+        turn: Turn::Square,
+        line_origin_mm: None,
+        order: LineOrder::Sequential,
+        one_directional: false,
+        pitch_range_mm: None,
+    };
+    raster(desired, &settings).expect("a path")
+}
