@@ -117,14 +117,15 @@ impl Feed {
         output.write(&plan.trajectory, outcome, &status)?;
         say(format!(
             "feed: {} after {} steps, proven within {:.1e} of the least objective; {:.4} nm in {:.2} s at {:.3e} \
-             nm^2/s; {} nodes, {} corners rounded by at most {:.3} mm -> {}",
+             nm^2/s; {} nodes, points moved by at most {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",
             r.end,
-            r.objective_nm2.len() - 1,
+            r.iterations,
             r.relative_gap,
             rms.rms_nm,
             total_time_s,
             r.price_nm2_per_s,
             r.nodes,
+            r.points_moved_mm,
             r.corners,
             r.corner_deviation_mm,
             self.output.out.display()

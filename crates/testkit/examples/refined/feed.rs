@@ -20,6 +20,9 @@ use crate::{
 const FINE_SPACING_MM: f64 = 0.5;
 const FINE_ELASTICITY: f64 = 0.6;
 
+/// Of the second plan of a fixture.
+const DEARER_ELASTICITY: f64 = 0.75;
+
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
 
 fn heading(title: &str, plans: &[Settings]) {
@@ -118,7 +121,8 @@ pub fn tables() {
     if let Some(reference) = mirror::mirror() {
         on_the_mirror(&reference.desired, &reference.tif, &reference.path("raster"));
     }
-    let (limits, plans) = (&ion_beam(), &[Settings::default()]);
+    let dearer = Settings { price: Price::Elasticity(DEARER_ELASTICITY), ..Settings::default() };
+    let (limits, plans) = (&ion_beam(), &[Settings::default(), dearer]);
     heading("Fixtures", plans);
     for (name, pitch_mm) in
         [("coupon", 1.0), ("flat-92x16", 1.0), ("disk-100", 1.0), ("square-200", 2.0)]
