@@ -62,7 +62,7 @@ pub(crate) struct Piece {
     y_mm: Vec<f64>,
     /// (ny, nx), nm.
     pub(super) height_nm: Array2<f64>,
-    /// Of a profile: its measured slopes after the shape (nx), nrad.
+    /// Measured slopes of a profile after the shape (nx), nrad.
     measured_slope_nrad: Option<Vec<f64>>,
     /// The map, for its spectra.
     surface: Option<Surface>,
@@ -72,7 +72,7 @@ pub(crate) struct Piece {
 }
 
 impl Piece {
-    /// `subject` where `inside` (all of it without one) after `shape`.
+    /// `subject` where `inside` holds (all of it without one), after its best `shape` is taken off.
     pub(crate) fn new(
         subject: &Subject,
         inside: Option<&Array2<bool>>,
@@ -275,7 +275,8 @@ impl Piece {
             return None;
         }
         let step_mm = (at[n - 1] - at[0]) / (n - 1) as f64;
-        let turned = if self.is_profile() { at_even_steps(at, turned.as_slice()?, step_mm) } else { turned };
+        let turned =
+            if self.is_profile() { at_even_steps(at, turned.as_slice()?, step_mm) } else { turned };
         autocorrelation_length(turned.view()).map(|lag| lag * step_mm)
     }
 }
