@@ -48,7 +48,7 @@ const NM_PER_MM: f64 = 1e6;
 /// Most steps of a fit, accepted or not: an ellipse takes twenty, a bad guess with noise up to a hundred.
 const MAX_STEPS: usize = 400;
 
-/// A step that is no longer than this fraction of the fitted values ends a fit: it is rounding.
+/// A step whose effect is below this fraction of the fitted values ends a fit: it is rounding.
 const LAST_STEP: f64 = 1e-13;
 
 /// The shape that is taken off.
