@@ -161,7 +161,7 @@ pub struct Refined {
     pub iterates: Vec<Iterate>,
     /// Why it ended: `no-improvement` or `round-limit`.
     pub end: End,
-    /// Dwell times of the best round that are at a bound: the floor, or the need of the machine.
+    /// How many dwell times of the best round are at a bound: the least that the floor or the machine allows.
     pub at_bound: usize,
 }
 

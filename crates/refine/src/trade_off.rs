@@ -1,12 +1,12 @@
 //! Residual against total time: refinements at rising prices of a second, and their picture.
 //!
-//! What no plan can go below is the volume to be removed over the volumetric removal rate,
+//! No plan takes less time than the volume to be removed over the volumetric removal rate (VRR) of the tool,
 //!
 //! ```text
 //! T >= sum_i (z_i - z_min) dA / VRR                                                      (1)
 //! ```
 //!
-//! with the tool never beyond the edge. z_min is the height below which the fraction [`IGNORED`] of the
+//! where the tool is never beyond the edge. z_min is the height below which the fraction [`IGNORED`] of the
 //! pixels lies: a pit of a few pixels would ask for a layer of its depth all over the mirror.
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
@@ -99,6 +99,10 @@ const MARGIN_PX: [f64; 4] = [80.0, 40.0, 30.0, 60.0];
 /// Least residual that is drawn, nm: a logarithm needs a positive value.
 const LEAST_RMS_NM: f64 = 1e-12;
 
+/// Caption of the time axis, which says what the dashed line "volume / VRR" is.
+const TIME_AXIS: &str =
+    "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
+
 const CURVE: &str = "#365c8d";
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
@@ -116,7 +120,7 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
 
     let mut svg = Svg::new(FONT_PX);
     frame.grid(&mut svg);
-    frame.axes(&mut svg, ["total time (s)", "RMS of the executed residual (nm)"]);
+    frame.axes(&mut svg, [TIME_AXIS, "RMS of the executed residual (nm)"]);
     frame.upright(&mut svg, least_time_s, BOUND);
     let label = format!("volume / VRR = {} s", fixed(least_time_s, 1));
     svg.text([frame.at([least_time_s, 1.0])[0] + 8.0, frame.top + 16.0], "", &label);

@@ -6,7 +6,7 @@
 //! * [`mod@fill`]: heights for holes.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
-//! * [`quality`]: what a mirror is bought by, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
+//! * [`quality`]: what a mirror is specified by, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
 //!   shape; [`specification`]: limits on all of it.
 //! * [`tif`], [`tif_fit`]: a tool influence function made ready, and described by a formula.
 //! * [`draw`]: pictures of maps and spectra.

@@ -13,27 +13,17 @@
 //! 0.8 nm. x and y count from the middle of the valid pixels. Radius 1 / (2 A) times sqrt(1 + bx^2 + by^2),
 //! positive where the mirror is concave (ends above the middle).
 //!
-//! What depends on x alone but for a tilt along y is fitted to the columns: the squares of a column are those of
-//! its mean, with the weight of its pixels, and those of the deviations from it, which only the tilt can lessen.
-//! So an ellipse on a million pixels is a problem of some thousand rows. The columns of its Jacobian are nearly
-//! parallel (p, q and theta differ in the third and fourth order only), so it is solved by Levenberg and Marquardt's
-//! steps with a QR decomposition, and where all three are fitted they move along
+//! Cylinder and ellipse are curves of x with a tilt along y; they are fitted to the columns of the map
+//! (`columns.rs`, `curve.rs`) by the Levenberg-Marquardt method (`fit.rs`). The parameters of an ellipse move
+//! along coordinates of their own (`moved_ellipse.rs`). Plane and sphere are fitted to the pixels (`sphere.rs`).
 //!
-//! ```text
-//! ln(sin theta (1/p + 1/q)),   k = (1/q - 1/p) / (1/p + 1/q) from -1 to 1,   ln(1/p + 1/q)
-//! ```
-//!
-//! the curvature, the lopsidedness, and what is left: along p, q and theta themselves the valley of equal curvature is
-//! bent, and noise has p wander to infinity and beyond.
-//!
-//! The elements of a profile are fitted alike; measured slopes by the derivatives of these shapes.
+//! Heights of a profile are fitted as a map of one row, and measured slopes by the derivatives of these shapes.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | z | `height_mm` | (ny, nx) | mm |
-//! | c0, bx, by, A | `parameter` | | mm, rad, rad, 1/mm |
+//! | c0, bx, by, A | `piston_mm`, `tilt`, `curvature_per_mm` | | mm, rad, rad, 1/mm |
 
-use nalgebra::{DMatrix, DVector, Matrix4, Vector4};
 use ndarray::Array2;
 use planish_numerics::statistics::{Plane, fit_plane};
 use planish_types::Invalid;
@@ -41,36 +31,25 @@ use serde::{Deserialize, Serialize};
 
 use crate::ellipse::Ellipse;
 
+mod columns;
+mod curve;
+mod fit;
+mod moved_ellipse;
+mod sphere;
+
+use columns::Columns;
+use curve::Curve;
+use fit::fitted;
+use sphere::Sphere;
+
 /// nm in a mm.
 const NM_PER_MM: f64 = 1e6;
 
-/// Steps of a fit, accepted or not: an ellipse takes twenty, a bad guess with noise up to a hundred.
+/// Most steps of a fit, accepted or not: an ellipse takes twenty, a bad guess with noise up to a hundred.
 const MAX_STEPS: usize = 400;
 
-/// Damping of the first step, of Jacobian columns of length 1; a tenth of it after a step that lessens the squares,
-/// ten times as much, and at least [`LEAST_DAMPING`], after one that does not.
-const FIRST_DAMPING: f64 = 1e-3;
-const LEAST_DAMPING: f64 = 1e-10;
-
-/// Damping above which no step lessens the squares: it goes less than 1e-8 down the gradient.
-const LAST_DAMPING: f64 = 1e8;
-
-/// A step that lessens the squares by less than this fraction is the last.
-const LAST_GAIN: f64 = 1e-12;
-
-/// A step of this fraction of the parameters is the last: their rounding in ill-conditioned fits.
+/// A step whose effect is below this fraction of the fitted values ends a fit: it is rounding.
 const LAST_STEP: f64 = 1e-13;
-
-/// The distances and the angle of an ellipse are looked for within this factor, e^3 = 20, of the given ones.
-const LARGEST_LOGARITHM: f64 = 3.0;
-
-/// Step of the differences by the parameters of an ellipse: extrapolated, they are off by its fourth power, 1e-12,
-/// and by rounding, 1e-13.
-const DIFFERENCE: f64 = 1e-3;
-
-/// A column of the Jacobian of which the others leave less than this fraction is not determined: with
-/// heights in double precision nothing but rounding would decide it.
-const INDEPENDENT: f64 = 1e-11;
 
 /// The shape that is taken off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,12 +97,12 @@ pub enum EllipseParameter {
     Theta,
 }
 
-/// The ellipse that a mirror shall be.
+/// The ellipse that a mirror is made for.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EllipseSettings {
     /// As designed; the first guess of what is fitted.
     pub design: Ellipse,
-    /// What is fitted beside piston and tilt.
+    /// The parameters that are fitted beside piston and tilt.
     pub free: Vec<EllipseParameter>,
     /// Where the pole is, mm; `None` for the middle of the valid pixels.
     pub pole_mm: Option<f64>,
@@ -153,7 +132,7 @@ pub struct EllipseReport {
     pub theta_mrad: f64,
     /// Where the pole is, mm.
     pub pole_mm: f64,
-    /// What was fitted.
+    /// The parameters that were fitted.
     pub fitted: Vec<EllipseParameter>,
     /// Standard errors of p, q and theta, relative, as if the residual were white; 0 where given, `null` where infinite.
     pub standard_error: [f64; 3],
@@ -223,8 +202,8 @@ pub(crate) fn without_shape(
         Shape::Plane | Shape::CylinderX | Shape::Sphere | Shape::Ellipse => {
             let columns = Columns::of(heights);
             let curve = Curve::new(shape, ellipse, &columns.x_mm)?;
-            let fitted = curve.fitted(&columns, shape)?;
-            Ok(of_lines(fitted.report(shape), &|x, y| fitted.height_mm(x, y)))
+            let best = fitted(curve, &columns, shape)?;
+            Ok(of_lines(best.report(shape), &|x, y| best.height_mm(x, y)))
         }
     }
 }
@@ -250,9 +229,9 @@ pub(crate) fn without_shape_of_slopes(
     }
     let curve = Curve::new(shape, ellipse, &x)?;
     let columns = Columns { x_mm: x, mean_mm: slope, ..Columns::default() };
-    let fitted = curve.fitted(&columns, shape)?;
-    let left = x_mm.iter().zip(slope_nrad).map(|(x, s)| s - fitted.slope(*x) / NRAD);
-    Ok((left.collect(), fitted.report(shape)))
+    let best = fitted(curve, &columns, shape)?;
+    let left = x_mm.iter().zip(slope_nrad).map(|(x, s)| s - best.slope(*x) / NRAD);
+    Ok((left.collect(), best.report(shape)))
 }
 
 fn too_few(shape: Shape, how: &str) -> Invalid {
@@ -261,536 +240,6 @@ fn too_few(shape: Shape, how: &str) -> Invalid {
         format!("the valid points do not define the shape {} ({how})", shape.name()),
         "give more of them, or a simpler shape",
     )
-}
-
-/// The columns of a map, or the points of a profile.
-#[derive(Default)]
-struct Columns {
-    x_mm: Vec<f64>,
-    /// Mean height, mm; or slope, rad.
-    mean_mm: Vec<f64>,
-    /// Roots of the numbers of pixels; empty for slopes, which have weight 1.
-    weight: Vec<f64>,
-    /// Mean y, mm; empty for slopes.
-    y_mm: Vec<f64>,
-    /// Middle of y, mm.
-    y_middle_mm: f64,
-    /// Root of the sum of (y - mean y)^2 within the columns, mm, and the sum of (y - mean y)(z - mean z) over it.
-    within: Option<[f64; 2]>,
-}
-
-impl Columns {
-    fn of(heights: &Heights) -> Self {
-        let y = heights.y_mm;
-        let mut columns = Self { y_middle_mm: 0.5 * (y[0] + y[y.len() - 1]), ..Self::default() };
-        let (mut yy, mut yz) = (0.0, 0.0);
-        for (c, column) in heights.height_nm.columns().into_iter().enumerate() {
-            let valid = || column.iter().zip(y).filter(|(z, _)| !z.is_nan());
-            let (mut n, mut z_sum, mut y_sum) = (0.0, 0.0, 0.0);
-            for (z, y) in valid() {
-                n += 1.0;
-                z_sum += z;
-                y_sum += y - columns.y_middle_mm;
-            }
-            if n == 0.0 {
-                continue;
-            }
-            let (z_mean, y_mean) = (z_sum / n, y_sum / n);
-            for (z, y) in valid() {
-                let y = y - columns.y_middle_mm - y_mean;
-                yy += y * y;
-                yz += y * (z - z_mean);
-            }
-            columns.x_mm.push(heights.x_mm[c]);
-            columns.mean_mm.push(z_mean / NM_PER_MM);
-            columns.weight.push(f64::sqrt(n));
-            columns.y_mm.push(y_mean);
-        }
-        if y.len() > 1 {
-            columns.within = (yy > 0.0).then(|| [yy.sqrt(), yz / yy.sqrt() / NM_PER_MM]);
-        }
-        columns
-    }
-
-    fn of_heights(&self) -> bool {
-        !self.weight.is_empty()
-    }
-
-    /// Whether a tilt along y can be told.
-    fn has_y(&self) -> bool {
-        self.within.is_some()
-    }
-}
-
-/// A curve of x, with a tilt along y.
-#[derive(Clone, Debug)]
-struct Curve {
-    /// c0, mm.
-    piston_mm: f64,
-    /// bx and by, rad.
-    tilt: [f64; 2],
-    /// A, 1/mm; of an ellipse 0.
-    curvature_per_mm: f64,
-    /// The ellipse, and how far it was moved from the given one.
-    ellipse: Option<(EllipseSettings, Vec<f64>)>,
-    /// Whether A is fitted.
-    curved: bool,
-    /// Where x and y count from, mm.
-    middle_mm: [f64; 2],
-    standard_error: [f64; 3],
-}
-
-impl Curve {
-    fn new(shape: Shape, ellipse: Option<&EllipseSettings>, x_mm: &[f64]) -> Result<Self, Invalid> {
-        let (Some(first), Some(last)) = (x_mm.first(), x_mm.last()) else {
-            return Err(too_few(shape, "there are none"));
-        };
-        let ellipse = match (shape, ellipse) {
-            (Shape::Ellipse, Some(settings)) => {
-                let mut settings = settings.clone();
-                settings.free.sort_by_key(|parameter| *parameter as usize);
-                settings.free.dedup();
-                let moved = vec![0.0; settings.free.len()];
-                Some((settings, moved))
-            }
-            (Shape::Ellipse, None) => {
-                let remedy = "give `ellipse`: p and q in mm, theta in mrad";
-                return Err(Invalid::whole("ellipse", "is not known", remedy));
-            }
-            _ => None,
-        };
-        let middle_mm = 0.5 * (first + last);
-        let pole_mm = ellipse.as_ref().and_then(|(s, _)| s.pole_mm).unwrap_or(middle_mm);
-        Ok(Self {
-            piston_mm: 0.0,
-            tilt: [0.0; 2],
-            curvature_per_mm: 0.0,
-            curved: matches!(shape, Shape::CylinderX | Shape::Sphere),
-            ellipse,
-            middle_mm: [pole_mm, 0.0],
-            standard_error: [0.0; 3],
-        })
-    }
-
-    /// w and its derivatives by bx and A, over the middle.
-    fn circle(&self, u: f64) -> [f64; 3] {
-        let (a, g) = (self.curvature_per_mm, self.tilt[0] * u + self.curvature_per_mm * u * u);
-        let w = 2.0 * g / (1.0 + (1.0 - 4.0 * a * g).sqrt());
-        let steep = 1.0 - 2.0 * a * w;
-        [w, u / steep, (u * u + w * w) / steep]
-    }
-
-    fn height_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
-        let u = x_mm - self.middle_mm[0];
-        let curve = match &self.ellipse {
-            Some((settings, moved)) => ellipse_at(settings, moved).height_mm(u) + self.tilt[0] * u,
-            None => self.circle(u)[0],
-        };
-        self.piston_mm + self.tilt[1] * (y_mm - self.middle_mm[1]) + curve
-    }
-
-    fn slope(&self, x_mm: f64) -> f64 {
-        let u = x_mm - self.middle_mm[0];
-        match &self.ellipse {
-            Some((settings, moved)) => ellipse_at(settings, moved).slope(u) + self.tilt[0],
-            // w' (1 - 2 A w) = bx + 2 A x
-            None => {
-                let [w, ..] = self.circle(u);
-                let a = self.curvature_per_mm;
-                (self.tilt[0] + 2.0 * a * u) / (1.0 - 2.0 * a * w)
-            }
-        }
-    }
-
-    /// Derivatives by the parameters that are fitted, in the order of [`Self::moved`].
-    fn derivatives(&self, x_mm: f64, y_mm: f64, columns: &Columns) -> Vec<f64> {
-        let u = x_mm - self.middle_mm[0];
-        let mut row = Vec::with_capacity(6);
-        let heights = columns.of_heights();
-        if heights {
-            row.push(1.0);
-        }
-        if columns.has_y() {
-            row.push(y_mm);
-        }
-        match &self.ellipse {
-            Some((settings, moved)) => {
-                row.push(if heights { u } else { 1.0 });
-                let value = |ellipse: Ellipse| match heights {
-                    true => ellipse.height_mm(u),
-                    false => ellipse.slope(u),
-                };
-                row.extend((0..moved.len()).map(|k| by_coordinate(settings, moved, k, value)));
-            }
-            None => {
-                let [w, by_tilt, by_curvature] = self.circle(u);
-                if heights {
-                    row.push(by_tilt);
-                    row.extend(self.curved.then_some(by_curvature));
-                } else {
-                    // d/dx of the two; what is left out is of the order of the squared slope.
-                    let steep = 1.0 - 2.0 * self.curvature_per_mm * w;
-                    row.push(1.0 / steep);
-                    row.extend(self.curved.then_some(2.0 * u / steep));
-                }
-            }
-        }
-        row
-    }
-
-    /// The curve with its parameters moved by `step`.
-    fn moved(&self, step: &[f64], columns: &Columns) -> Self {
-        let mut curve = self.clone();
-        let mut step = step.iter();
-        let mut next = || step.next().copied().unwrap_or(0.0);
-        if columns.of_heights() {
-            curve.piston_mm += next();
-        }
-        if columns.has_y() {
-            curve.tilt[1] += next();
-        }
-        curve.tilt[0] += next();
-        if curve.curved {
-            curve.curvature_per_mm += next();
-        }
-        if let Some((_, moved)) = &mut curve.ellipse {
-            moved.iter_mut().for_each(|v| *v += next());
-        }
-        curve
-    }
-
-    /// How far the last parameters, those of the ellipse, may still move.
-    fn room(&self) -> Vec<[f64; 2]> {
-        let Some((settings, moved)) = &self.ellipse else { return Vec::new() };
-        let k = lopsidedness(&settings.design);
-        let whole = |i: usize| match (moved.len(), i) {
-            (3, 1) => [-1.0 - k, 1.0 - k],
-            _ => [-LARGEST_LOGARITHM, LARGEST_LOGARITHM],
-        };
-        moved.iter().enumerate().map(|(i, v)| whole(i).map(|end| end - v)).collect()
-    }
-
-    /// What is left of the columns, weighted, and of the deviations from them.
-    fn left(&self, columns: &Columns) -> DVector<f64> {
-        let n = columns.x_mm.len();
-        let mut left = DVector::zeros(n + usize::from(columns.has_y()));
-        for i in 0..n {
-            let x = columns.x_mm[i];
-            left[i] = match columns.of_heights() {
-                true => {
-                    let y = columns.y_mm[i] + self.middle_mm[1];
-                    columns.weight[i] * (columns.mean_mm[i] - self.height_mm(x, y))
-                }
-                false => columns.mean_mm[i] - self.slope(x),
-            };
-        }
-        if let Some([spread, rise]) = columns.within {
-            left[n] = rise - self.tilt[1] * spread;
-        }
-        left
-    }
-
-    fn jacobian(&self, columns: &Columns) -> DMatrix<f64> {
-        let n = columns.x_mm.len();
-        let rows: Vec<Vec<f64>> = (0..n)
-            .map(|i| {
-                let weight = columns.weight.get(i).copied().unwrap_or(1.0);
-                let y = columns.y_mm.get(i).copied().unwrap_or(0.0);
-                let row = self.derivatives(columns.x_mm[i], y, columns);
-                row.into_iter().map(|v| weight * v).collect()
-            })
-            .collect();
-        let count = rows.first().map_or(0, Vec::len);
-        DMatrix::from_fn(n + usize::from(columns.has_y()), count, |i, k| match columns.within {
-            Some([spread, _]) if i == n => {
-                if k == 1 {
-                    spread
-                } else {
-                    0.0
-                }
-            }
-            _ => rows[i][k],
-        })
-    }
-
-    /// The curve of least squares: Levenberg and Marquardt's steps within the bounds of the ellipse.
-    fn fitted(mut self, columns: &Columns, shape: Shape) -> Result<Self, Invalid> {
-        self.middle_mm[1] = columns.y_middle_mm;
-        let mut left = self.left(columns);
-        let mut damping = FIRST_DAMPING;
-        let mut jacobian = self.scaled_jacobian(columns, shape)?;
-        if !left.norm().is_finite() {
-            let how = "they lie beyond the ends of the ellipse";
-            return Err(too_few(shape, how));
-        }
-        if jacobian.0.nrows() < jacobian.0.ncols() {
-            let how = format!("{} for {} unknowns", jacobian.0.nrows(), jacobian.0.ncols());
-            return Err(too_few(shape, &how));
-        }
-        for _ in 0..MAX_STEPS {
-            let (matrix, scale) = &jacobian;
-            let unknowns = matrix.ncols();
-            // A parameter at a bound that would go beyond it rests.
-            let gradient = matrix.tr_mul(&left);
-            let room = self.room();
-            let first = unknowns - room.len();
-            let rests = |k: usize| {
-                k >= first && {
-                    let [low, high] = room[k - first];
-                    low >= 0.0 && gradient[k] < 0.0 || high <= 0.0 && gradient[k] > 0.0
-                }
-            };
-            let moving: Vec<usize> = (0..unknowns).filter(|k| !rests(*k)).collect();
-            // [J; sqrt(damping) I] step = [left; 0]
-            let (n, m) = (matrix.nrows(), moving.len());
-            let damped = DMatrix::from_fn(n + m, m, |i, k| match i.checked_sub(n) {
-                None => matrix[(i, moving[k])],
-                Some(row) => f64::from(u8::from(row == k)) * damping.sqrt(),
-            });
-            let mut right = DVector::zeros(n + m);
-            right.rows_mut(0, n).copy_from(&left);
-            let qr = damped.qr();
-            qr.q_tr_mul(&mut right);
-            let right = right.rows(0, m).into_owned();
-            let solved = qr.r().solve_upper_triangular(&right).unwrap_or_else(|| DVector::zeros(m));
-            let small = solved.norm() <= LAST_STEP * self.size(columns);
-            let mut step = vec![0.0; unknowns];
-            for (k, v) in moving.iter().zip(&solved) {
-                step[*k] = v / scale[*k];
-                if *k >= first {
-                    let [low, high] = room[*k - first];
-                    step[*k] = step[*k].clamp(low.min(0.0), high.max(0.0));
-                }
-            }
-            let curve = self.moved(&step, columns);
-            let then = curve.left(columns);
-            if then.norm() < left.norm() {
-                let gains = left.norm_squared() - then.norm_squared();
-                let ended = small || gains <= LAST_GAIN * left.norm_squared();
-                (self, left) = (curve, then);
-                damping *= 0.1;
-                jacobian = self.scaled_jacobian(columns, shape)?;
-                if ended {
-                    break;
-                }
-            } else if small || damping > LAST_DAMPING {
-                break;
-            } else {
-                damping = 10.0 * damping.max(LEAST_DAMPING);
-            }
-        }
-        let (matrix, scale) = jacobian;
-        let r = matrix.qr().r();
-        if (0..r.ncols()).any(|k| r[(k, k)].abs() < INDEPENDENT) {
-            let problem = format!(
-                "the points do not tell the parameters of the shape {} apart",
-                shape.name()
-            );
-            let remedy = match shape {
-                Shape::Ellipse => "fit fewer of p, q and theta",
-                _ => "give points along more of x and y",
-            };
-            return Err(Invalid::whole("shape", problem, remedy));
-        }
-        self.standard_error = self.errors(&r, &scale, &left);
-        Ok(self)
-    }
-
-    /// The Jacobian with columns of length 1, and their lengths.
-    fn scaled_jacobian(
-        &self,
-        columns: &Columns,
-        shape: Shape,
-    ) -> Result<(DMatrix<f64>, Vec<f64>), Invalid> {
-        let mut jacobian = self.jacobian(columns);
-        let scale: Vec<f64> = jacobian.column_iter().map(|c| c.norm()).collect();
-        if !scale.iter().all(|s| s.is_finite() && *s > 0.0) {
-            let how = "they lie beyond the ends of the ellipse, or in one place";
-            return Err(too_few(shape, how));
-        }
-        jacobian.column_iter_mut().zip(&scale).for_each(|(mut c, s)| c /= *s);
-        Ok((jacobian, scale))
-    }
-
-    /// Norm of the heights, or slopes, that are fitted.
-    fn size(&self, columns: &Columns) -> f64 {
-        let weighted = columns.mean_mm.iter().enumerate();
-        let squares = weighted.map(|(i, v)| (v * columns.weight.get(i).unwrap_or(&1.0)).powi(2));
-        squares.sum::<f64>().sqrt()
-    }
-
-    /// Relative standard errors of p, q, theta: those of G C G' with C = s^2 (J' J)^-1 of what was fitted, s^2 =
-    /// |left|^2 / (rows - unknowns), and G the derivatives of their logarithms by it.
-    fn errors(&self, r: &DMatrix<f64>, scale: &[f64], left: &DVector<f64>) -> [f64; 3] {
-        let Some((settings, moved)) = &self.ellipse else { return [0.0; 3] };
-        let unknowns = r.ncols();
-        let spare = left.len().saturating_sub(unknowns).max(1) as f64;
-        let Some(inverse) = r.clone().try_inverse() else { return [0.0; 3] };
-        let first = unknowns - moved.len();
-        [0, 1, 2].map(|parameter| {
-            let logarithm = |ellipse: Ellipse| {
-                [ellipse.p_mm, ellipse.q_mm, ellipse.theta_rad][parameter].abs().ln()
-            };
-            let mut row = DVector::zeros(unknowns);
-            for k in 0..moved.len() {
-                row[first + k] = by_coordinate(settings, moved, k, logarithm) / scale[first + k];
-            }
-            let error = inverse.tr_mul(&row).norm() * left.norm() / spare.sqrt();
-            if error.is_nan() { f64::INFINITY } else { error }
-        })
-    }
-
-    fn report(&self, shape: Shape) -> ShapeReport {
-        let [bx, by] = self.tilt;
-        // A / sqrt(1 + bx^2 + ...) is half the curvature; a profile has no by.
-        let radius = (1.0 + bx * bx).sqrt() / (2.0 * self.curvature_per_mm);
-        ShapeReport {
-            shape,
-            tilt_urad: [1e6 * bx, 1e6 * by],
-            radius_m: (self.curved && radius.is_finite()).then_some(1e-3 * radius),
-            ellipse: self.ellipse.as_ref().map(|(settings, moved)| {
-                let ellipse = ellipse_at(settings, moved);
-                EllipseReport {
-                    p_mm: ellipse.p_mm,
-                    q_mm: ellipse.q_mm,
-                    theta_mrad: 1e3 * ellipse.theta_rad,
-                    pole_mm: self.middle_mm[0],
-                    fitted: settings.free.clone(),
-                    standard_error: self.standard_error,
-                }
-            }),
-        }
-    }
-}
-
-/// k = (1/q - 1/p) / (1/p + 1/q)
-fn lopsidedness(ellipse: &Ellipse) -> f64 {
-    let (u, v) = (1.0 / ellipse.p_mm, 1.0 / ellipse.q_mm);
-    (v - u) / (u + v)
-}
-
-/// The ellipse that is `moved` from the given one: see the module where all three parameters are free, else along
-/// the logarithms of those that are.
-fn ellipse_at(settings: &EllipseSettings, moved: &[f64]) -> Ellipse {
-    let mut ellipse = settings.design;
-    if let [curvature, lopsided, rest] = moved {
-        let sum = 1.0 / ellipse.p_mm + 1.0 / ellipse.q_mm;
-        let k = lopsidedness(&ellipse) + lopsided;
-        let sum_then = sum * rest.exp();
-        let sine = ellipse.theta_rad.sin() * (curvature - rest).exp();
-        // Beyond a right angle there is no mirror: NaN, which lessens no squares.
-        return Ellipse {
-            p_mm: 2.0 / (sum_then * (1.0 - k)),
-            q_mm: 2.0 / (sum_then * (1.0 + k)),
-            theta_rad: sine.asin(),
-        };
-    }
-    for (parameter, by) in settings.free.iter().zip(moved) {
-        let value = match parameter {
-            EllipseParameter::P => &mut ellipse.p_mm,
-            EllipseParameter::Q => &mut ellipse.q_mm,
-            EllipseParameter::Theta => &mut ellipse.theta_rad,
-        };
-        *value *= by.exp();
-    }
-    ellipse
-}
-
-/// Derivative of a value of the ellipse by one of what is moved.
-fn by_coordinate(
-    settings: &EllipseSettings,
-    moved: &[f64],
-    k: usize,
-    value: impl Fn(Ellipse) -> f64,
-) -> f64 {
-    let at = |step: f64| {
-        let mut moved = moved.to_vec();
-        moved[k] += step;
-        value(ellipse_at(settings, &moved))
-    };
-    let difference = |step: f64| (at(step) - at(-step)) / (2.0 * step);
-    (4.0 * difference(DIFFERENCE) - difference(2.0 * DIFFERENCE)) / 3.0
-}
-
-/// A sphere over a map.
-struct Sphere {
-    /// c0 mm, bx, by rad, A 1/mm.
-    parameter: [f64; 4],
-    middle_mm: [f64; 2],
-}
-
-impl Sphere {
-    /// Gauss and Newton's steps with the normal equations of four well-told unknowns.
-    fn of(heights: &Heights) -> Result<Self, Invalid> {
-        let (x, y) = (heights.x_mm, heights.y_mm);
-        let middle_mm = [0.5 * (x[0] + x[x.len() - 1]), 0.5 * (y[0] + y[y.len() - 1])];
-        let half = (x[x.len() - 1] - x[0]).hypot(y[y.len() - 1] - y[0]) / 2.0;
-        let scale = [1.0, half, half, half * half];
-        let mut sphere = Self { parameter: [0.0; 4], middle_mm };
-        let mut before = f64::INFINITY;
-        for _ in 0..MAX_STEPS {
-            let (mut normal, mut right) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
-            let mut squares = 0.0;
-            for ((r, c), z) in heights.height_nm.indexed_iter().filter(|(_, z)| !z.is_nan()) {
-                let [value, row @ ..] = sphere.with_derivatives(x[c], y[r]);
-                let left = z / NM_PER_MM - value;
-                squares += left * left;
-                for i in 0..4 {
-                    right[i] += row[i] / scale[i] * left;
-                    for k in 0..4 {
-                        normal[(i, k)] += row[i] / scale[i] * row[k] / scale[k];
-                    }
-                }
-            }
-            if squares.is_nan() {
-                return Err(too_few(Shape::Sphere, "the heights are steeper than any"));
-            }
-            if squares >= before {
-                return Ok(sphere);
-            }
-            before = squares;
-            let condition = normal.symmetric_eigenvalues();
-            if condition.min() <= 1e-12 * condition.max() {
-                return Err(too_few(Shape::Sphere, "they lie on one or two lines"));
-            }
-            let step = normal.lu().solve(&right).expect("its eigenvalues are not zero");
-            let (mut moved, mut size) = (0.0_f64, 0.0_f64);
-            for i in 0..4 {
-                sphere.parameter[i] += step[i] / scale[i];
-                moved = moved.max(step[i].abs());
-                size = size.max((sphere.parameter[i] * scale[i]).abs());
-            }
-            if moved <= LAST_STEP * size {
-                return Ok(sphere);
-            }
-        }
-        Ok(sphere)
-    }
-
-    /// z, and its derivatives by c0, bx, by and A.
-    fn with_derivatives(&self, x_mm: f64, y_mm: f64) -> [f64; 5] {
-        let [c0, bx, by, a] = self.parameter;
-        let (u, v) = (x_mm - self.middle_mm[0], y_mm - self.middle_mm[1]);
-        let g = bx * u + by * v + a * (u * u + v * v);
-        let w = 2.0 * g / (1.0 + (1.0 - 4.0 * a * g).sqrt());
-        let steep = 1.0 - 2.0 * a * w;
-        [c0 + w, 1.0, u / steep, v / steep, (u * u + v * v + w * w) / steep]
-    }
-
-    fn height_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
-        self.with_derivatives(x_mm, y_mm)[0]
-    }
-
-    fn report(&self) -> ShapeReport {
-        let [_, bx, by, a] = self.parameter;
-        let radius_m = 1e-3 * (1.0 + bx * bx + by * by).sqrt() / (2.0 * a);
-        ShapeReport {
-            shape: Shape::Sphere,
-            tilt_urad: [1e6 * bx, 1e6 * by],
-            radius_m: radius_m.is_finite().then_some(radius_m),
-            ellipse: None,
-        }
-    }
 }
 
 #[cfg(test)]

@@ -16,7 +16,8 @@ use super::iterations;
 
 /// Refine at rising prices of a second: residual against total time
 ///
-/// Writes the plans as iterations and DIR/pareto.svg, and prints the table.
+/// Writes the plans as iterations and DIR/pareto.svg, and prints the table, with the least total time that any
+/// plan can take: the volume to be removed over the volumetric removal rate (VRR) of the tool.
 #[derive(Args)]
 pub struct Pareto {
     #[command(flatten)]
@@ -74,7 +75,10 @@ impl Pareto {
                 if p.best.limits_respected { "kept" } else { "exceeded" }
             ));
         }
-        say(format!("volume / VRR: {least_time_s:.1} s"));
+        say(format!(
+            "volume / VRR: {least_time_s:.1} s, the least total time of any plan: the volume to be removed over the \
+             volumetric removal rate of the tool"
+        ));
         let arrays = iterations(points.iter().map(|p| &p.best));
         let picture = trade_off::svg(&points, least_time_s).into_bytes();
         let ends: Vec<End> = points.iter().map(|p| p.end).collect();

@@ -146,8 +146,8 @@ impl Refine {
             Scheduler::ConstantAcceleration => "constant-acceleration",
         };
         say(format!(
-            "{mode}: {} after {} rounds, {} of {} dwell times at a bound: {:.4} nm in {:.2} s before, {:.4} nm \
-             in {:.2} s after -> {}",
+            "{mode}: {} after {} rounds, {} of {} dwell times at a bound (the least that the floor or the machine allows): \
+             {:.4} nm in {:.2} s before, {:.4} nm in {:.2} s after -> {}",
             refined.end,
             refined.iterates.len(),
             refined.at_bound,

@@ -1,0 +1,318 @@
+//! A map or a profile after its best shape: its heights, slopes, spectra and autocorrelation length.
+
+use std::cell::OnceCell;
+
+use ndarray::{Array2, ArrayView2};
+use planish_numerics::{
+    slope::{self, slopes, steps_of_base},
+    spectrum::MIN_SAMPLES,
+    statistics::{Statistics, statistics},
+};
+use planish_types::{Invalid, Surface, text::significant};
+use serde::{Deserialize, Serialize};
+
+use super::spectrum::{Spectra, at_even_steps, autocorrelation_length};
+use crate::{
+    profile::{Profile, Values},
+    shape::{EllipseSettings, Heights, Shape, ShapeReport, without_shape, without_shape_of_slopes},
+};
+
+/// A relative standard error of an ellipse's parameter above this says that the data hardly determine it.
+const NOTEWORTHY_ERROR: f64 = 0.1;
+
+/// What is measured.
+#[derive(Clone, Debug)]
+pub enum Subject {
+    /// A map.
+    Map(Surface),
+    /// A line.
+    Profile(Profile),
+}
+
+/// The direction of a slope, a spectrum or a radius.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Direction {
+    /// Along x.
+    X,
+    /// Along y.
+    Y,
+    /// In two dimensions, averaged over the directions.
+    Radial,
+}
+
+/// Slopes along one axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SlopeReport {
+    /// Base length, mm; 0 where slopes were measured.
+    pub base_mm: f64,
+    /// RMS without the mean, nrad.
+    pub rms_nrad: f64,
+    /// Largest distance from the mean, nrad.
+    pub peak_nrad: f64,
+    /// The middle of the base of the largest one, [x, y], mm.
+    pub peak_at_mm: [f64; 2],
+}
+
+/// A map or a profile, or a zone of it, from which the best shape is taken off.
+pub(crate) struct Piece {
+    /// (nx), mm.
+    pub(super) x_mm: Vec<f64>,
+    /// (ny), mm; of a profile 0.
+    y_mm: Vec<f64>,
+    /// (ny, nx), nm.
+    pub(super) height_nm: Array2<f64>,
+    /// Measured slopes of a profile after the shape (nx), nrad.
+    measured_slope_nrad: Option<Vec<f64>>,
+    /// The map, for its spectra.
+    surface: Option<Surface>,
+    pub(crate) shape: ShapeReport,
+    pub(crate) notes: Vec<String>,
+    spectra: OnceCell<Result<Spectra, Invalid>>,
+}
+
+impl Piece {
+    /// `subject` where `inside` holds (all of it without one), after its best `shape` is taken off.
+    pub(crate) fn new(
+        subject: &Subject,
+        inside: Option<&Array2<bool>>,
+        shape: Shape,
+        ellipse: Option<&EllipseSettings>,
+    ) -> Result<Self, Invalid> {
+        let masked = |map: &Array2<f64>| match inside {
+            Some(inside) => {
+                let mut map = map.clone();
+                map.zip_mut_with(inside, |z, inside| {
+                    if !inside {
+                        *z = f64::NAN
+                    }
+                });
+                map
+            }
+            None => map.clone(),
+        };
+        let row = |values: &[f64]| {
+            let row = Array2::from_shape_fn((1, values.len()), |(_, c)| values[c]);
+            masked(&row)
+        };
+        match subject {
+            Subject::Map(surface) => {
+                let (x_mm, y_mm) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
+                let heights = masked(surface.height_nm());
+                let heights = Heights { x_mm: &x_mm, y_mm: &y_mm, height_nm: &heights };
+                let (height_nm, report) = without_shape(&heights, shape, ellipse)?;
+                let surface = Some(Surface::new(*surface.grid(), height_nm.clone())?);
+                Ok(Self::of(x_mm, y_mm, height_nm, None, surface, report))
+            }
+            Subject::Profile(profile) => {
+                let x_mm = profile.position_mm().to_vec();
+                let (height_nm, slope, report) = match profile.values() {
+                    Values::HeightNm(heights) => {
+                        let heights = row(heights);
+                        let heights = Heights { x_mm: &x_mm, y_mm: &[0.0], height_nm: &heights };
+                        let (left, report) = without_shape(&heights, shape, ellipse)?;
+                        (left, None, report)
+                    }
+                    Values::SlopeNrad(slopes) => {
+                        let slopes = row(slopes).into_raw_vec_and_offset().0;
+                        let (left, report) =
+                            without_shape_of_slopes(&x_mm, &slopes, shape, ellipse)?;
+                        let heights = integrated(&x_mm, &left);
+                        let heights = Heights { x_mm: &x_mm, y_mm: &[0.0], height_nm: &heights };
+                        let (heights, _) = without_shape(&heights, rest_of(shape), None)?;
+                        (heights, Some(left), report)
+                    }
+                };
+                let mut piece = Self::of(x_mm, vec![0.0], height_nm, slope, None, report);
+                if let Some([low, high]) = profile.uneven_steps_mm() {
+                    piece.notes.push(format!(
+                        "the positions are not uniform (steps of {} to {} mm): spectra are of values \
+                         interpolated linearly at steps of {} mm",
+                        significant(low, 6),
+                        significant(high, 6),
+                        significant(profile.step_mm(), 6)
+                    ));
+                }
+                Ok(piece)
+            }
+        }
+    }
+
+    fn of(
+        x_mm: Vec<f64>,
+        y_mm: Vec<f64>,
+        height_nm: Array2<f64>,
+        measured_slope_nrad: Option<Vec<f64>>,
+        surface: Option<Surface>,
+        shape: ShapeReport,
+    ) -> Self {
+        let mut notes = Vec::new();
+        if let Some(ellipse) = &shape.ellipse {
+            let names = ["p", "q", "theta"].iter().zip(ellipse.standard_error);
+            for (name, error) in names.filter(|(_, e)| *e > NOTEWORTHY_ERROR) {
+                let how = match error.is_finite() {
+                    true => format!("standard error {} %", significant(100.0 * error, 2)),
+                    false => "it is infinite".into(),
+                };
+                notes.push(format!(
+                    "the data hardly tell {name} of the ellipse ({how}); what is left is of the best one all the same"
+                ));
+            }
+        }
+        Self {
+            x_mm,
+            y_mm,
+            height_nm,
+            measured_slope_nrad,
+            surface,
+            shape,
+            notes,
+            spectra: OnceCell::new(),
+        }
+    }
+
+    fn is_profile(&self) -> bool {
+        self.surface.is_none()
+    }
+
+    pub(crate) fn height(&self) -> Result<Statistics, Invalid> {
+        statistics(self.height_nm.view())
+            .ok_or_else(|| Invalid::whole("map", "has no valid pixel here", "give another zone"))
+    }
+
+    /// Where the height is farthest from its mean, [x, y], mm, and by how much, nm.
+    pub(crate) fn farthest_height(&self) -> Result<([f64; 2], f64), Invalid> {
+        let mean = self.height()?.mean;
+        let ((r, c), distance) = farthest(self.height_nm.view(), mean);
+        Ok(([self.x_mm[c], self.y_mm[r]], distance))
+    }
+
+    /// Slopes along an axis over the whole number of steps nearest to the base; measured ones as they are.
+    pub(crate) fn slope(&self, along: Direction, base_mm: f64) -> Result<SlopeReport, Invalid> {
+        let (positions, values, base_mm) = self.slopes(along, base_mm)?;
+        let found = statistics(values.view()).ok_or_else(|| {
+            let problem = format!("no two valid pixels are {} mm apart", significant(base_mm, 4));
+            Invalid::whole("slope", problem, "give a shorter `base_mm`, or another zone")
+        })?;
+        let ((r, c), peak_nrad) = farthest(values.view(), found.mean);
+        let peak_at_mm = match along {
+            Direction::Y => [self.x_mm[c], positions[r]],
+            _ => [positions[c], self.y_mm[r]],
+        };
+        Ok(SlopeReport { base_mm, rms_nrad: found.rms, peak_nrad, peak_at_mm })
+    }
+
+    /// Middles of the bases, mm, the slopes there, nrad, and the base that was used, mm.
+    pub(super) fn slopes(
+        &self,
+        along: Direction,
+        base_mm: f64,
+    ) -> Result<(Vec<f64>, Array2<f64>, f64), Invalid> {
+        let (at, axis) = match along {
+            Direction::X => (&self.x_mm, slope::Along::X),
+            Direction::Y => (&self.y_mm, slope::Along::Y),
+            Direction::Radial => {
+                let remedy = "give x or y; slopes are along a direction";
+                return Err(Invalid::whole("slope", "`along` is radial", remedy));
+            }
+        };
+        if let (Direction::X, Some(slopes)) = (along, &self.measured_slope_nrad) {
+            let row = Array2::from_shape_fn((1, slopes.len()), |(_, c)| slopes[c]);
+            return Ok((self.x_mm.clone(), row, 0.0));
+        }
+        if self.is_profile() && along == Direction::Y {
+            let remedy = "a profile has slopes along x only";
+            return Err(Invalid::whole("slope", "`along` is y", remedy));
+        }
+        if !(base_mm.is_finite() && base_mm > 0.0) {
+            let problem = format!("`base_mm` is {base_mm}");
+            return Err(Invalid::whole("slope", problem, "give a length in mm, above 0"));
+        }
+        let n = at.len();
+        let step_mm = (at[n - 1] - at[0]) / (n - 1) as f64;
+        let steps = steps_of_base(base_mm, step_mm, n).ok_or_else(|| {
+            let problem = format!(
+                "`base_mm` is {base_mm}, the map is {} mm long",
+                significant(at[n - 1] - at[0], 4)
+            );
+            Invalid::whole("slope", problem, "give a shorter one")
+        })?;
+        // nm/mm is urad.
+        let mut values = slopes(self.height_nm.view(), at, axis, steps);
+        values.mapv_inplace(|s| 1e3 * s);
+        let middles: Vec<f64> = (0..n - steps).map(|i| 0.5 * (at[i] + at[i + steps])).collect();
+        if self.is_profile() {
+            let row: Vec<f64> = values.iter().copied().collect();
+            let rest = rest_of(self.shape.shape);
+            let (row, _) = without_shape_of_slopes(&middles, &row, rest, None)?;
+            values = Array2::from_shape_fn(values.dim(), |(_, c)| row[c]);
+        }
+        Ok((middles, values, steps as f64 * step_mm))
+    }
+
+    pub(crate) fn spectra(&self) -> Result<&Spectra, Invalid> {
+        let found = self.spectra.get_or_init(|| match &self.surface {
+            Some(surface) => Spectra::of_map(surface),
+            None => match &self.measured_slope_nrad {
+                Some(slopes) => Spectra::of_slopes(&self.x_mm, slopes),
+                None => {
+                    let heights = self.height_nm.as_slice().expect("a row is contiguous");
+                    Spectra::of_heights(&self.x_mm, heights)
+                }
+            },
+        });
+        found.as_ref().map_err(Clone::clone)
+    }
+
+    /// Lag along the axis at which the autocorrelation falls to 1/e, mm.
+    pub(crate) fn autocorrelation_length_mm(&self, along: Direction) -> Option<f64> {
+        let (at, turned) = match along {
+            Direction::Y => (&self.y_mm, self.height_nm.t().to_owned()),
+            _ => (&self.x_mm, self.height_nm.clone()),
+        };
+        let n = at.len();
+        if n < MIN_SAMPLES {
+            return None;
+        }
+        let step_mm = (at[n - 1] - at[0]) / (n - 1) as f64;
+        let turned =
+            if self.is_profile() { at_even_steps(at, turned.as_slice()?, step_mm) } else { turned };
+        autocorrelation_length(turned.view()).map(|lag| lag * step_mm)
+    }
+}
+
+/// The shape to take off the slopes (heights) once more where the best `shape` was taken off the heights (slopes):
+/// least squares of the one are not those of the other, and leave a line or a circle.
+fn rest_of(shape: Shape) -> Shape {
+    match shape {
+        Shape::CylinderX | Shape::CylinderY | Shape::Sphere => Shape::CylinderX,
+        Shape::Piston => Shape::Piston,
+        Shape::Plane | Shape::Ellipse => Shape::Plane,
+    }
+}
+
+/// The trapezoidal integral of slopes (nrad) over x (mm), nm; an invalid slope has no height, and its
+/// neighbours are joined over it.
+fn integrated(x_mm: &[f64], slope_nrad: &[f64]) -> Array2<f64> {
+    let mut height = Array2::from_elem((1, x_mm.len()), f64::NAN);
+    let mut last: Option<(usize, f64)> = None;
+    for (i, s) in slope_nrad.iter().enumerate().filter(|(_, s)| !s.is_nan()) {
+        let z = match last {
+            // nrad mm is 1e-3 nm.
+            Some((k, z)) => z + 0.5e-3 * (slope_nrad[k] + s) * (x_mm[i] - x_mm[k]),
+            None => 0.0,
+        };
+        height[[0, i]] = z;
+        last = Some((i, z));
+    }
+    height
+}
+
+/// The valid element that is farthest from `mean`, and its distance.
+fn farthest(map: ArrayView2<f64>, mean: f64) -> ((usize, usize), f64) {
+    let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
+    valid.fold(((0, 0), 0.0), |best, (at, v)| match (v - mean).abs() > best.1 {
+        true => (at, (v - mean).abs()),
+        false => best,
+    })
+}

@@ -1,0 +1,218 @@
+//! Spectra of the heights and slopes that remain after the best shape, and their autocorrelation length.
+
+use std::f64::consts::PI;
+
+use ndarray::{Array2, ArrayView2, s};
+use planish_numerics::{
+    fft::{Complex64, transform},
+    spectrum::{MIN_SAMPLES, along_rows, hann, largest_rectangle, without_plane},
+    statistics::statistics,
+};
+use planish_types::{Invalid, Surface};
+
+use crate::{
+    psd::{Detrend, Psd, PsdSettings, Window, psd},
+    shape::{Heights, Shape, without_shape},
+};
+
+/// The power spectral density of the heights and that of the slopes, at the same frequencies.
+#[derive(Clone, Debug, Default)]
+pub struct SpectrumLine {
+    /// Frequencies, ascending from 0, 1/mm.
+    pub frequency_per_mm: Vec<f64>,
+    /// Of heights: nm^2 mm, over rings nm^2 mm^2.
+    pub height: Vec<f64>,
+    /// Of slopes: nrad^2 mm, over rings nrad^2 mm^2.
+    pub slope: Vec<f64>,
+}
+
+impl SpectrumLine {
+    /// From the density S of heights: that of slopes is (2 pi f)^2 S, in nrad^2 from nm^2 (1 nm/mm is 1 urad).
+    fn of_heights(frequency_per_mm: Vec<f64>, height: Vec<f64>) -> Self {
+        let slope = frequency_per_mm.iter().zip(&height);
+        let slope = slope.map(|(f, s)| (2.0 * PI * f * 1e3).powi(2) * s).collect();
+        Self { frequency_per_mm, height, slope }
+    }
+
+    /// From the density of slopes: that of heights is it over (2 pi f)^2, and 0 at f = 0, where it is not defined.
+    fn of_slopes(frequency_per_mm: Vec<f64>, slope: Vec<f64>) -> Self {
+        let height = frequency_per_mm.iter().zip(&slope);
+        let height = height.map(|(f, s)| match *f > 0.0 {
+            true => s / (2.0 * PI * f * 1e3).powi(2),
+            false => 0.0,
+        });
+        let height = height.collect();
+        Self { frequency_per_mm, height, slope }
+    }
+
+    /// Mean square in a band: the sum of S df over the frequencies in [f_0, f_1).
+    fn mean_square(&self, density: &[f64], [low, high]: [f64; 2]) -> f64 {
+        let f = &self.frequency_per_mm;
+        let inside = f.iter().zip(density).filter(|(f, _)| **f >= low && **f < high);
+        inside.map(|(_, s)| s).sum::<f64>() * (f[1] - f[0])
+    }
+
+    /// RMS of heights in the band, nm.
+    pub(crate) fn height_rms(&self, band: [f64; 2]) -> f64 {
+        self.mean_square(&self.height, band).sqrt()
+    }
+
+    /// RMS of slopes in the band, nrad.
+    pub(crate) fn slope_rms(&self, band: [f64; 2]) -> f64 {
+        self.mean_square(&self.slope, band).sqrt()
+    }
+
+    /// Whether a frequency is in the band.
+    pub(crate) fn holds(&self, [low, high]: [f64; 2]) -> bool {
+        self.frequency_per_mm.iter().any(|f| *f > 0.0 && *f >= low && *f < high)
+    }
+}
+
+/// The spectra of a profile (along x), or of a map (along x, along y and in two dimensions).
+pub(crate) struct Spectra {
+    pub(crate) x: SpectrumLine,
+    pub(crate) y: Option<SpectrumLine>,
+    /// The spectrum in two dimensions, averaged over rings of equal frequency.
+    pub(crate) radial: Option<SpectrumLine>,
+    two_dimensional: Option<Psd>,
+}
+
+impl Spectra {
+    /// RMS of heights in a band, nm: of a map in two dimensions.
+    pub(crate) fn height_rms_nm(&self, [low, high]: [f64; 2]) -> f64 {
+        let Some(psd) = &self.two_dimensional else { return self.x.height_rms([low, high]) };
+        let (fx, fy) = (&psd.frequency_2d_x_per_mm, &psd.frequency_2d_y_per_mm);
+        let bin = (fx[1] - fx[0]) * (fy[1] - fy[0]);
+        let of = psd.psd_2d_nm2_mm2.indexed_iter().filter(|((r, c), _)| {
+            let f = fx[*c].hypot(fy[*r]);
+            f >= low && f < high
+        });
+        (of.map(|(_, s)| s).sum::<f64>() * bin).sqrt()
+    }
+
+    /// Of a map from which the shape is taken off.
+    pub(super) fn of_map(surface: &Surface) -> Result<Self, Invalid> {
+        let settings =
+            PsdSettings { window: Window::Hann, detrend: Detrend::Plane, band_per_mm: vec![] };
+        let found = psd(surface, &settings)?;
+        let (origin, (ny, nx)) = largest_rectangle(&surface.height_nm().mapv(|v| !v.is_nan()));
+        let (rows, columns) = (origin.0..origin.0 + ny, origin.1..origin.1 + nx);
+        let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
+        let z = surface.height_nm().slice(s![rows.clone(), columns.clone()]);
+        let z = without_plane(z, &x[columns], &y[rows]);
+        // The mean of a line has no slope along it, and would leak into the lowest frequencies.
+        let lines = |z: ArrayView2<f64>, step_mm: f64| {
+            let mut z = z.to_owned();
+            for mut line in z.outer_iter_mut() {
+                let mean = line.mean().unwrap_or(0.0);
+                line.mapv_inplace(|v| v - mean);
+            }
+            let (f, density) = along_rows(z.view(), step_mm, &hann(z.ncols()));
+            SpectrumLine::of_heights(f, density)
+        };
+        let radial = SpectrumLine::of_heights(
+            found.frequency_radial_per_mm.clone(),
+            found.psd_radial_nm2_mm2.clone(),
+        );
+        Ok(Self {
+            x: lines(z.view(), surface.grid().x.step_mm()),
+            y: Some(lines(z.t(), surface.grid().y.step_mm())),
+            radial: Some(radial),
+            two_dimensional: Some(found),
+        })
+    }
+
+    /// Of the heights of a profile from which the shape is taken off, nm.
+    pub(super) fn of_heights(x_mm: &[f64], height_nm: &[f64]) -> Result<Self, Invalid> {
+        let (f, density) = density_of_profile(x_mm, height_nm, Shape::Plane)?;
+        Ok(Self::of_line(SpectrumLine::of_heights(f, density)))
+    }
+
+    /// Of the measured slopes of a profile from which those of the shape are taken off, nrad.
+    pub(super) fn of_slopes(x_mm: &[f64], slope_nrad: &[f64]) -> Result<Self, Invalid> {
+        let (f, density) = density_of_profile(x_mm, slope_nrad, Shape::Piston)?;
+        Ok(Self::of_line(SpectrumLine::of_slopes(f, density)))
+    }
+
+    fn of_line(x: SpectrumLine) -> Self {
+        Self { x, y: None, radial: None, two_dimensional: None }
+    }
+}
+
+/// Frequencies, 1/mm, and density of the longest run of valid values of a profile at even steps, after `rest`
+/// (its mean, or its line) is taken off the run.
+fn density_of_profile(
+    x_mm: &[f64],
+    values: &[f64],
+    rest: Shape,
+) -> Result<(Vec<f64>, Vec<f64>), Invalid> {
+    let n = x_mm.len();
+    let step_mm = (x_mm[n - 1] - x_mm[0]) / (n - 1) as f64;
+    let values = at_even_steps(x_mm, values, step_mm);
+    let (origin, (_, length)) = largest_rectangle(&values.mapv(|v| !v.is_nan()));
+    if length < MIN_SAMPLES {
+        let problem = format!("the longest run of valid positions has {length}");
+        let remedy = format!("a spectrum needs at least {MIN_SAMPLES} without a gap");
+        return Err(Invalid::whole("profile", problem, remedy));
+    }
+    let run = values.slice(s![.., origin.1..origin.1 + length]).to_owned();
+    let even_mm: Vec<f64> = (0..length).map(|i| i as f64 * step_mm).collect();
+    let line = Heights { x_mm: &even_mm, y_mm: &[0.0], height_nm: &run };
+    let (run, _) = without_shape(&line, rest, None)?;
+    Ok(along_rows(run.view(), step_mm, &hann(length)))
+}
+
+/// `values` at `x` as one row at even steps, linear between valid neighbours.
+pub(super) fn at_even_steps(x: &[f64], values: &[f64], step: f64) -> Array2<f64> {
+    let n = x.len();
+    Array2::from_shape_fn((1, n), |(_, c)| {
+        let at = x[0] + c as f64 * step;
+        let i = x.partition_point(|v| *v <= at).clamp(1, n - 1);
+        let part = ((at - x[i - 1]) / (x[i] - x[i - 1])).clamp(0.0, 1.0);
+        // Where an even step meets a position but for rounding, the value there is taken as it is: its
+        // neighbour may be invalid.
+        match part {
+            p if p < 1e-9 => values[i - 1],
+            p if p > 1.0 - 1e-9 => values[i],
+            p => (1.0 - p) * values[i - 1] + p * values[i],
+        }
+    })
+}
+
+/// Lag in samples at which the autocorrelation of the rows falls to 1/e; `None` where it does not.
+///
+/// C(k) = sum of z_i z_(i+k) over the pairs of valid samples, over their number: both sums are correlations,
+/// whose transforms are squares.
+pub(super) fn autocorrelation_length(rows: ArrayView2<f64>) -> Option<f64> {
+    let mean = statistics(rows)?.mean;
+    let (count, n) = rows.dim();
+    let m = (2 * n).next_power_of_two();
+    // Rows with zeros beyond their end: no lag below n wraps round.
+    let padded = |value: &dyn Fn(f64) -> f64| {
+        let mut power = vec![0.0; m];
+        for r in 0..count {
+            let line = Array2::from_shape_fn((1, m), |(_, c)| {
+                let v = if c < n { rows[[r, c]] } else { f64::NAN };
+                if v.is_nan() { 0.0 } else { value(v) }
+            });
+            let spectrum = transform::forward(line.view());
+            power.iter_mut().zip(&spectrum).for_each(|(p, f)| *p += f.norm_sqr());
+        }
+        let power = Array2::from_shape_fn((1, m), |(_, k)| Complex64::new(power[k], 0.0));
+        transform::inverse(power)
+    };
+    let (products, pairs) = (padded(&|v| v - mean), padded(&|_| 1.0));
+    // At least half a pair: the counts are whole but for rounding.
+    let at = |k: usize| (pairs[[0, k]] > 0.5).then(|| products[[0, k]] / pairs[[0, k]]);
+    let variance = at(0).filter(|v| *v > 0.0)?;
+    let mut before = 1.0;
+    for k in 1..n {
+        let now = at(k)? / variance;
+        if now <= (-1.0_f64).exp() {
+            let part = (before - (-1.0_f64).exp()) / (before - now);
+            return Some((k - 1) as f64 + part);
+        }
+        before = now;
+    }
+    None
+}

@@ -1,0 +1,68 @@
+//! Heights of a map column by column, or measured slopes, as the fit of a [`super::curve::Curve`] takes them.
+//!
+//! The squares of a column are those of its mean, with the weight of its pixels, and those of the deviations from
+//! it, which only the tilt along y can lessen. So a curve over a million pixels is a problem of some thousand rows.
+
+use super::{Heights, NM_PER_MM};
+
+/// The columns of a map, or the points of a profile.
+#[derive(Default)]
+pub(super) struct Columns {
+    /// Position, mm.
+    pub x_mm: Vec<f64>,
+    /// Mean height, mm; or slope, rad.
+    pub mean_mm: Vec<f64>,
+    /// Square roots of the numbers of valid pixels; empty for slopes, which have weight 1.
+    pub weight: Vec<f64>,
+    /// Mean y from the middle, mm; empty for slopes.
+    pub y_mm: Vec<f64>,
+    /// Middle of y, mm.
+    pub y_middle_mm: f64,
+    /// Square root of the sum of (y - mean y)^2 within the columns, mm, and the sum of (y - mean y)(z - mean z) over it.
+    pub within: Option<[f64; 2]>,
+}
+
+impl Columns {
+    /// The columns that have valid pixels.
+    pub fn of(heights: &Heights) -> Self {
+        let y = heights.y_mm;
+        let mut columns = Self { y_middle_mm: 0.5 * (y[0] + y[y.len() - 1]), ..Self::default() };
+        let (mut yy, mut yz) = (0.0, 0.0);
+        for (c, column) in heights.height_nm.columns().into_iter().enumerate() {
+            let valid = || column.iter().zip(y).filter(|(z, _)| !z.is_nan());
+            let (mut n, mut z_sum, mut y_sum) = (0.0, 0.0, 0.0);
+            for (z, y) in valid() {
+                n += 1.0;
+                z_sum += z;
+                y_sum += y - columns.y_middle_mm;
+            }
+            if n == 0.0 {
+                continue;
+            }
+            let (z_mean, y_mean) = (z_sum / n, y_sum / n);
+            for (z, y) in valid() {
+                let y = y - columns.y_middle_mm - y_mean;
+                yy += y * y;
+                yz += y * (z - z_mean);
+            }
+            columns.x_mm.push(heights.x_mm[c]);
+            columns.mean_mm.push(z_mean / NM_PER_MM);
+            columns.weight.push(f64::sqrt(n));
+            columns.y_mm.push(y_mean);
+        }
+        if y.len() > 1 {
+            columns.within = (yy > 0.0).then(|| [yy.sqrt(), yz / yy.sqrt() / NM_PER_MM]);
+        }
+        columns
+    }
+
+    /// Whether these are heights, not slopes.
+    pub fn of_heights(&self) -> bool {
+        !self.weight.is_empty()
+    }
+
+    /// Whether the pixels determine a tilt along y.
+    pub fn has_y(&self) -> bool {
+        self.within.is_some()
+    }
+}

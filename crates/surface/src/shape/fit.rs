@@ -1,0 +1,163 @@
+//! The curve of least squares: the Levenberg-Marquardt method within the bounds of the ellipse.
+//!
+//! ```text
+//! [J; sqrt(damping) I] step = [left; 0]
+//! ```
+//!
+//! The columns of the Jacobian J of an ellipse are nearly parallel (p, q and theta differ in the third and fourth
+//! order only), so every step is solved by a QR decomposition.
+
+use nalgebra::{DMatrix, DVector};
+use planish_types::Invalid;
+
+use super::{LAST_STEP, MAX_STEPS, Shape, columns::Columns, curve::Curve, too_few};
+use crate::ellipse::Ellipse;
+
+/// Damping of the first step, of Jacobian columns of length 1; a tenth of it after a step that lessens the squares,
+/// ten times as much, and at least [`LEAST_DAMPING`], after one that does not.
+const FIRST_DAMPING: f64 = 1e-3;
+const LEAST_DAMPING: f64 = 1e-10;
+
+/// Damping above which no step lessens the squares: it goes less than 1e-8 down the gradient.
+const LAST_DAMPING: f64 = 1e8;
+
+/// A step that lessens the squares by less than this fraction is the last.
+const LAST_GAIN: f64 = 1e-12;
+
+/// A column of the Jacobian of which the others leave less than this fraction is not determined: with
+/// heights in double precision nothing but rounding would decide it.
+const INDEPENDENT: f64 = 1e-11;
+
+/// `curve` fitted to `columns`.
+pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
+    curve.middle_mm[1] = columns.y_middle_mm;
+    let mut left = curve.left(columns);
+    let mut damping = FIRST_DAMPING;
+    let mut jacobian = scaled_jacobian(&curve, columns, shape)?;
+    if !left.norm().is_finite() {
+        let how = "they lie beyond the ends of the ellipse";
+        return Err(too_few(shape, how));
+    }
+    if jacobian.0.nrows() < jacobian.0.ncols() {
+        let how = format!("{} for {} unknowns", jacobian.0.nrows(), jacobian.0.ncols());
+        return Err(too_few(shape, &how));
+    }
+    for _ in 0..MAX_STEPS {
+        let (step, norm) = damped_step(&jacobian, &left, &curve.room(), damping);
+        let small = norm <= LAST_STEP * size(columns);
+        let next = curve.moved(&step, columns);
+        let then = next.left(columns);
+        if then.norm() < left.norm() {
+            let gains = left.norm_squared() - then.norm_squared();
+            let ended = small || gains <= LAST_GAIN * left.norm_squared();
+            (curve, left) = (next, then);
+            damping *= 0.1;
+            jacobian = scaled_jacobian(&curve, columns, shape)?;
+            if ended {
+                break;
+            }
+        } else if small || damping > LAST_DAMPING {
+            break;
+        } else {
+            damping = 10.0 * damping.max(LEAST_DAMPING);
+        }
+    }
+    let (matrix, scale) = jacobian;
+    let r = matrix.qr().r();
+    if (0..r.ncols()).any(|k| r[(k, k)].abs() < INDEPENDENT) {
+        let problem =
+            format!("the points do not tell the parameters of the shape {} apart", shape.name());
+        let remedy = match shape {
+            Shape::Ellipse => "fit fewer of p, q and theta",
+            _ => "give points along more of x and y",
+        };
+        return Err(Invalid::whole("shape", problem, remedy));
+    }
+    curve.standard_error = errors(&curve, &r, &scale, &left);
+    Ok(curve)
+}
+
+/// A step of the parameters, of which the last have `room` to move, and its length by the scaled Jacobian.
+fn damped_step(
+    (matrix, scale): &(DMatrix<f64>, Vec<f64>),
+    left: &DVector<f64>,
+    room: &[[f64; 2]],
+    damping: f64,
+) -> (Vec<f64>, f64) {
+    let unknowns = matrix.ncols();
+    // A parameter at an end of its room that the step would take beyond this end keeps its value.
+    let gradient = matrix.tr_mul(left);
+    let first = unknowns - room.len();
+    let rests = |k: usize| {
+        k >= first && {
+            let [low, high] = room[k - first];
+            low >= 0.0 && gradient[k] < 0.0 || high <= 0.0 && gradient[k] > 0.0
+        }
+    };
+    let moving: Vec<usize> = (0..unknowns).filter(|k| !rests(*k)).collect();
+    // [J; sqrt(damping) I] step = [left; 0]
+    let (n, m) = (matrix.nrows(), moving.len());
+    let damped = DMatrix::from_fn(n + m, m, |i, k| match i.checked_sub(n) {
+        None => matrix[(i, moving[k])],
+        Some(row) => f64::from(u8::from(row == k)) * damping.sqrt(),
+    });
+    let mut right = DVector::zeros(n + m);
+    right.rows_mut(0, n).copy_from(left);
+    let qr = damped.qr();
+    qr.q_tr_mul(&mut right);
+    let right = right.rows(0, m).into_owned();
+    let solved = qr.r().solve_upper_triangular(&right).unwrap_or_else(|| DVector::zeros(m));
+    let mut step = vec![0.0; unknowns];
+    for (k, v) in moving.iter().zip(&solved) {
+        step[*k] = v / scale[*k];
+        if *k >= first {
+            let [low, high] = room[*k - first];
+            step[*k] = step[*k].clamp(low.min(0.0), high.max(0.0));
+        }
+    }
+    (step, solved.norm())
+}
+
+/// The Jacobian with columns of length 1, and their lengths.
+fn scaled_jacobian(
+    curve: &Curve,
+    columns: &Columns,
+    shape: Shape,
+) -> Result<(DMatrix<f64>, Vec<f64>), Invalid> {
+    let mut jacobian = curve.jacobian(columns);
+    let scale: Vec<f64> = jacobian.column_iter().map(|c| c.norm()).collect();
+    if !scale.iter().all(|s| s.is_finite() && *s > 0.0) {
+        let how = "they lie beyond the ends of the ellipse, or in one place";
+        return Err(too_few(shape, how));
+    }
+    jacobian.column_iter_mut().zip(&scale).for_each(|(mut c, s)| c /= *s);
+    Ok((jacobian, scale))
+}
+
+/// Norm of the heights, or slopes, that are fitted.
+fn size(columns: &Columns) -> f64 {
+    let weighted = columns.mean_mm.iter().enumerate();
+    let squares = weighted.map(|(i, v)| (v * columns.weight.get(i).unwrap_or(&1.0)).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
+/// Relative standard errors of p, q, theta: those of G C G' with C = s^2 (J' J)^-1 of what was fitted, s^2 =
+/// |left|^2 / (rows - unknowns), and G the derivatives of their logarithms by it.
+fn errors(curve: &Curve, r: &DMatrix<f64>, scale: &[f64], left: &DVector<f64>) -> [f64; 3] {
+    let Some(moved) = &curve.ellipse else { return [0.0; 3] };
+    let unknowns = r.ncols();
+    let spare = left.len().saturating_sub(unknowns).max(1) as f64;
+    let Some(inverse) = r.clone().try_inverse() else { return [0.0; 3] };
+    let first = unknowns - moved.count();
+    [0, 1, 2].map(|parameter| {
+        let logarithm = |ellipse: Ellipse| {
+            [ellipse.p_mm, ellipse.q_mm, ellipse.theta_rad][parameter].abs().ln()
+        };
+        let mut row = DVector::zeros(unknowns);
+        for k in 0..moved.count() {
+            row[first + k] = moved.derivative(k, logarithm) / scale[first + k];
+        }
+        let error = inverse.tr_mul(&row).norm() * left.norm() / spare.sqrt();
+        if error.is_nan() { f64::INFINITY } else { error }
+    })
+}

@@ -1,0 +1,105 @@
+//! An ellipse some of whose parameters are fitted, and how far the fit has moved it from the given one.
+//!
+//! One or two free parameters move along their logarithms. All three move along
+//!
+//! ```text
+//! ln(sin theta (1/p + 1/q)),   k = (1/q - 1/p) / (1/p + 1/q) from -1 to 1,   ln(1/p + 1/q)
+//! ```
+//!
+//! the curvature, the asymmetry, and what remains: along p, q and theta themselves the valley of equal curvature
+//! is bent, and noise has p wander to infinity and beyond.
+
+use super::{EllipseParameter, EllipseSettings};
+use crate::ellipse::Ellipse;
+
+/// The distances and the angle of an ellipse are looked for within this factor, e^3 = 20, of the given ones.
+const LARGEST_LOGARITHM: f64 = 3.0;
+
+/// Step of the differences by the coordinates of an ellipse: extrapolated, they are off by its fourth power, 1e-12,
+/// and by rounding, 1e-13.
+const DIFFERENCE: f64 = 1e-3;
+
+/// The given ellipse, and by how much each coordinate of the fit differs from it.
+#[derive(Clone, Debug)]
+pub(super) struct MovedEllipse {
+    pub settings: EllipseSettings,
+    by: Vec<f64>,
+}
+
+impl MovedEllipse {
+    /// The given ellipse itself.
+    pub fn new(settings: &EllipseSettings) -> Self {
+        let mut settings = settings.clone();
+        settings.free.sort_by_key(|parameter| *parameter as usize);
+        settings.free.dedup();
+        let by = vec![0.0; settings.free.len()];
+        Self { settings, by }
+    }
+
+    /// How many coordinates are fitted.
+    pub fn count(&self) -> usize {
+        self.by.len()
+    }
+
+    /// Adds a step to every coordinate.
+    pub fn add(&mut self, mut step: impl FnMut() -> f64) {
+        self.by.iter_mut().for_each(|v| *v += step());
+    }
+
+    /// The ellipse where it is now.
+    pub fn ellipse(&self) -> Ellipse {
+        self.at(&self.by)
+    }
+
+    fn at(&self, by: &[f64]) -> Ellipse {
+        let mut ellipse = self.settings.design;
+        if let [curvature, asymmetric, rest] = by {
+            let sum = 1.0 / ellipse.p_mm + 1.0 / ellipse.q_mm;
+            let k = asymmetry(&ellipse) + asymmetric;
+            let sum_then = sum * rest.exp();
+            let sine = ellipse.theta_rad.sin() * (curvature - rest).exp();
+            // Beyond a right angle there is no mirror: the arc sine is NaN, and a fit refuses the step.
+            return Ellipse {
+                p_mm: 2.0 / (sum_then * (1.0 - k)),
+                q_mm: 2.0 / (sum_then * (1.0 + k)),
+                theta_rad: sine.asin(),
+            };
+        }
+        for (parameter, by) in self.settings.free.iter().zip(by) {
+            let value = match parameter {
+                EllipseParameter::P => &mut ellipse.p_mm,
+                EllipseParameter::Q => &mut ellipse.q_mm,
+                EllipseParameter::Theta => &mut ellipse.theta_rad,
+            };
+            *value *= by.exp();
+        }
+        ellipse
+    }
+
+    /// Derivative of a value of the ellipse by coordinate `k`.
+    pub fn derivative(&self, k: usize, value: impl Fn(Ellipse) -> f64) -> f64 {
+        let at = |step: f64| {
+            let mut by = self.by.clone();
+            by[k] += step;
+            value(self.at(&by))
+        };
+        let difference = |step: f64| (at(step) - at(-step)) / (2.0 * step);
+        (4.0 * difference(DIFFERENCE) - difference(2.0 * DIFFERENCE)) / 3.0
+    }
+
+    /// How far every coordinate may still move, down and up.
+    pub fn room(&self) -> Vec<[f64; 2]> {
+        let k = asymmetry(&self.settings.design);
+        let whole = |i: usize| match (self.by.len(), i) {
+            (3, 1) => [-1.0 - k, 1.0 - k],
+            _ => [-LARGEST_LOGARITHM, LARGEST_LOGARITHM],
+        };
+        self.by.iter().enumerate().map(|(i, v)| whole(i).map(|end| end - v)).collect()
+    }
+}
+
+/// k = (1/q - 1/p) / (1/p + 1/q)
+fn asymmetry(ellipse: &Ellipse) -> f64 {
+    let (u, v) = (1.0 / ellipse.p_mm, 1.0 / ellipse.q_mm);
+    (v - u) / (u + v)
+}

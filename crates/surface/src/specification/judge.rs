@@ -1,0 +1,263 @@
+//! Measures the quantity of a limit in its zone after its shape, and judges it.
+
+use planish_types::{Invalid, text::significant};
+
+use super::{
+    limit::Limit,
+    verdict::{Bound, LimitReport},
+    zone::Zones,
+};
+use crate::{
+    quality::{Direction, Light, Piece, SpectrumLine, Subject, strehl},
+    shape::{EllipseSettings, Shape},
+};
+
+/// Grazing angle of normal incidence, mrad.
+const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
+
+/// Zones of the mirror after shapes, each made once.
+pub(super) struct Pieces<'a> {
+    zones: Zones<'a>,
+    ellipse: Option<EllipseSettings>,
+    known: Vec<(Option<String>, Shape, Piece)>,
+}
+
+impl<'a> Pieces<'a> {
+    /// No zone is measured before a limit asks for it.
+    pub fn new(zones: Zones<'a>, ellipse: Option<EllipseSettings>) -> Self {
+        Self { zones, ellipse, known: Vec::new() }
+    }
+
+    /// The zone (all valid pixels without one) after `shape`.
+    fn of(&mut self, zone: Option<&str>, shape: Shape) -> Result<&Piece, Invalid> {
+        let same = |(z, s, _): &(Option<String>, Shape, Piece)| z.as_deref() == zone && *s == shape;
+        let at = match self.known.iter().position(same) {
+            Some(at) => at,
+            None => {
+                let mask = zone.map(|name| self.zones.mask(name)).transpose()?;
+                let piece =
+                    Piece::new(self.zones.subject, mask.as_ref(), shape, self.ellipse.as_ref())?;
+                self.known.push((zone.map(String::from), shape, piece));
+                self.known.len() - 1
+            }
+        };
+        Ok(&self.known[at].2)
+    }
+}
+
+/// The verdict on one limit.
+pub(super) fn judge(limit: &Limit, pieces: &mut Pieces) -> Result<LimitReport, Invalid> {
+    let is_profile = matches!(pieces.zones.subject, Subject::Profile(_));
+    let piece = pieces.of(limit.zone(), limit.after())?;
+    Judged { limit, piece, is_profile }.report()
+}
+
+/// A limit, and the zone after the shape that it is on.
+struct Judged<'a> {
+    limit: &'a Limit,
+    piece: &'a Piece,
+    is_profile: bool,
+}
+
+impl Judged<'_> {
+    fn report(&self) -> Result<LimitReport, Invalid> {
+        let piece = self.piece;
+        Ok(match self.limit {
+            Limit::HeightRms { along: direction, at_most_nm, .. } => {
+                self.height_rms(*direction, *at_most_nm)?
+            }
+            Limit::HeightPv { at_most_nm, .. } => {
+                let text = self.after("PV height".into());
+                LimitReport::new(text, "nm", piece.height()?.pv, Bound::AtMost, *at_most_nm)
+                    .worst_at(place(piece.farthest_height()?.0))
+            }
+            Limit::SlopeRms { along: direction, base_mm, at_most_nrad, .. } => {
+                self.slope_rms(*direction, *base_mm, *at_most_nrad)?
+            }
+            Limit::SlopePeak { along: direction, base_mm, at_most_nrad, .. } => {
+                let found = piece.slope(*direction, *base_mm)?;
+                let base = of_base(found.base_mm);
+                let text = self.after(format!("largest slope{}{base}", along(*direction)));
+                LimitReport::new(text, "nrad", found.peak_nrad, Bound::AtMost, *at_most_nrad)
+                    .worst_at(place(found.peak_at_mm))
+            }
+            Limit::Psd { along: direction, a, b, frequency_per_mm, .. } => {
+                self.psd(*direction, [*a, *b], *frequency_per_mm)?
+            }
+            Limit::Strehl { wavelength_nm, grazing_mrad, at_least, .. } => {
+                let light = Light {
+                    wavelength_nm: *wavelength_nm,
+                    grazing_mrad: grazing_mrad.unwrap_or(NORMAL_MRAD),
+                };
+                let value = strehl(light, piece.height()?.rms)?.strehl;
+                let angle = grazing_mrad.map_or(String::new(), |g| format!(" under {g} mrad"));
+                let text = self.after(format!("Strehl ratio at {wavelength_nm} nm{angle}"));
+                LimitReport::new(text, "", value, Bound::AtLeast, *at_least)
+            }
+            Limit::Radius { along: direction, at_least_m, .. } => {
+                // What is not curved has no radius that could be too small.
+                let value = piece.shape.radius_m.map_or(f64::INFINITY, f64::abs);
+                let text = format!("radius of curvature{}{}", along(*direction), self.in_zone());
+                LimitReport::new(text, "m", value, Bound::AtLeast, *at_least_m)
+            }
+            Limit::AutocorrelationLength { along: direction, at_least_mm, .. } => {
+                let value = piece.autocorrelation_length_mm(*direction).ok_or_else(|| {
+                    let problem = "has no autocorrelation length: it is longer than the zone";
+                    Invalid::whole("map", problem, "leave the limit out, or give a larger zone")
+                })?;
+                let text = self.after(format!("autocorrelation length{}", along(*direction)));
+                LimitReport::new(text, "mm", value, Bound::AtLeast, *at_least_mm)
+            }
+        })
+    }
+
+    fn height_rms(
+        &self,
+        direction: Option<Direction>,
+        at_most_nm: f64,
+    ) -> Result<LimitReport, Invalid> {
+        let value = match self.band() {
+            None => self.piece.height()?.rms,
+            Some(band) => {
+                let direction = match direction {
+                    Some(direction) => direction,
+                    None if self.is_profile => Direction::X,
+                    None => Direction::Radial,
+                };
+                let line = spectrum_line(self.piece, direction)?;
+                check_band(line, band)?;
+                match direction {
+                    Direction::Radial => self.piece.spectra()?.height_rms_nm(band),
+                    _ => line.height_rms(band),
+                }
+            }
+        };
+        let direction = direction.map_or("", along);
+        let text = self.after(format!("RMS height{direction}{}", self.of_periods()));
+        let report = LimitReport::new(text, "nm", value, Bound::AtMost, at_most_nm);
+        Ok(match self.band() {
+            None => report.worst_at(place(self.piece.farthest_height()?.0)),
+            Some(_) => report,
+        })
+    }
+
+    fn slope_rms(
+        &self,
+        direction: Direction,
+        base_mm: Option<f64>,
+        at_most_nrad: f64,
+    ) -> Result<LimitReport, Invalid> {
+        let name = format!("RMS slope{}", along(direction));
+        let Some(band) = self.band() else {
+            let found = self.piece.slope(direction, base_mm.unwrap_or_default())?;
+            let text = self.after(format!("{name}{}", of_base(found.base_mm)));
+            let report =
+                LimitReport::new(text, "nrad", found.rms_nrad, Bound::AtMost, at_most_nrad);
+            return Ok(report.worst_at(place(found.peak_at_mm)));
+        };
+        let line = spectrum_line(self.piece, direction)?;
+        check_band(line, band)?;
+        let text = self.after(format!("{name}{}", self.of_periods()));
+        Ok(LimitReport::new(text, "nrad", line.slope_rms(band), Bound::AtMost, at_most_nrad))
+    }
+
+    /// The density at the frequency at which it exceeds A / f^B most, against A / f^B there.
+    fn psd(
+        &self,
+        direction: Direction,
+        [a, b]: [f64; 2],
+        [low, high]: [f64; 2],
+    ) -> Result<LimitReport, Invalid> {
+        let line = spectrum_line(self.piece, direction)?;
+        let inside = line.frequency_per_mm.iter().zip(&line.height);
+        let worst = inside
+            .filter(|(f, s)| **f >= low && **f <= high && s.is_finite())
+            .map(|(f, s)| (*f, *s, a / f.powf(b)))
+            .max_by(|p, q| (p.1 / p.2).total_cmp(&(q.1 / q.2)));
+        let Some((f, density, allowed)) = worst else {
+            return Err(no_frequency(line, [low, high]));
+        };
+        let unit = match direction {
+            Direction::Radial => "nm^2 mm^2",
+            _ => "nm^2 mm",
+        };
+        let direction = along(direction);
+        let text = self.after(format!("PSD{direction} from {low} to {high} /mm under {a} / f^{b}"));
+        Ok(LimitReport::new(text, unit, density, Bound::AtMost, allowed)
+            .worst_at(format!("at {} /mm", significant(f, 4))))
+    }
+
+    /// The frequencies of the periods that count, 1/mm.
+    fn band(&self) -> Option<[f64; 2]> {
+        self.limit.periods().map(|[shortest, longest]| [1.0 / longest, 1.0 / shortest])
+    }
+
+    fn of_periods(&self) -> String {
+        match self.limit.periods() {
+            Some([0.0, longest]) => format!(", periods up to {longest} mm"),
+            Some([shortest, f64::INFINITY]) => format!(", periods above {shortest} mm"),
+            Some([shortest, longest]) => format!(", periods {shortest} to {longest} mm"),
+            None => String::new(),
+        }
+    }
+
+    fn in_zone(&self) -> String {
+        self.limit.zone().map_or(String::new(), |z| format!(", zone \"{z}\""))
+    }
+
+    /// The quantity in words, with the shape and the zone.
+    fn after(&self, quantity: String) -> String {
+        format!("{quantity} after {}{}", self.limit.after().name(), self.in_zone())
+    }
+}
+
+fn along(direction: Direction) -> &'static str {
+    match direction {
+        Direction::X => " along x",
+        Direction::Y => " along y",
+        Direction::Radial => ", radial",
+    }
+}
+
+fn place([x, y]: [f64; 2]) -> String {
+    format!("at x {}, y {} mm", significant(x, 4), significant(y, 4))
+}
+
+fn of_base(base_mm: f64) -> String {
+    match base_mm > 0.0 {
+        true => format!(", base {} mm", significant(base_mm, 4)),
+        false => " as measured".into(),
+    }
+}
+
+fn spectrum_line(piece: &Piece, direction: Direction) -> Result<&SpectrumLine, Invalid> {
+    let spectra = piece.spectra()?;
+    let line = match direction {
+        Direction::X => Some(&spectra.x),
+        Direction::Y => spectra.y.as_ref(),
+        Direction::Radial => spectra.radial.as_ref(),
+    };
+    line.ok_or_else(|| {
+        let remedy = "a profile has a spectrum along x only";
+        Invalid::whole("spectrum", "`along` is y or radial", remedy)
+    })
+}
+
+fn check_band(line: &SpectrumLine, band: [f64; 2]) -> Result<(), Invalid> {
+    match line.holds(band) {
+        true => Ok(()),
+        false => Err(no_frequency(line, band)),
+    }
+}
+
+fn no_frequency(line: &SpectrumLine, [low, high]: [f64; 2]) -> Invalid {
+    let f = &line.frequency_per_mm;
+    let problem = format!(
+        "has no frequency from {} to {} /mm (those of the zone: {} to {} /mm)",
+        significant(low, 4),
+        significant(high, 4),
+        significant(f[1], 4),
+        significant(f[f.len() - 1], 4)
+    );
+    Invalid::whole("spectrum", problem, "give periods that the zone holds")
+}
