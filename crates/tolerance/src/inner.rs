@@ -11,7 +11,7 @@
 use ndarray::Array2;
 use planish_types::{Grid, Surface};
 
-use crate::Free;
+use crate::settings::Free;
 
 /// Width of the TIF over that of a cell. The product of two Gaussians of this width is summed over cells with an
 /// error of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of what lies there.
