@@ -110,6 +110,16 @@ impl Inner {
         map
     }
 
+    /// 1 where the map is valid, 0 elsewhere.
+    pub fn validity(&self) -> Array2<f64> {
+        self.valid.mapv(|valid| if valid { 1.0 } else { 0.0 })
+    }
+
+    /// Orthonormal free terms; 0 where the map is invalid.
+    pub fn free(&self) -> &[Array2<f64>] {
+        &self.free
+    }
+
     /// Removes the free terms of a masked map.
     pub fn project(&self, map: &mut Array2<f64>) {
         for q in &self.free {

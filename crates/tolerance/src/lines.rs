@@ -133,8 +133,7 @@ impl Work<'_> {
                 let free = self.inner.cells.free.len() as f64;
                 let m = self.inner.count;
                 square = e.size * e.size * (1.0 - free / m).max(0.0);
-                reached =
-                    (e.size * e.size * (reach.count() as f64 - free).max(0.0) / m).min(square);
+                reached = (e.size * e.size * reach.of_white(&self.inner)).min(square);
             }
             let stated = &e.stated;
             Line {
@@ -153,7 +152,7 @@ impl Work<'_> {
         self.process.errors.iter().enumerate().map(line).collect()
     }
 
-    /// Standard deviation of every pixel over the runs, free terms removed from the fields of single numbers.
+    /// Standard deviation over the runs of every pixel of the residual.
     pub fn deviation_map(
         &self,
         linear: &[Linear],
@@ -174,8 +173,11 @@ impl Work<'_> {
             map.zip_mut_with(&l.field, |v, f| *v += (scale * f).powi(2));
         }
         for e in self.process.errors.iter().filter(|e| e.effect == Effect::MapNoise) {
-            map.mapv_inplace(|v| v + e.size * e.size);
+            map += e.size * e.size;
+            for q in self.inner.free() {
+                map.zip_mut_with(q, |v, q| *v -= e.size * e.size * q * q / self.inner.count);
+            }
         }
-        self.inner.with_nan(map.mapv(f64::sqrt))
+        self.inner.with_nan(map.mapv(|v| v.max(0.0).sqrt()))
     }
 }

@@ -80,6 +80,7 @@ pub struct Tolerance {
     /// An entry per error of the process.
     pub errors: Vec<Line>,
     /// What to improve first; none where no error adds anything.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub first: Option<First>,
     /// Runs that were simulated.
     pub runs: Vec<Pair>,

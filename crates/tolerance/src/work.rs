@@ -3,7 +3,7 @@
 use ndarray::Array2;
 use planish_numerics::orthogonal::legendre;
 use planish_simulate::{Plan, Settings as Simulation};
-use planish_types::{Axis, Invalid, Surface, Tif, Trajectory};
+use planish_types::{Axis, Invalid, Surface, Tif, Trajectory, text::significant};
 
 use crate::{
     deviation::Deviation,
@@ -96,8 +96,11 @@ impl<'a> Work<'a> {
                     stated.size,
                     stated.unit
                 );
-                let remedy =
-                    "give the size in its unit: an error moves the tool by less than its width";
+                let most = significant(largest / moved.abs() * stated.size.abs(), 3);
+                let remedy = format!(
+                    "give at most {most} {}: an error moves the tool by less than the TIF is wide",
+                    stated.unit
+                );
                 return Err(Invalid::at("errors", i, problem, remedy));
             }
         }
