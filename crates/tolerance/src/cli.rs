@@ -85,8 +85,13 @@ impl Tolerance {
         };
         plausible::check_tool(&surface, &tif)?;
 
-        let found = tolerance(&trajectory, &tif, &surface, &process, &settings)
-            .map_err(Failure::with_flags)?;
+        let found =
+            tolerance(&trajectory, &tif, &surface, &process, &settings).map_err(|e| {
+                match e.array {
+                    "errors" => Failure::new(format!("{}: {e}", self.process.display())),
+                    _ => Failure::with_flags(e),
+                }
+            })?;
 
         let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
         let grid = surface.grid();
@@ -99,16 +104,20 @@ impl Tolerance {
         ];
         let outcome = serde_json::to_value(&found)?;
         output.write_arrays(&kind::TOLERANCE, &arrays, &[], outcome, &Status::Done)?;
-        say(table(&found));
+        say(table(&found, settings.free));
         say(format!("-> {}", self.output.out.display()));
         Ok(Status::Done)
     }
 }
 
 /// What a person reads.
-fn table(found: &planish_tolerance::Tolerance) -> String {
+fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
+    let without = match free {
+        Free::Piston => "",
+        Free::Plane => " without the best plane",
+    };
     let mut lines = vec![
-        format!("{}: {:.4} nm RMS as planned", found.process, found.nominal_rms_nm),
+        format!("{}: {:.4} nm RMS{without} as planned", found.process, found.nominal_rms_nm),
         String::new(),
         "                                             adds   reached  not reached  departs by"
             .into(),
@@ -141,8 +150,10 @@ fn table(found: &planish_tolerance::Tolerance) -> String {
     ));
     if let Some(first) = &found.first {
         lines.push(format!(
-            "improve {} first: without it 95 % of the runs are below {:.4} nm",
-            first.kind, first.without_it_95_percent_nm
+            "improve {} first: without it 95 % of the runs are below {:.4} nm{}",
+            first.kind,
+            first.without_it_95_percent_nm,
+            if found.simulated { " (to first order)" } else { "" }
         ));
     }
     if !found.runs.is_empty() {

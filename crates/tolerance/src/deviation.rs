@@ -156,7 +156,7 @@ impl Deviation {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;
         let warm_up = |&(tau, a): &(f64, f64)| {
-            let gone = 1.0 - (-p.duration_s / tau).exp();
+            let gone = -(-p.duration_s / tau).exp_m1();
             -a * (-p.start_s / tau).exp() * gone * tau / p.duration_s
         };
         self.rate + self.drift * middle + self.warm_up.iter().map(warm_up).sum::<f64>()

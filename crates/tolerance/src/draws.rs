@@ -21,7 +21,15 @@ use crate::process::Distribution;
 /// Draws from one stream of random numbers.
 const DRAWS_PER_STREAM: usize = 1000;
 
-/// The streams of the draws among those of a seed.
+/// Where the streams of random numbers of each use begin among those of a seed: runs with one error, fields of
+/// the noise, runs with all errors, runs in the place of a line, and the draws, which have all from theirs on.
+pub const DEPARTURE_STREAM: u64 = 0;
+/// Fields of the noise.
+pub const POOL_STREAM: u64 = 1 << 20;
+/// Runs with all errors.
+pub const RUN_STREAM: u64 = 1 << 24;
+/// Runs in the place of a line.
+pub const LINE_STREAM: u64 = 1 << 30;
 const FIRST_STREAM: u64 = 1 << 32;
 
 /// A Gram matrix loses directions below this part of the largest.
@@ -86,6 +94,27 @@ pub fn orthonormal(gram: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
 }
 
 impl Model {
+    /// Mean over the runs of the mean square, nm^2.
+    pub fn mean_square(&self) -> f64 {
+        let mut e = self.nominal.clone();
+        let mut square = self.noise.trace() + self.rest;
+        for term in &self.terms {
+            match term.distribution {
+                Distribution::Fixed => e -= &term.coordinates,
+                Distribution::Normal => square += term.coordinates.norm_squared(),
+                Distribution::Uniform => square += term.coordinates.norm_squared() / 3.0,
+            }
+        }
+        e.norm_squared() + square
+    }
+
+    /// RMS, nm, of `count` runs, ascending.
+    pub fn sorted(&self, count: usize, seed: u64) -> Vec<f64> {
+        let mut rms = self.draw(count, seed);
+        rms.sort_unstable_by(f64::total_cmp);
+        rms
+    }
+
     /// RMS, nm, of `count` runs.
     pub fn draw(&self, count: usize, seed: u64) -> Vec<f64> {
         // noise = root root'; a map of one pixel has no residual, and no dimension

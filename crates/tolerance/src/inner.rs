@@ -11,7 +11,7 @@
 use ndarray::Array2;
 use planish_types::{Grid, Surface};
 
-use crate::Free;
+use crate::settings::Free;
 
 /// Width of the TIF over that of a cell. The product of two Gaussians of this width is summed over cells with an
 /// error of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of what lies there.
@@ -108,6 +108,16 @@ impl Inner {
             }
         });
         map
+    }
+
+    /// 1 where the map is valid, 0 elsewhere.
+    pub fn validity(&self) -> Array2<f64> {
+        self.valid.mapv(|valid| if valid { 1.0 } else { 0.0 })
+    }
+
+    /// Orthonormal free terms; 0 where the map is invalid.
+    pub fn free(&self) -> &[Array2<f64>] {
+        &self.free
     }
 
     /// Removes the free terms of a masked map.

@@ -11,7 +11,14 @@
 //! Ornstein-Uhlenbeck process is Markovian: with the mean of g over piece k, whose covariance with that over an
 //! earlier piece l is `sigma^2 a_k a_l exp(-gap / tau)`, `a = tau / h (1 - exp(-h / tau))` of its duration h,
 //! one pass over the pieces carries `s = sum_l a_l b_l exp(-gap / tau)` along, cell by cell, or for whatever
-//! linear functional of b is wanted.
+//! linear functional of b is wanted. The variance of P n in a place is, with the free terms q,
+//!
+//! ```text
+//! Var n(x) - 2 sum_q q(x) Cov(n(x), <q, n>) + sum_qr q(x) r(x) Cov(<q, n>, <r, n>)
+//! Cov(n(x), <q, n>) = sum_k b_k(x) c_kq,    c_kq = sum_l C_kl <q, b_l>
+//! ```
+//!
+//! and c_kq is what a pass forwards and one backwards carry.
 //!
 //! Every quantity here is for an error of size one.
 
@@ -79,7 +86,7 @@ impl Field {
 
 /// What the errors of one kind add at size one.
 pub struct Response {
-    /// Variance on the cells, nm^2.
+    /// Variance on the cells, free terms removed, nm^2.
     pub variance: Vec<f64>,
     /// Mean square that is added, free terms removed, nm^2.
     pub mean_square: f64,
@@ -263,7 +270,11 @@ impl<'a> Columns<'a> {
             squares.iter_mut().zip(z).for_each(|(s, v)| *s += variance * v * v);
             add_outer(&mut covariance, &z[basis.clone()], &z[basis.clone()], variance);
         }
-        self.finish(on_cells, &squares, free, basis, covariance)
+        let mean_square = self.mean_square(&on_cells, &squares[free.clone()]);
+        let carried: Vec<Vec<f64>> =
+            all.iter().map(|z| z[free.clone()].iter().map(|z| variance * z).collect()).collect();
+        self.remove_free(&mut on_cells, &fields, &all, &carried);
+        self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
     /// The Ornstein-Uhlenbeck process of standard deviation one.
@@ -279,6 +290,8 @@ impl<'a> Columns<'a> {
         let mut covariance = DMatrix::zeros(basis.len(), basis.len());
         let mut carried_z = vec![0.0; self.functionals.len()];
         let mut now = 0.0;
+        // c_kq
+        let mut with_all = Vec::with_capacity(all.len());
         for ((piece, field), z) in self.motion.pieces.iter().zip(&self.piece).zip(&all) {
             let (start, h) = (piece.start_s, piece.duration_s);
             let mean = Mean::over(h / tau);
@@ -296,6 +309,9 @@ impl<'a> Columns<'a> {
             for ((square, v), s) in squares.iter_mut().zip(z).zip(&carried_z) {
                 *square += mean.variance * v * v + 2.0 * mean.weight * v * s;
             }
+            let each = z[free.clone()].iter().zip(&carried_z);
+            let with_earlier = |(z, s): (&f64, &f64)| mean.variance * z + mean.weight * s;
+            with_all.push(each.map(with_earlier).collect::<Vec<f64>>());
             let (b, s) = (&z[basis.clone()], &carried_z[basis.clone()]);
             add_outer(&mut covariance, b, b, mean.variance);
             add_outer(&mut covariance, b, s, mean.weight);
@@ -306,7 +322,57 @@ impl<'a> Columns<'a> {
             }
             now = start + h;
         }
-        self.finish(on_cells, &squares, free, basis, covariance)
+        let mut later = vec![0.0; free.len()];
+        for ((piece, z), c) in self.motion.pieces.iter().zip(&all).zip(&mut with_all).rev() {
+            let (end, h) = (piece.start_s + piece.duration_s, piece.duration_s);
+            let mean = Mean::over(h / tau);
+            let (gap, decay) = (((end - now) / tau).exp(), (-h / tau).exp());
+            for ((s, z), c) in later.iter_mut().zip(z).zip(c) {
+                *s *= gap;
+                *c += mean.weight * *s;
+                *s = *s * decay + mean.weight * z;
+            }
+            now = piece.start_s;
+        }
+        let mean_square = self.mean_square(&on_cells, &squares[free]);
+        self.remove_free(&mut on_cells, &self.piece, &all, &with_all);
+        self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
+    }
+
+    /// From the variance on the cells and the squares of the free terms, nm^2.
+    fn mean_square(&self, variance: &[f64], free: &[f64]) -> f64 {
+        let weight = &self.inner.cells.weight;
+        let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
+        (all - free.iter().sum::<f64>()).max(0.0)
+    }
+
+    /// Removes the free terms from the variance on the cells; c_kq are `carried`.
+    fn remove_free(
+        &self,
+        variance: &mut [f64],
+        fields: &[Field],
+        functionals: &[Vec<f64>],
+        carried: &[Vec<f64>],
+    ) {
+        let free = &self.inner.cells.free;
+        let mut between = DMatrix::zeros(free.len(), free.len());
+        for (z, c) in functionals.iter().zip(carried) {
+            add_outer(&mut between, &z[..free.len()], c, 1.0);
+        }
+        for (q, term) in free.iter().enumerate() {
+            for (r, other) in free.iter().enumerate() {
+                let pairs = variance.iter_mut().zip(term).zip(other);
+                pairs.for_each(|((v, q_at), r_at)| *v += between[(q, r)] * q_at * r_at);
+            }
+            for (field, c) in fields.iter().zip(carried) {
+                for (first, line) in field.lines(self.inner.cells.shape.1) {
+                    let cells = first..first + line.len();
+                    let each = variance[cells.clone()].iter_mut().zip(&term[cells]).zip(line);
+                    each.for_each(|((v, q_at), b)| *v -= 2.0 * c[q] * q_at * b);
+                }
+            }
+        }
+        variance.iter_mut().for_each(|v| *v = v.max(0.0));
     }
 
     /// Where the free terms and the basis stand among the functionals.
@@ -318,16 +384,12 @@ impl<'a> Columns<'a> {
     fn finish(
         &self,
         variance: Vec<f64>,
-        squares: &[f64],
-        free: Range<usize>,
-        basis: Range<usize>,
+        mean_square: f64,
+        cosines: &[f64],
         covariance: DMatrix<f64>,
     ) -> Response {
-        let weight = &self.inner.cells.weight;
-        let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
-        let mean_square = (all - squares[free].iter().sum::<f64>()).max(0.0);
         // What sampling on cells adds to the cosines is not more than there is.
-        let reached = squares[basis.end..].iter().sum::<f64>().clamp(0.0, mean_square);
+        let reached = cosines.iter().sum::<f64>().clamp(0.0, mean_square);
         Response { variance, mean_square, reached, covariance }
     }
 

@@ -26,11 +26,11 @@ pub enum Kind {
     RateWarmUp,
     /// The rate fluctuates: an Ornstein-Uhlenbeck process of this standard deviation.
     RateNoise,
-    /// The part is misplaced along x.
+    /// The tool is displaced along x against the map.
     OffsetX,
-    /// The part is misplaced along y.
+    /// The tool is displaced along y against the map.
     OffsetY,
-    /// The part is rotated about the middle of the map.
+    /// The axes are rotated against the map, from x to y, about its middle.
     Rotation,
     /// The machine's lengths are larger than those of the map.
     Magnification,
@@ -40,7 +40,7 @@ pub enum Kind {
     TifWidth,
     /// The TIF is longer along x by half of this, and shorter along y.
     TifEllipticity,
-    /// The TIF is rotated.
+    /// The TIF is rotated about the place of the tool, from x to y.
     TifRotation,
     /// The beam is beside the place of the tool along x.
     TifOffsetX,
@@ -265,9 +265,15 @@ impl ErrorFile {
                 "give a finite number",
             ));
         }
-        if size < 0.0 && self.distribution != Distribution::Fixed {
+        let remedy = match (self.kind, self.distribution) {
+            (Kind::ServoFirstOrder | Kind::ServoSecondOrder, Distribution::Fixed) => {
+                "axes are not ahead of their command; give the lag, or a velocity_lag"
+            }
+            (_, Distribution::Fixed) => "",
+            _ => "a standard deviation or half a width is not negative; give its magnitude",
+        };
+        if size < 0.0 && !remedy.is_empty() {
             let problem = format!("the size of {name} is {} {}", self.size, self.unit);
-            let remedy = "a standard deviation or half a width is not negative; give its magnitude";
             return Err(bad(problem, remedy));
         }
         if size.abs() > largest {
@@ -281,7 +287,8 @@ impl ErrorFile {
         Ok(ProcessError { stated: self, size, effect })
     }
 
-    /// Noise along the run is normal, a tick uniform; all else may scatter as it likes.
+    /// Noise along the run is normal, a tick uniform, and a servo's lag, which is not negative, fixed; all else may
+    /// scatter as it likes.
     fn check_distribution(&self, index: usize, name: &str) -> Result<(), Invalid> {
         use Kind::*;
         let only = match self.kind {
@@ -289,6 +296,7 @@ impl ErrorFile {
                 Distribution::Normal
             }
             TimingTick => Distribution::Uniform,
+            ServoFirstOrder | ServoSecondOrder => Distribution::Fixed,
             _ => return Ok(()),
         };
         if self.distribution == only {

@@ -90,16 +90,21 @@ impl Reach {
         Self { y: all(ny, &y_axis), x: all(nx, &x_axis), reached, pairs, x_axis, y_axis }
     }
 
-    /// Number of cosines.
-    pub fn count(&self) -> usize {
-        self.pairs.len()
-    }
-
     /// What the tool reaches of the mean square of a map that is 0 where it is invalid.
     pub fn mean_square(&self, inner: &Inner, map: &Array2<f64>) -> f64 {
         let coefficients = self.y.dot(map).dot(&self.x.t());
         let reached = coefficients.iter().zip(&self.reached).filter(|(_, r)| **r);
         reached.map(|(c, _)| c * c).sum::<f64>() / inner.count
+    }
+
+    /// What the tool reaches of the mean square of P w, with w white noise of variance one on the valid pixels:
+    /// `tr(P C' C P) / m = (sum over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
+    pub fn of_white(&self, inner: &Inner) -> f64 {
+        let square = |a: &Array2<f64>| a.mapv(|v| v * v);
+        let on_valid = square(&self.y).dot(&inner.validity()).dot(&square(&self.x).t());
+        let all: f64 = on_valid.iter().zip(&self.reached).filter(|(_, r)| **r).map(|c| c.0).sum();
+        let free: f64 = inner.free().iter().map(|q| self.mean_square(inner, q)).sum();
+        ((all - free) / inner.count).max(0.0)
     }
 
     /// The cosines as fields on the cells, so that their inner products with fields there are the coefficients
@@ -143,4 +148,48 @@ pub struct CosinesOnCells {
     pub x: Array2<f64>,
     /// The reached (k, j).
     pub pairs: Vec<(usize, usize)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use planish_types::{Grid, Surface};
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+    use crate::settings::Free;
+
+    /// On a disk, which fills 3/5 of its rectangle, against the mean over drawn maps.
+    #[test]
+    fn of_white_noise_the_tool_reaches_what_drawn_maps_say() {
+        let axis = |n| Axis::new(0.0, 0.5, n).unwrap();
+        let grid = Grid { x: axis(48), y: axis(40) };
+        let disk = |(r, c): (usize, usize)| {
+            let (x, y) = (grid.x.at(c) - 12.0, grid.y.at(r) - 10.0);
+            if x * x + y * y < 90.0 { 0.0 } else { f64::NAN }
+        };
+        let desired = Surface::new(grid, Array2::from_shape_fn(grid.shape(), disk)).unwrap();
+        let of = Axis::new(-5.0, 0.5, 21).unwrap();
+        let rate = |(r, c): (usize, usize)| (-(of.at(r).powi(2) + of.at(c).powi(2)) / 2.0).exp();
+        let tif = Tif::new(Grid { x: of, y: of }, Array2::from_shape_fn((21, 21), rate)).unwrap();
+        for free in [Free::Piston, Free::Plane] {
+            let inner = Inner::new(&desired, free, 1.0);
+            let reach = Reach::new(&inner, &tif, 1.0);
+            let mut rng = ChaCha8Rng::seed_from_u64(7);
+            let maps = 400;
+            let drawn: Vec<f64> = (0..maps)
+                .map(|_| {
+                    let draw = |_| StandardNormal.sample(&mut rng);
+                    let white = Array2::from_shape_fn(grid.shape(), draw);
+                    reach.mean_square(&inner, &inner.judged(white))
+                })
+                .collect();
+            let mean = drawn.iter().sum::<f64>() / f64::from(maps);
+            let square = drawn.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / f64::from(maps);
+            // Four standard errors of the mean.
+            let bound = 4.0 * (square / f64::from(maps)).sqrt();
+            assert!(bound < 0.1 * mean && (reach.of_white(&inner) - mean).abs() < bound);
+        }
+    }
 }

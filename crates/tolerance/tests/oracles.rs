@@ -3,9 +3,10 @@
 mod example;
 
 use example::{desired, process, raster, tif};
+use ndarray::Array2;
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_tolerance::{Free, Settings, Tolerance, tolerance};
-use planish_types::{Trajectory, TrajectoryBuilder};
+use planish_types::{Tif, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};
 
 fn settings() -> Settings {
@@ -89,12 +90,16 @@ fn twice_the_error_is_twice_its_line() {
     }
 }
 
-/// RMS of the difference between the removal of two motions, free terms as `free` says.
+/// RMS of the difference between the removal of two motions, the mean removed.
 fn apart(a: &Trajectory, b: &Trajectory) -> f64 {
     let removal = |t: &Trajectory| {
         simulate(t, &tif(), &desired(), Simulation::Gridded).unwrap().removal.removal_nm().clone()
     };
-    let difference = removal(a) - removal(b);
+    rms(removal(a) - removal(b))
+}
+
+/// RMS over the valid pixels, the mean removed.
+fn rms(difference: Array2<f64>) -> f64 {
     let valid = desired().height_nm().mapv(|z| !z.is_nan());
     let values: Vec<f64> =
         difference.iter().zip(&valid).filter(|(_, v)| **v).map(|(d, _)| *d).collect();
@@ -248,4 +253,88 @@ fn large_errors_are_simulated() {
     let ratio = found.errors[0].adds_rms_nm / linear;
     // Less than the tangent, and not by orders of magnitude.
     assert!((0.3..1.3).contains(&ratio), "{ratio}");
+}
+
+/// The square of the map of deviations has over the pixels the mean of the squares of the lines, also where the
+/// noise is mostly a piston; lines that are fixed do not scatter.
+#[test]
+fn the_map_of_deviations_is_that_of_the_residual() {
+    let lasting = with(error("rate_noise", 1.0, "%", "normal"), "correlation_s", 1e4);
+    for free in [Free::Piston, Free::Plane] {
+        let settings = Settings { free, simulated_runs: 0, ..settings() };
+        for errors in [json!([lasting.clone()]), every(1.0)] {
+            let found = of(errors, &settings);
+            let scatters = |kind: &str| {
+                !["rate_warm_up", "servo_first_order", "servo_second_order", "backlash"]
+                    .contains(&kind)
+            };
+            let lines = found.errors.iter().filter(|l| scatters(&l.kind));
+            let expected: f64 = lines.map(|l| l.adds_rms_nm.powi(2)).sum();
+            let valid: Vec<f64> =
+                found.deviation_nm.iter().filter(|v| !v.is_nan()).map(|v| v * v).collect();
+            let mean = valid.iter().sum::<f64>() / valid.len() as f64;
+            // The same sums in another order, but for the cells where rounding is all that is left.
+            assert!((mean / expected - 1.0).abs() < 1e-9, "{free:?}: {mean} {expected}");
+        }
+    }
+}
+
+/// RMS of the difference of what two TIFs remove on the plan, the mean removed.
+fn of_tif(of: impl Fn(f64, f64) -> f64) -> f64 {
+    let grid = *tif().grid();
+    let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| of(grid.x.at(c), grid.y.at(r)));
+    let other = Tif::new(grid, rate).unwrap();
+    let removal = |tif: &Tif| {
+        simulate(&raster(), tif, &desired(), Simulation::Gridded)
+            .unwrap()
+            .removal
+            .removal_nm()
+            .clone()
+    };
+    rms(removal(&other) - removal(&tif()))
+}
+
+/// A wider and an elliptical TIF against Gaussians of these widths and the same volume, within 3 %: the quadratics
+/// smooth a Gaussian by 1e-3 of it, and the second order of 1 % is 1 %.
+#[test]
+fn a_wider_and_an_elliptical_tif_are_gaussians_of_other_widths() {
+    let gauss = |sx: f64, sy: f64| {
+        of_tif(move |x, y| 8.0 / (sx * sy) * (-0.5 * ((x / sx).powi(2) + (y / sy).powi(2))).exp())
+    };
+    for (kind, expected) in
+        [("tif_width", gauss(1.01, 1.01)), ("tif_ellipticity", gauss(1.005, 0.995))]
+    {
+        let line = &of(json!([error(kind, 1.0, "%", "fixed")]), &settings()).errors[0];
+        let ratio = line.adds_rms_nm / expected;
+        assert!((ratio - 1.0).abs() < 0.03, "{kind}: {ratio}");
+    }
+}
+
+/// A warm-up, and play, of the planned motion with the error in it: every line of the raster is short of its
+/// command by half the play, and the steps from line to line, which all ascend, by a constant after the first.
+#[test]
+fn a_warm_up_and_play_are_what_a_changed_motion_does() {
+    let tau = 30.0;
+    let cold = changed(|t, h, c| {
+        let mean = (-t / tau).exp() * (1.0 - (-h / tau).exp()) * tau / h;
+        let rate = 1.0 - 0.02 * mean;
+        (rate * h, slower(rate, c))
+    });
+    let play = 0.05;
+    let loose = changed(|t, h, mut c| {
+        let back = c[0][1] < 0.0 || (c[0][1] == 0.0 && c[0][0] < 0.0);
+        c[0][0] -= if back { -0.5 * play } else { 0.5 * play };
+        c[1][0] -= if t > 0.0 && c[1][0] > -3.0 || c[1][1] > 0.0 { 0.5 * play } else { 0.0 };
+        (h, c)
+    });
+    let cases = [
+        (with(error("rate_warm_up", 2.0, "%", "fixed"), "time_constant_s", tau), cold),
+        (error("backlash", 50.0, "um", "fixed"), loose),
+    ];
+    for (error, motion) in cases {
+        let line = &of(json!([error]), &settings()).errors[0];
+        let simulated = apart(&motion, &raster());
+        let ratio = line.adds_rms_nm / simulated;
+        assert!((ratio - 1.0).abs() < 0.02, "{}: {ratio}", line.kind);
+    }
 }

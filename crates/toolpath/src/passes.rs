@@ -23,18 +23,16 @@ pub struct PassesSettings {
 pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, Invalid> {
     let PassesSettings { passes, back } = *settings;
     let n = path.len();
-    // A lift between two passes is a segment more.
-    let most = MAX_SEGMENTS / (n + 1);
-    if passes < 2 || passes > most {
-        let remedy = format!("give 2 to {most} for a path of {n} segments");
-        return Err(Invalid::whole("passes", format!("are {passes}"), remedy));
-    }
+    check_count(passes, n)?;
     let first = path.pass_idx().iter().min().copied().unwrap_or(0);
     let last = path.pass_idx().iter().max().copied().unwrap_or(0);
-    let Some(own) = last.checked_sub(first).and_then(|d| usize::try_from(d).ok()) else {
+    // All of them are counted in 64 bits.
+    let span = last.checked_sub(first).and_then(|d| d.checked_add(1));
+    let Some(own) = span.filter(|own| own.checked_mul(passes as i64).is_some()) else {
         let problem = format!("reach from {first} to {last}");
         return Err(Invalid::whole("pass_idx", problem, "count the passes from 0"));
     };
+    let own = own as usize;
     let mut draft = Draft::default();
     let mut dwell_point_mm = Vec::with_capacity(passes * (n + 1));
     let points = path.point_mm();
@@ -43,7 +41,7 @@ pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, In
         let backwards = back && pass % 2 == 1;
         let index = |i: usize| {
             let of = (path.pass_idx()[i] - first) as usize;
-            pass * (own + 1) + if backwards { own - of } else { of }
+            pass * own + if backwards { own - 1 - of } else { of }
         };
         let here = draft.point_mm[draft.point_mm.len() - 1];
         if pass > 0 && !back && here != points[0] {
@@ -58,6 +56,20 @@ pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, In
         }
     }
     ToolPath::new(draft.point_mm, dwell_point_mm, draft.tool_on, draft.pass_idx)
+}
+
+/// Refuses one pass, and more segments than a path may have.
+fn check_count(passes: usize, segments: usize) -> Result<(), Invalid> {
+    // A lift between two passes is a segment more.
+    let most = MAX_SEGMENTS / (segments + 1);
+    let remedy = match most {
+        0 | 1 => format!("two of {segments} segments are too many: give a path of fewer"),
+        _ => format!("give 2 to {most} for a path of {segments} segments"),
+    };
+    match passes {
+        2.. if passes <= most => Ok(()),
+        _ => Err(Invalid::whole("passes", format!("are {passes}"), remedy)),
+    }
 }
 
 #[cfg(test)]
@@ -106,6 +118,20 @@ mod tests {
             let message = passes(&path(), &PassesSettings { passes: count, back: true });
             let message = message.unwrap_err().to_string();
             assert!(message.contains(&format!("passes: are {count}; give 2 to")), "{message}");
+        }
+        assert!(check_count(2, MAX_SEGMENTS / 2 - 1).is_ok());
+        let message = check_count(2, MAX_SEGMENTS / 2).unwrap_err().to_string();
+        assert!(message.contains("give a path of fewer"), "{message}");
+    }
+
+    #[test]
+    fn passes_that_cannot_be_counted_are_refused() {
+        for far in [i64::MAX, i64::MAX / 2] {
+            let points = vec![[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]];
+            let path = ToolPath::through(points, vec![true; 2], vec![0, far]).unwrap();
+            let message = passes(&path, &PassesSettings { passes: 3, back: true }).unwrap_err();
+            let expected = format!("pass_idx: reach from 0 to {far}; count the passes from 0");
+            assert_eq!(message.to_string(), expected);
         }
     }
 }

@@ -1,0 +1,128 @@
+//! The budget of the errors, from the plan to the table, the distribution, and what to improve first.
+
+use planish_types::{Invalid, Surface, Tif, Trajectory};
+
+use crate::{
+    distribution::{Errors, Span},
+    draws::{Model, quantile},
+    noise::{Columns, Response},
+    process::{Noise, Process},
+    reach::Reach,
+    report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
+    settings::Settings,
+    tool::{smooth, width_mm},
+    work::Work,
+};
+
+/// Largest departure of an error from its first order, as a part of what it adds; above, it is simulated, unless
+/// the departure is less than [`SEEN`].
+pub const LARGEST_DEPARTURE: f64 = 0.1;
+
+/// A departure that is seen, as a part of the RMS that is expected: a smaller one changes that by 5e-5 of it.
+pub const SEEN: f64 = 0.01;
+
+/// Runs from which the distribution is taken where the first order is not enough.
+const RUNS_OF_ALL: usize = 200;
+
+/// Draws from which it is known what 95 % of the runs are below without one of the errors.
+const DRAWS_WITHOUT_ONE: usize = 10_000;
+
+/// What `process` adds to the residual of `trajectory` on `desired`.
+pub fn tolerance(
+    trajectory: &Trajectory,
+    tif: &Tif,
+    desired: &Surface,
+    process: &Process,
+    settings: &Settings,
+) -> Result<Tolerance, Invalid> {
+    settings.check()?;
+    let (seed, width) = (settings.seed, width_mm(tif));
+    let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, width)? };
+    let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;
+
+    // f_i, and n
+    let linear = work.linear(width)?;
+    let span = Span::new(&work, &linear);
+    let reach = Reach::new(&work.inner, &moved, width);
+    let noises = work.noises();
+    let displaced = noises.iter().any(|(_, n, _)| *n == Noise::Position);
+    let columns = match noises.is_empty() {
+        true => None,
+        false => Some(Columns::new(
+            &work.motion,
+            &work.inner,
+            &moved,
+            reach.on_cells(&work.inner),
+            span.basis.clone(),
+            displaced,
+        )?),
+    };
+    let columns = columns.as_ref();
+    let response = |of: &Columns<'_>| -> Vec<(usize, f64, Response)> {
+        noises.iter().map(|(i, noise, size)| (*i, *size, of.response(*noise))).collect()
+    };
+    let responses = columns.map(response).unwrap_or_default();
+
+    // What each adds alone
+    let departures = work.departures(&linear, columns, seed)?;
+    let mut lines = work.lines(&linear, &responses, &reach, &departures);
+
+    // What all add together
+    let errors = Errors::new(&work, &linear, &responses, &span, columns, seed);
+    let whole = errors.model(None);
+    let expected_rms_nm = whole.mean_square().sqrt();
+    let departs = |line: &Line| {
+        line.departs_by_rms_nm > LARGEST_DEPARTURE * line.adds_rms_nm
+            && line.departs_by_rms_nm > SEEN * expected_rms_nm
+    };
+    let simulated = lines.iter().any(departs);
+    for (i, line) in lines.iter_mut().enumerate().filter(|(_, l)| departs(l)) {
+        work.simulate_line(i, line, &reach, seed)?;
+    }
+    let least = if simulated { RUNS_OF_ALL } else { 0 };
+    let runs = work.runs(settings.simulated_runs.max(least), &linear, columns, seed)?;
+    let rms = if simulated {
+        let mut rms: Vec<f64> = runs.iter().map(|r| r.simulated_rms_nm).collect();
+        rms.sort_unstable_by(f64::total_cmp);
+        rms
+    } else {
+        whole.sorted(settings.draws, seed)
+    };
+    let residual = Quantiles {
+        median_nm: quantile(&rms, 0.5),
+        below_95_percent_nm: quantile(&rms, 0.95),
+        interval_95_percent_nm: [quantile(&rms, 0.025), quantile(&rms, 0.975)],
+    };
+    let [low, high] = residual.interval_95_percent_nm;
+    let difference = |p: &Pair| (p.simulated_rms_nm / p.first_order_rms_nm - 1.0).abs();
+    let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(difference);
+    let level = |k: usize| k as f64 / (LEVELS - 1) as f64;
+    Ok(Tolerance {
+        process: process.name.clone(),
+        nominal_rms_nm: work.rms(&work.nominal),
+        expected_rms_nm,
+        residual,
+        simulated,
+        first: first(&errors, &lines, settings),
+        errors: lines,
+        largest_difference: differences.fold(0.0, f64::max),
+        within_interval: runs.iter().filter(|p| (low..=high).contains(&p.simulated_rms_nm)).count(),
+        runs,
+        levels: (0..LEVELS).map(|k| (level(k), quantile(&rms, level(k)))).collect(),
+        deviation_nm: work.deviation_map(&linear, &responses),
+    })
+}
+
+/// The error without which the residual that 95 % of the runs are below is least.
+fn first(errors: &Errors<'_>, lines: &[Line], settings: &Settings) -> Option<First> {
+    // With the same random numbers for all: what differs is the error that is left out.
+    let draws = settings.draws.min(DRAWS_WITHOUT_ONE);
+    let below = |model: &Model| quantile(&model.sorted(draws, settings.seed), 0.95);
+    let without: Vec<f64> = (0..lines.len()).map(|i| below(&errors.model(Some(i)))).collect();
+    let (index, least) = without.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (least < below(&errors.model(None))).then(|| First {
+        index,
+        kind: lines[index].kind.clone(),
+        without_it_95_percent_nm: least,
+    })
+}

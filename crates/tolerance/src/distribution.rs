@@ -1,0 +1,160 @@
+//! The distribution of the residual: all errors in an orthonormal basis of e0 and the f_i, and what of the noise is
+//! outside of it.
+
+use nalgebra::{DMatrix, DVector};
+use ndarray::Array2;
+use rayon::prelude::*;
+
+use crate::{
+    deviation::Deviation,
+    draws::{Model, POOL_STREAM, Term, orthonormal, stream},
+    lines::Linear,
+    noise::{Columns, Response, sample},
+    process::Effect,
+    work::Work,
+};
+
+/// Fields from which trace(S_perp^2) is estimated: 1128 pairs.
+const POOL: usize = 48;
+
+/// e0 and the f_i in an orthonormal basis of their span.
+pub struct Span {
+    /// Of e0, then of the f_i, a column each.
+    coordinates: DMatrix<f64>,
+    /// The basis on the cells.
+    pub basis: Vec<Vec<f64>>,
+}
+
+impl Span {
+    /// Of the residual of the plan and the fields of the errors.
+    pub fn new(work: &Work<'_>, linear: &[Linear]) -> Self {
+        let maps: Vec<&Array2<f64>> =
+            [&work.nominal].into_iter().chain(linear.iter().map(|l| &l.field)).collect();
+        let n = maps.len();
+        let rows: Vec<Vec<f64>> = (0..n)
+            .into_par_iter()
+            .map(|i| (0..=i).map(|j| work.inner.dot(maps[i], maps[j])).collect())
+            .collect();
+        let gram = DMatrix::from_fn(n, n, |i, j| rows[i.max(j)][i.min(j)]);
+        let (coordinates, basis) = orthonormal(&gram);
+        let on_cells: Vec<Vec<f64>> = maps.iter().map(|m| work.inner.to_cells(m)).collect();
+        let basis = basis
+            .column_iter()
+            .map(|b| {
+                let mut field = vec![0.0; work.inner.cells.weight.len()];
+                for (map, b) in on_cells.iter().zip(b.iter()) {
+                    field.iter_mut().zip(map).for_each(|(v, m)| *v += b * m);
+                }
+                work.inner.project_on_cells(&mut field);
+                field
+            })
+            .collect();
+        Self { coordinates, basis }
+    }
+}
+
+/// All errors of a process.
+pub struct Errors<'a> {
+    work: &'a Work<'a>,
+    linear: &'a [Linear],
+    /// Index of the error, size, and what it adds at size one.
+    responses: &'a [(usize, f64, Response)],
+    span: &'a Span,
+    /// trace(S_perp^2) of all the noise along the run, nm^4.
+    noise_squares: f64,
+}
+
+impl<'a> Errors<'a> {
+    /// Of what was found of each.
+    pub fn new(
+        work: &'a Work<'a>,
+        linear: &'a [Linear],
+        responses: &'a [(usize, f64, Response)],
+        span: &'a Span,
+        columns: Option<&Columns<'_>>,
+        seed: u64,
+    ) -> Self {
+        let noise_squares = columns.map_or(0.0, |c| noise_squares(work, c, &span.basis, seed));
+        Self { work, linear, responses, span, noise_squares }
+    }
+
+    /// What is drawn, without one of the errors where one is named.
+    pub fn model(&self, without: Option<usize>) -> Model {
+        let coordinates = &self.span.coordinates;
+        let dimension = coordinates.nrows();
+        let column = |i: usize| DVector::from_column_slice(coordinates.column(i).as_slice());
+        let term = |(i, l): (usize, &Linear)| Term {
+            distribution: l.distribution,
+            coordinates: column(i + 1) * if Some(l.error) == without { 0.0 } else { l.size },
+        };
+        let mut noise = DMatrix::zeros(dimension, dimension);
+        let (mut all, mut total) = (0.0, 0.0);
+        for (i, size, response) in self.responses {
+            let square = size * size;
+            total += square * response.mean_square;
+            if Some(*i) != without {
+                noise += &response.covariance * square;
+                all += square * response.mean_square;
+            }
+        }
+        let smooth = (all - noise.trace()).max(0.0);
+        // trace(S_perp^2) of the whole noise, for what is left of it
+        let part = if total > 0.0 { all / total } else { 0.0 };
+        let squares = self.noise_squares * part * part;
+        // White noise of the map: m numbers, less the free terms, of the same variance on every pixel
+        let (white, m) = (self.white(without), self.work.inner.count);
+        for k in 0..dimension {
+            noise[(k, k)] += white / m;
+        }
+        let free = self.work.inner.cells.free.len() as f64;
+        let pixels = (m - free - dimension as f64).max(0.0);
+        Model {
+            nominal: column(0),
+            terms: self.linear.iter().enumerate().map(term).collect(),
+            rest: smooth + white * pixels / m,
+            rest_variance: 2.0
+                * (squares + 2.0 * white / m * smooth + white * white * pixels / (m * m)),
+            noise,
+        }
+    }
+
+    /// Variance of a pixel of the map by its noise, nm^2.
+    fn white(&self, without: Option<usize>) -> f64 {
+        let each = self.work.process.errors.iter().enumerate();
+        each.filter(|(i, e)| e.effect == Effect::MapNoise && Some(*i) != without)
+            .map(|(_, e)| e.size * e.size)
+            .sum()
+    }
+}
+
+/// trace(S_perp^2) of the noise along the run, from products of independent draws of it:
+/// E <n, n'>^2 = trace(S^2).
+fn noise_squares(work: &Work<'_>, columns: &Columns<'_>, basis: &[Vec<f64>], seed: u64) -> f64 {
+    let noises = work.noises();
+    let inner = &work.inner;
+    let fields: Vec<Vec<f64>> = (0..POOL as u64)
+        .into_par_iter()
+        .map(|k| {
+            let mut rng = stream(seed, POOL_STREAM + k);
+            let mut run = Deviation::default();
+            for (_, noise, size) in &noises {
+                sample(*noise, *size, &work.motion, &mut rng, &mut run);
+            }
+            let mut field = columns.change(&run);
+            inner.project_on_cells(&mut field);
+            for q in basis {
+                let c = inner.dot_on_cells(q, &field);
+                field.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
+            }
+            field
+        })
+        .collect();
+    let squares: Vec<f64> = (0..POOL)
+        .into_par_iter()
+        .map(|i| {
+            let product = |j: usize| inner.dot_on_cells(&fields[i], &fields[j]);
+            (0..i).map(|j| product(j).powi(2)).sum()
+        })
+        .collect();
+    squares.iter().sum::<f64>() / (POOL * (POOL - 1) / 2) as f64
+}

@@ -1,0 +1,183 @@
+//! The table: what every error adds alone, to first order, and how far a run with it is from that.
+
+use ndarray::Array2;
+use planish_types::Invalid;
+use rayon::prelude::*;
+
+use crate::{
+    deviation::Deviation,
+    draws::{DEPARTURE_STREAM, stream},
+    noise::{Columns, Response, sample},
+    process::{Distribution, Effect, ProcessError, Scalar},
+    reach::Reach,
+    report::Line,
+    work::Work,
+};
+
+/// Pairs of simulated deviations move the tool by this part of the width of the TIF, or change it by as much:
+/// the third order, which does not cancel, is 1e-4 / 6 of the first.
+const STEP: f64 = 0.01;
+
+/// A field that one number decides, and what it belongs to.
+pub struct Linear {
+    /// Index of the error.
+    pub error: usize,
+    /// How it scatters.
+    pub distribution: Distribution,
+    /// At size one.
+    pub field: Array2<f64>,
+    /// Its size.
+    pub size: f64,
+}
+
+impl Work<'_> {
+    /// The fields of all errors that one number decides, at size one.
+    pub fn linear(&self, width: f64) -> Result<Vec<Linear>, Invalid> {
+        let of = |(error, e): (usize, &ProcessError)| -> Result<Vec<Linear>, Invalid> {
+            let distribution = e.stated.distribution;
+            let linear = |field, size| Linear { error, distribution, field, size };
+            match e.effect {
+                _ if e.size == 0.0 => Ok(Vec::new()),
+                Effect::Scalar(effect) => {
+                    // A servo of any order begins as a lag.
+                    let effect = match effect {
+                        Scalar::ServoFirstOrder | Scalar::ServoSecondOrder { .. } => {
+                            Scalar::VelocityLag
+                        }
+                        other => other,
+                    };
+                    // What acts on the rate is linear: any step will do.
+                    let per_size = self.displacement_per_size(effect, width);
+                    let step = if per_size > 0.0 { STEP * width / per_size } else { STEP };
+                    let side = |step: f64| {
+                        let mut run = Deviation::default();
+                        run.add(effect, step);
+                        self.residual(&run)
+                    };
+                    let field = (side(-step)? - side(step)?) / (2.0 * step);
+                    Ok(vec![linear(field, e.size)])
+                }
+                Effect::MapLowOrder { degree } => {
+                    let terms = self.low_order(degree);
+                    let size = e.size / (terms.len() as f64).sqrt();
+                    // The residual has it on top.
+                    Ok(terms.into_iter().map(|t| linear(-self.inner.judged(t), size)).collect())
+                }
+                Effect::Noise(_) | Effect::MapNoise => Ok(Vec::new()),
+            }
+        };
+        let each: Vec<Result<Vec<Linear>, Invalid>> =
+            self.process.errors.par_iter().enumerate().map(of).collect();
+        Ok(each.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+    }
+
+    /// For every error, how far the run with its size alone is from its first order, nm RMS.
+    pub fn departures(
+        &self,
+        linear: &[Linear],
+        columns: Option<&Columns<'_>>,
+        seed: u64,
+    ) -> Result<Vec<f64>, Invalid> {
+        let of = |(i, e): (usize, &ProcessError)| -> Result<f64, Invalid> {
+            let mut run = Deviation::default();
+            match (e.effect, columns) {
+                _ if e.size == 0.0 => Ok(0.0),
+                (Effect::Scalar(effect), _) => {
+                    let l = linear.iter().find(|l| l.error == i).expect("it has a field");
+                    run.add(effect, l.size);
+                    let added = &self.nominal - &self.residual(&run)?;
+                    let first = &l.field * l.size;
+                    let difference = &added - &first;
+                    Ok(self.rms(&difference))
+                }
+                (Effect::Noise(noise), Some(columns)) => {
+                    let mut rng = stream(seed, DEPARTURE_STREAM + i as u64);
+                    sample(noise, e.size, &self.motion, &mut rng, &mut run);
+                    let added = &self.nominal - &self.residual(&run)?;
+                    let mut added = self.inner.to_cells(&added);
+                    let mut first = columns.change(&run);
+                    self.inner.project_on_cells(&mut first);
+                    added.iter_mut().zip(&first).for_each(|(a, f)| *a -= f);
+                    Ok(self.inner.dot_on_cells(&added, &added).sqrt())
+                }
+                // What the map has wrong is in the residual as it is.
+                _ => Ok(0.0),
+            }
+        };
+        self.process.errors.par_iter().enumerate().map(of).collect()
+    }
+
+    /// The table, to first order.
+    pub fn lines(
+        &self,
+        linear: &[Linear],
+        responses: &[(usize, f64, Response)],
+        reach: &Reach,
+        departures: &[f64],
+    ) -> Vec<Line> {
+        let line = |(i, e): (usize, &ProcessError)| {
+            let (mut square, mut reached) = (0.0, 0.0);
+            for l in linear.iter().filter(|l| l.error == i) {
+                let variance = match l.distribution {
+                    Distribution::Normal | Distribution::Fixed => l.size * l.size,
+                    Distribution::Uniform => l.size * l.size / 3.0,
+                };
+                square += variance * self.inner.dot(&l.field, &l.field);
+                reached += variance * reach.mean_square(&self.inner, &l.field);
+            }
+            for (_, size, response) in responses.iter().filter(|(of, ..)| *of == i) {
+                square += size * size * response.mean_square;
+                reached += size * size * response.reached;
+            }
+            if e.effect == Effect::MapNoise {
+                let free = self.inner.cells.free.len() as f64;
+                let m = self.inner.count;
+                square = e.size * e.size * (1.0 - free / m).max(0.0);
+                reached = (e.size * e.size * reach.of_white(&self.inner)).min(square);
+            }
+            let stated = &e.stated;
+            Line {
+                kind: stated.kind.name(),
+                size: stated.size,
+                unit: stated.unit.clone(),
+                distribution: stated.distribution,
+                note: stated.note.clone(),
+                adds_rms_nm: square.sqrt(),
+                reached_rms_nm: reached.sqrt(),
+                unreached_rms_nm: (square - reached).max(0.0).sqrt(),
+                departs_by_rms_nm: departures[i],
+                simulated: false,
+            }
+        };
+        self.process.errors.iter().enumerate().map(line).collect()
+    }
+
+    /// Standard deviation over the runs of every pixel of the residual.
+    pub fn deviation_map(
+        &self,
+        linear: &[Linear],
+        responses: &[(usize, f64, Response)],
+    ) -> Array2<f64> {
+        let mut variance = vec![0.0; self.inner.cells.weight.len()];
+        for (_, size, response) in responses {
+            let each = variance.iter_mut().zip(&response.variance);
+            each.for_each(|(v, more)| *v += size * size * more);
+        }
+        let mut map = self.inner.from_cells(&variance);
+        for l in linear {
+            let scale = match l.distribution {
+                Distribution::Normal => l.size,
+                Distribution::Uniform => l.size / 3.0_f64.sqrt(),
+                Distribution::Fixed => continue,
+            };
+            map.zip_mut_with(&l.field, |v, f| *v += (scale * f).powi(2));
+        }
+        for e in self.process.errors.iter().filter(|e| e.effect == Effect::MapNoise) {
+            map += e.size * e.size;
+            for q in self.inner.free() {
+                map.zip_mut_with(q, |v, q| *v -= e.size * e.size * q * q / self.inner.count);
+            }
+        }
+        self.inner.with_nan(map.mapv(|v| v.max(0.0).sqrt()))
+    }
+}

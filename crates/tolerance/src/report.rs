@@ -1,0 +1,97 @@
+//! What is found: the lines of the errors, the distribution, and the runs that were simulated.
+
+use ndarray::Array2;
+use serde::Serialize;
+
+use crate::process::Distribution;
+
+/// Levels at which the distribution is stored.
+pub const LEVELS: usize = 201;
+
+/// What an error adds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Line {
+    /// Its kind.
+    pub kind: String,
+    /// Its size as stated.
+    pub size: f64,
+    /// Unit of the size.
+    pub unit: String,
+    /// How it scatters.
+    pub distribution: Distribution,
+    /// Where the figure comes from.
+    pub note: String,
+    /// RMS over pixels and runs of what it adds alone, nm.
+    pub adds_rms_nm: f64,
+    /// The part of it at frequencies that the tool corrects.
+    pub reached_rms_nm: f64,
+    /// The part of it at frequencies that the tool does not correct.
+    pub unreached_rms_nm: f64,
+    /// RMS difference between what one run with the error of this size adds and its first order, nm.
+    pub departs_by_rms_nm: f64,
+    /// Whether the line is that of simulated runs, because the departure is too large.
+    pub simulated: bool,
+}
+
+/// A run with all errors, simulated, and as the first order has it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Pair {
+    /// RMS of the simulated run, nm.
+    pub simulated_rms_nm: f64,
+    /// RMS to first order, nm.
+    pub first_order_rms_nm: f64,
+}
+
+/// The distribution of the residual's RMS over the runs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Half of the runs are below, nm.
+    pub median_nm: f64,
+    /// 95 % of the runs are below, nm.
+    pub below_95_percent_nm: f64,
+    /// 95 % of the runs are between these, as many above as below, nm.
+    pub interval_95_percent_nm: [f64; 2],
+}
+
+/// The error without which the residual that 95 % of the runs are below is least.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct First {
+    /// Its index among the errors.
+    pub index: usize,
+    /// Its kind.
+    pub kind: String,
+    /// Without it 95 % of the runs are below this, nm (first order).
+    pub without_it_95_percent_nm: f64,
+}
+
+/// What the process adds.
+#[derive(Clone, Debug, Serialize)]
+pub struct Tolerance {
+    /// Name of the process.
+    pub process: String,
+    /// RMS of the residual of the plan, nm.
+    pub nominal_rms_nm: f64,
+    /// sqrt of the mean over runs of the mean square, nm (first order).
+    pub expected_rms_nm: f64,
+    /// The distribution.
+    pub residual: Quantiles,
+    /// Whether the distribution is that of simulated runs.
+    pub simulated: bool,
+    /// An entry per error of the process.
+    pub errors: Vec<Line>,
+    /// What to improve first; none where no error adds anything.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first: Option<First>,
+    /// Runs that were simulated.
+    pub runs: Vec<Pair>,
+    /// Largest relative difference between the two RMS of these runs.
+    pub largest_difference: f64,
+    /// How many of the simulated runs are in the interval of 95 %.
+    pub within_interval: usize,
+    /// The distribution: parts of the runs, and the RMS they are below, nm.
+    #[serde(skip)]
+    pub levels: Vec<(f64, f64)>,
+    /// Standard deviation over the runs of the residual of every pixel, nm; NaN where invalid.
+    #[serde(skip)]
+    pub deviation_nm: Array2<f64>,
+}

@@ -1,0 +1,61 @@
+//! How to find out: the settings, and what is not part of the residual.
+
+use planish_types::{Invalid, budget};
+use serde::Serialize;
+
+/// Most draws and simulated runs: a day of work is not meant.
+const MOST_DRAWS: usize = 100_000_000;
+const MOST_SIMULATED_RUNS: usize = 100_000;
+
+/// What nobody asks for: it is not part of the residual.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Free {
+    /// The mean.
+    Piston,
+    /// The best plane.
+    Plane,
+}
+
+/// How to find out.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// What is not part of the residual.
+    pub free: Free,
+    /// Runs that are drawn to first order.
+    pub draws: usize,
+    /// Runs that are simulated, to check the first order.
+    pub simulated_runs: usize,
+    /// Whether the TIF that errors move is that of the plan, with its noise and its border, and not [`crate::tool`]'s.
+    pub tif_as_sampled: bool,
+    /// Random seed.
+    pub seed: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            free: Free::Piston,
+            draws: 100_000,
+            simulated_runs: 8,
+            tif_as_sampled: false,
+            seed: 1,
+        }
+    }
+}
+
+impl Settings {
+    /// Refuses counts that nobody means.
+    pub fn check(&self) -> Result<(), Invalid> {
+        let draws = [("draws", self.draws, 100, MOST_DRAWS)];
+        let runs = [("simulated_runs", self.simulated_runs, 0, MOST_SIMULATED_RUNS)];
+        for (name, value, least, most) in draws.into_iter().chain(runs) {
+            if !(least..=most).contains(&value) {
+                let remedy = format!("give {least} to {most}");
+                return Err(Invalid::whole(name, format!("is {value}"), remedy));
+            }
+        }
+        budget::affordable("draws", self.draws as f64, size_of::<f64>(), "give fewer")?;
+        Ok(())
+    }
+}
