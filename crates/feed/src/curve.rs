@@ -294,7 +294,7 @@ impl Blend {
 
 /// The curves of a path, each from rest to rest; segments without length are left out.
 ///
-/// Along the path itself, or through [`smoothed`] points if that leaves less bend: the machine's least time in its
+/// Along the path itself, or through points that are moved a little if that leaves less bend: the machine's least time in its
 /// bends is proportional to the integral of the square root of the curvature.
 pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
     let along = curves_through(path.point_mm(), path.tool_on(), rounding);

@@ -18,8 +18,9 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// What is not run here, and why.
-const EXCEPTIONS: [(&str, &str); 9] = [
+const EXCEPTIONS: [(&str, &str); 10] = [
     ("just test-faults", "minutes; .ci/run disturbs a tenth as often"),
+    ("just test-schedulers-long", "an hour; a piece of it is run"),
     ("just fuzz 50000", "minutes; .ci/run gives every reader 20 000 inputs"),
     ("just fuzz 10000000 2 hdf5", "a quarter of an hour"),
     ("just fuzz-binaries 500 1", "minutes"),
