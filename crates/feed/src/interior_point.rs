@@ -151,7 +151,7 @@ pub fn solve(
     stop: &Stop,
     mut objective: impl FnMut(Progress, &[f64]) -> (Objective, bool),
 ) -> Option<Solution> {
-    let Program { normal, chain, alpha, lo, rows } = *program;
+    let Program { normal, alpha, lo, rows, .. } = *program;
     let n = start.density.len();
     let mut row_of = vec![0; n];
     normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
@@ -204,31 +204,9 @@ pub fn solve(
             break End::IterationLimit;
         }
 
-        // The matrix of (2)
-        let mut k = normal.matrix.k.clone();
-        let mut diagonal: Vec<f64> = (0..n).map(|j| chain.0[j] + y[j] / room[j]).collect();
-        let mut below = chain.1.to_vec();
-        for (i, row) in here.iter().enumerate() {
-            let (s, by, bend) = (z[i] / c[i], row.by, row.bend.map(|b| z[i] * b));
-            for e in 0..2 {
-                if let Some(j) = row.nodes[e] {
-                    diagonal[j] += s * by[e] * by[e] + bend[2 * e];
-                }
-            }
-            if let [Some(_), Some(b)] = row.nodes {
-                below[b] += s * by[0] * by[1] + bend[1];
-            }
-        }
-        for j in 0..n {
-            k.add(row_of[j], row_of[j], diagonal[j]);
-            if j > 0 && below[j] != 0.0 {
-                let (a, b) = (row_of[j - 1], row_of[j]);
-                k.add(a.max(b), a.min(b), below[j]);
-            }
-        }
-        let inverse = Woodbury::new(k.factorise()?, normal.matrix.u.clone())?;
         let at =
             Iterate { program, density: &density, here: &here, c: &c, room: &room, z: &z, y: &y };
+        let inverse = at.inverse(&row_of)?;
         let towards = |t: &Products| at.direction(&f.gradient, &inverse, t);
         let zero = Products { rows: vec![0.0; c.len()], bounds: vec![0.0; n] };
         let predictor = towards(&zero);
@@ -322,6 +300,35 @@ struct Iterate<'a> {
 }
 
 impl Iterate<'_> {
+    /// The matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
+    fn inverse(&self, row_of: &[usize]) -> Option<Woodbury> {
+        let Program { normal, chain, .. } = self.program;
+        let n = row_of.len();
+        let mut k = normal.matrix.k.clone();
+        let mut diagonal: Vec<f64> =
+            (0..n).map(|j| chain.0[j] + self.y[j] / self.room[j]).collect();
+        let mut below = chain.1.to_vec();
+        for ((row, z), c) in self.here.iter().zip(self.z).zip(self.c) {
+            let (s, by, bend) = (z / c, row.by, row.bend.map(|b| z * b));
+            for e in 0..2 {
+                if let Some(j) = row.nodes[e] {
+                    diagonal[j] += s * by[e] * by[e] + bend[2 * e];
+                }
+            }
+            if let [Some(_), Some(b)] = row.nodes {
+                below[b] += s * by[0] * by[1] + bend[1];
+            }
+        }
+        for j in 0..n {
+            k.add(row_of[j], row_of[j], diagonal[j]);
+            if j > 0 && below[j] != 0.0 {
+                let (a, b) = (row_of[j - 1], row_of[j]);
+                k.add(a.max(b), a.min(b), below[j]);
+            }
+        }
+        Woodbury::new(k.factorise()?, normal.matrix.u.clone())
+    }
+
     /// (2) with `target` in place of mu.
     fn direction(&self, gradient: &[f64], inverse: &Woodbury, target: &Products) -> Step {
         let Self { program, here, c, room, z, y, .. } = self;
