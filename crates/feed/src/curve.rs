@@ -9,8 +9,8 @@
 //!
 //! Heading and curvature are continuous, so the acceleration across the path rises from zero and falls to it;
 //! arc length, heading and curvature are exact ([`planish_numerics::motion::clothoid`]). Segments in line with each
-//! other are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve follows it: there the machine
-//! comes to rest, and the next curve begins.
+//! other are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve
+//! follows it: there the machine comes to rest, and the next curve begins.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -217,11 +217,7 @@ struct Chord {
 
 impl Chord {
     /// The parts of its segments between two lengths along it: segment, from, to (mm).
-    fn parts(
-        &self,
-        from_mm: f64,
-        to_mm: f64,
-    ) -> impl DoubleEndedIterator<Item = (usize, f64, f64)> {
+    fn parts(&self, from_mm: f64, to_mm: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         let starts = std::iter::once(0.0).chain(self.segments.iter().map(|(_, end)| *end));
         let parts = self
             .segments
@@ -229,8 +225,7 @@ impl Chord {
             .zip(starts)
             .map(move |((segment, end), start)| (*segment, start.max(from_mm), end.min(to_mm)));
         // What rounding leaves of a segment belongs to its neighbour.
-        let parts: Vec<_> = parts.filter(|(_, a, b)| b - a > SAME_PLACE * self.length_mm).collect();
-        parts.into_iter()
+        parts.filter(|(_, from, to)| to - from > SAME_PLACE * self.length_mm)
     }
 }
 
@@ -294,8 +289,8 @@ impl Blend {
 
 /// The curves of a path, each from rest to rest; segments without length are left out.
 ///
-/// Along the path itself, or through points that are moved a little if that leaves less bend: the machine's least time in its
-/// bends is proportional to the integral of the square root of the curvature.
+/// Along the path itself, or through points that are moved a little if that leaves less bend: the machine's least time
+/// in its bends is proportional to the integral of the square root of the curvature.
 pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
     let along = curves_through(path.point_mm(), path.tool_on(), rounding);
     let (point_mm, moved_mm) =
@@ -331,9 +326,9 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
         let n = p.len();
         for _ in 0..SMOOTHING_SWEEPS {
             let mut change = 0.0f64;
-            for i in 1..n.max(1) - 1 {
+            for i in 1..n - 1 {
                 // The second differences in which P_i is, without it, and its coefficient there
-                let centres = [i.wrapping_sub(1), i, i + 1].into_iter().zip([1.0, -2.0, 1.0]);
+                let centres = [i - 1, i, i + 1].into_iter().zip([1.0, -2.0, 1.0]);
                 let inside = centres.filter(|(k, _)| (1..n - 1).contains(k));
                 let (mut weight, mut target) = (0.0, [0.0; 2]);
                 for (k, c) in inside {

@@ -15,7 +15,8 @@
 //! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. Then Gondzio's
 //! corrections bring products of slacks and dual variables that have become outliers back towards mu; without them the
 //! steps end early at a few rows that are far from being active. A step ends where a row would lose more than most
-//! of what it has left, measured on c itself: every iterate can be executed. The matrix keeps the skyline of H, because a row couples neighbours only.
+//! of what it has left, measured on c itself: every iterate can be executed. The matrix keeps the skyline of H, because
+//! a row couples neighbours only.
 //!
 //! The certificate is the gap of the convex program of the last iterate, f over the tangents of the rows, with the
 //! dual variables z >= 0 and y >= 0:

@@ -128,7 +128,8 @@ impl OnSpan<'_> {
         parts
     }
 
-    /// The motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the limits `most` on acceleration, mm/s^2.
+    /// The motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the limits
+    /// `most` on acceleration, mm/s^2.
     fn cubic(&self, piece: &Piece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
         let at = |tau: f64| {
             let along = self.span.at(tau, self.densities);

@@ -27,8 +27,8 @@ use crate::{
 /// Spacing of the nodes over the width of the TIF: a closer density removes nothing that a TIF could.
 const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
 
-/// Deviation at corners over the width of the TIF: what is removed changes by a few percent at most, and the solver
-/// knows where the tool really is.
+/// Deviation at corners over the width of the TIF: wide enough for a corner to cost little time. It is no error of the
+/// removal, because the solver knows where the tool really is.
 const DEVIATION_OVER_TIF_WIDTH: f64 = 0.2;
 
 /// Largest radius of a corner over the width of the TIF.
