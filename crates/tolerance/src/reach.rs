@@ -11,9 +11,9 @@
 
 use std::f64::consts::PI;
 
-use ndarray::{Array1, Array2};
+use ndarray::{Array2, Zip, s};
+use planish_numerics::spectrum::transfer;
 use planish_types::{Axis, Tif};
-use rayon::prelude::*;
 
 use crate::inner::Inner;
 
@@ -49,40 +49,26 @@ impl Reach {
     /// For maps on the pixels of `inner`.
     pub fn new(inner: &Inner, tif: &Tif, width_mm: f64) -> Self {
         let (x_axis, y_axis) = (inner.grid.x, inner.grid.y);
-        let frequency = |j: usize, a: &Axis| j as f64 / (2.0 * a.len() as f64 * a.step_mm());
-        let most = |a: &Axis| {
-            let limit = LARGEST_FREQUENCY / width_mm;
-            (0..a.len()).take_while(|j| frequency(*j, a) <= limit).count()
+        let frequencies = |a: &Axis| -> Vec<f64> {
+            let all = (0..a.len()).map(|j| j as f64 / (2.0 * a.len() as f64 * a.step_mm()));
+            all.take_while(|f| *f <= LARGEST_FREQUENCY / width_mm).collect()
         };
-        let (nx, ny) = (most(&x_axis), most(&y_axis));
-        let rate = tif.rate_nm_per_s();
-        let grid = tif.grid();
-        // sum_x T cos, sum_x T sin (rows of the TIF), then along y; the mirrored wave has -f_y.
-        let wave = |f: f64, a: &Axis| -> (Array1<f64>, Array1<f64>) {
-            let phase: Vec<f64> = (0..a.len()).map(|i| 2.0 * PI * f * a.at(i)).collect();
-            (phase.iter().map(|p| p.cos()).collect(), phase.iter().map(|p| p.sin()).collect())
-        };
-        let along_y: Vec<_> = (0..ny).map(|k| wave(frequency(k, &y_axis), &grid.y)).collect();
-        let volume = rate.sum();
-        let columns: Vec<Vec<bool>> = (0..nx)
-            .into_par_iter()
-            .map(|j| {
-                let (cx, sx) = wave(frequency(j, &x_axis), &grid.x);
-                let (re, im) = (rate.dot(&cx), rate.dot(&sx));
-                let transfer = |(cy, sy): &(Array1<f64>, Array1<f64>)| {
-                    let (rc, rs, ic, is) = (re.dot(cy), re.dot(sy), im.dot(cy), im.dot(sy));
-                    let plus = (rc - is).hypot(rs + ic);
-                    let minus = (rc + is).hypot(rs - ic);
-                    ((plus * plus + minus * minus) / 2.0).sqrt() / volume
-                };
-                along_y.iter().map(|w| transfer(w) >= LEAST_TRANSFER).collect()
-            })
-            .collect();
+        let (f_x, f_y) = (frequencies(&x_axis), frequencies(&y_axis));
+        // A cosine is a wave and the one mirrored along y, in equal parts.
+        let mirrored: Vec<f64> = f_y.iter().map(|f| -f).collect();
+        let at = [&tif.grid().x, &tif.grid().y].map(Axis::coordinates);
+        let [plus, minus] = [&f_y, &mirrored]
+            .map(|f_y| transfer(tif.rate_nm_per_s().view(), [&at[0], &at[1]], [&f_x, f_y]));
+        let both = Zip::from(&plus).and(&minus).map_collect(|p, m| ((p * p + m * m) / 2.0).sqrt());
+        let reached = both.mapv(|transfer| transfer >= LEAST_TRANSFER);
         // Only as far as the last that is reached.
-        let nx = columns.iter().rposition(|c| c.contains(&true)).map_or(1, |j| j + 1);
-        let last = columns.iter().filter_map(|c| c.iter().rposition(|r| *r)).max();
-        let ny = last.map_or(1, |k| k + 1);
-        let reached = Array2::from_shape_fn((ny, nx), |(k, j)| columns[j][k]);
+        let last = |axis: usize| {
+            let lanes: Vec<bool> =
+                reached.axis_iter(ndarray::Axis(axis)).map(|l| l.iter().any(|r| *r)).collect();
+            lanes.iter().rposition(|any| *any).map_or(1, |i| i + 1)
+        };
+        let (ny, nx) = (last(0), last(1));
+        let reached = reached.slice(s![..ny, ..nx]).to_owned();
         let pairs = reached.indexed_iter().filter(|(_, r)| **r).map(|(p, _)| p).collect();
         let all = |n: usize, of: &Axis| {
             Array2::from_shape_fn((n, of.len()), |(j, i)| cosine(j, of.len(), i as f64))
