@@ -18,21 +18,27 @@
 //! of what it has left, measured on c itself: every iterate can be executed. The matrix keeps the skyline of H, because
 //! a row couples neighbours only.
 //!
-//! The certificate is the gap of the convex program of the last iterate, f over the tangents of the rows, with the
-//! dual variables z >= 0 and y >= 0:
+//! That the objective has stopped to fall does not prove that it is least: z fits rows that bend from step to step, and
+//! lags behind. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and its
+//! tangents are kept: the steps go on for the convex program that they make of (1), whose slacks may first be larger
+//! than the tangents leave (an infeasible start), until its dual variables prove how far the iterate is above its least
+//! value ([`crate::certificate`]). If that is more than is wanted, its solution is gone towards as far as the rows
+//! themselves allow, and the steps under these go on.
 //!
-//! ```text
-//! f - min <= z' c + y' (D - lo) + sum over r_j < 0 of r_j^2 / (2 alpha),   r = f' - J' z - y        (3)
-//! ```
-//!
-//! where y takes what is positive of r. Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim.
-//! Appl. 6 (1996) 137; for programs that are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263.
+//! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for programs that
+//! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263.
 
 use planish_dwell::residual::Normal;
-use planish_numerics::linear::{skyline::dot, woodbury::Woodbury};
+use planish_numerics::{
+    linear::{skyline::dot, woodbury::Woodbury},
+    qp::bounded::Quadratic,
+};
 use planish_types::End;
 
-use crate::limits::{Constraint, Rows};
+use crate::{
+    certificate,
+    limits::{Constraint, Rows},
+};
 
 /// Fraction of a slack or dual variable that a step may take.
 const STEP_TO_BOUNDARY: f64 = 0.95;
@@ -61,6 +67,27 @@ const FIRST_RELATIVE_GAP: f64 = 0.3;
 /// Least product of a slack and its dual variable at the start, over their mean.
 const LEAST_PRODUCT: f64 = 0.1;
 
+/// Gap of the program of the tangents at which it is solved, over that which is wanted of the whole.
+const PROGRAM_SOLVED: f64 = 0.1;
+
+/// Fall of the objective in a step, over the gap that is wanted, above which tangents are not yet kept.
+const STILL_FALLING: f64 = 0.3;
+
+/// By what the complementarity must have fallen before tangents are kept again.
+const KEPT_AGAIN: f64 = 0.25;
+
+/// Least part of the way to the solution under the tangents that is worth going: at its end many rows are nearly active,
+/// which makes the next steps short.
+const LEAST_PART: f64 = 0.5;
+
+/// Where tangents begin to be kept, products are at least so many times their mean: by larger slacks where these are
+/// below [`ACTIVE_SLACK`], which the steps make good, and by larger dual variables elsewhere. Without it the first
+/// steps are short, because the dual variables fit rows that are bent.
+const RAISED_PRODUCT: f64 = 100.0;
+
+/// See [`RAISED_PRODUCT`].
+const ACTIVE_SLACK: f64 = 0.1;
+
 /// f and f' at densities.
 pub struct Objective {
     /// nm^2.
@@ -83,10 +110,69 @@ pub struct Program<'a> {
     pub rows: &'a Rows<'a>,
 }
 
+impl<'a> Program<'a> {
+    /// The inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n). `None` if
+    /// that is singular to rounding.
+    fn inverse(
+        &self,
+        row_of: &[usize],
+        (diagonal, below): (&[f64], &[f64]),
+        u: Vec<Vec<f64>>,
+    ) -> Option<Inverse<'a>> {
+        let Quadratic { k, .. } = &self.normal.matrix;
+        let mut k = k.clone();
+        for (j, row) in row_of.iter().enumerate() {
+            k.add(*row, *row, diagonal[j]);
+            if j > 0 && below[j] != 0.0 {
+                let before = row_of[j - 1];
+                k.add(before.max(*row), before.min(*row), below[j]);
+            }
+        }
+        let woodbury = Woodbury::new(k.factorise()?, u)?;
+        Some(Inverse { order: &self.normal.order, woodbury })
+    }
+
+    /// The longest part of `length d` from densities at which the rows leave `c` that leaves of every row more than a
+    /// twentieth, and where it ends.
+    fn farthest(&self, density: &[f64], d: &[f64], c: &[f64], mut length: f64) -> (f64, Vec<f64>) {
+        loop {
+            let to = moved(density, d, length);
+            let after = self.rows.slacks(&to);
+            let keeps = |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
+            if after.iter().zip(c).all(keeps) || length < f64::EPSILON {
+                return (length, to);
+            }
+            length *= BACKTRACKING;
+        }
+    }
+}
+
+/// `D + length d`.
+fn moved(density: &[f64], d: &[f64], length: f64) -> Vec<f64> {
+    density.iter().zip(d).map(|(u, d)| u + length * d).collect()
+}
+
+/// The inverse of a matrix over the nodes.
+struct Inverse<'a> {
+    /// Node of every row.
+    order: &'a [usize],
+    woodbury: Woodbury,
+}
+
+impl Inverse<'_> {
+    fn solve(&self, rhs: &[f64]) -> Vec<f64> {
+        let mut b: Vec<f64> = self.order.iter().map(|j| rhs[*j]).collect();
+        self.woodbury.solve(&mut b);
+        let mut x = vec![0.0; rhs.len()];
+        self.order.iter().zip(b).for_each(|(j, b)| x[*j] = b);
+        x
+    }
+}
+
 /// When to stop.
 #[derive(Clone, Copy, Debug)]
 pub struct Stop {
-    /// Gap (3) over the objective.
+    /// Proven gap over the objective.
     pub relative_gap: f64,
     /// Most steps.
     pub max_iterations: usize,
@@ -99,9 +185,11 @@ pub struct Solution {
     pub density: Vec<f64>,
     /// f at every iterate, nm^2.
     pub objective: Vec<f64>,
+    /// Steps.
+    pub iterations: usize,
     /// z (rows) and y (n) at the last one.
     pub duals: [Vec<f64>; 2],
-    /// (3) over f at the last one.
+    /// Proven gap over f at the last one.
     pub relative_gap: f64,
     /// `optimal` or `iteration-limit`.
     pub end: End,
@@ -152,103 +240,73 @@ pub fn solve(
     stop: &Stop,
     mut objective: impl FnMut(Progress, &[f64]) -> (Objective, bool),
 ) -> Option<Solution> {
-    let Program { normal, alpha, lo, rows, .. } = *program;
-    let n = start.density.len();
-    let mut row_of = vec![0; n];
-    normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
-    let mut density = start.density;
-    let (mut f, mut settled) =
-        objective(Progress { iteration: 0, complementarity: f64::INFINITY }, &density);
-    let mut here = rows.constraints(&density);
-    let mut c: Vec<f64> = here.iter().map(|row| row.slack).collect();
-    let members = (rows.len() + n) as f64;
-    let room: Vec<f64> = density.iter().zip(lo).map(|(d, lo)| d - lo).collect();
-    let [mut z, mut y] = match start.duals {
-        Some([z, y]) => {
-            // Products far below their mean would hold the steps back.
-            let least = LEAST_PRODUCT * (dot(&c, &z) + dot(&room, &y)) / members;
-            let raised = |v: Vec<f64>, slack: &[f64]| -> Vec<f64> {
-                v.into_iter().zip(slack).map(|(v, slack)| v.max(least / slack)).collect()
-            };
-            [raised(z, &c), raised(y, &room)]
-        }
-        None => {
-            let mu = FIRST_RELATIVE_GAP * f.value / members;
-            [&c, &room].map(|slack| slack.iter().map(|c| mu / c).collect())
-        }
-    };
-    let mut best: Option<(f64, Vec<f64>, f64)> = None;
+    let mut row_of = vec![0; start.density.len()];
+    program.normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
+    let first = Progress { iteration: 0, complementarity: f64::INFINITY };
+    let (f, mut settled) = objective(first, &start.density);
+    let mut at = Iterate::new(program, start, f);
+    let mut best: Option<Executable> = None;
+    // Of f alone, made when the certificate asks for it.
+    let mut of_curvature: Option<Inverse<'_>> = None;
     let (mut values, mut iteration) = (Vec::new(), 0);
+    let (mut value_before, mut kept_below) = (f64::INFINITY, 1.0);
     let end = loop {
-        let room: Vec<f64> = density.iter().zip(lo).map(|(d, lo)| d - lo).collect();
-        // r = f' - J' z - y
-        let mut j_z = vec![0.0; n];
-        add_adjoint(&here, |i| z[i], &mut j_z);
-        let complementarity = dot(&c, &z) + dot(&room, &y);
-        let certified: f64 = dot(&c, &z)
-            + (0..n)
-                .map(|j| match f.gradient[j] - j_z[j] {
-                    r if r > 0.0 => r * room[j],
-                    r => r * r / (2.0 * alpha),
-                })
-                .sum::<f64>();
-        let relative_gap = certified / f.value;
-        values.push(f.value);
-        if !settled || best.as_ref().is_none_or(|b| f.value <= b.0) {
-            best = Some((f.value, density.clone(), relative_gap));
+        let complementarity = at.complementarity();
+        let there = Progress { iteration, complementarity };
+        let enough = stop.relative_gap * at.f.value;
+        let falls = value_before - at.f.value > STILL_FALLING * enough;
+        let near = settled
+            && complementarity <= enough
+            && (at.kept.is_some() || complementarity <= kept_below * enough && !falls);
+        value_before = at.f.value;
+        if near && of_curvature.is_none() {
+            of_curvature = Some(program.inverse(&row_of, program.chain, Vec::new())?);
+        }
+        let gap = at.gap(of_curvature.as_ref().filter(|_| near), |to| objective(there, to).0);
+        let executable = at.executable(gap);
+        let relative_gap = executable.relative_gap;
+        if at.kept.is_none() {
+            values.push(executable.value);
+        }
+        if !settled || best.as_ref().is_none_or(|b| executable.value <= b.value) {
+            best = Some(executable);
         }
         if settled && relative_gap <= stop.relative_gap {
-            best = Some((f.value, density.clone(), relative_gap));
             break End::Optimal;
         }
         if iteration >= stop.max_iterations {
             break End::IterationLimit;
         }
-
-        let at =
-            Iterate { program, density: &density, here: &here, c: &c, room: &room, z: &z, y: &y };
-        let inverse = at.inverse(&row_of)?;
-        let towards = |t: &Products| at.direction(&f.gradient, &inverse, t);
-        let zero = Products { rows: vec![0.0; c.len()], bounds: vec![0.0; n] };
-        let predictor = towards(&zero);
-        let after = at.products(&predictor, at.primal(&predictor).0, at.dual(&predictor));
-        let centring = (after.sum() / complementarity).powi(3).clamp(LEAST_CENTRING, 1.0);
-        let mu = centring * complementarity / members;
-        let second = at.second_order(&predictor);
-        let centred = Products { rows: vec![mu; c.len()], bounds: vec![mu; n] };
-        let mut target = centred.minus(&second);
-        let mut step = towards(&target);
-        for _ in 0..MAX_CENTRALITY_CORRECTIONS {
-            let (a, b) = (at.by_tangents(&step), at.dual(&step));
-            let [further_a, further_b] = [a, b].map(|v| (v + FURTHER).min(1.0));
-            let correction = at.products(&step, further_a, further_b).correction(mu);
-            let corrected = target.plus(&correction);
-            let next = towards(&corrected);
-            let gained = (at.by_tangents(&next) - a, at.dual(&next) - b);
-            if gained.0.min(gained.1) < 0.0 || gained.0.max(gained.1) < LEAST_GAIN * FURTHER {
-                break;
-            }
-            (target, step) = (corrected, next);
+        if at.kept.is_some() && gap <= PROGRAM_SOLVED * enough {
+            at.move_towards_solution();
+            kept_below *= KEPT_AGAIN;
+            (at.f, settled) = objective(there, &at.density);
+            continue;
         }
-        let (length, to) = at.primal(&step);
-        let b = at.dual(&step);
-        let after = at.products(&step, length, b);
-        density = to;
-        z.iter_mut().zip(&step.z).for_each(|(z, d)| *z += b * d);
-        y.iter_mut().zip(&step.y).for_each(|(y, d)| *y += b * d);
+        if near && at.kept.is_none() {
+            at.keep_tangents(gap);
+        }
+        let step = at.step(&row_of)?;
+        let complementarity = at.advance(&step);
         iteration += 1;
-        here = rows.constraints(&density);
-        c = here.iter().map(|row| row.slack).collect();
-        (f, settled) = objective(Progress { iteration, complementarity: after.sum() }, &density);
+        (at.f, settled) = objective(Progress { iteration, complementarity }, &at.density);
     };
-    let (_, density, relative_gap) = best?;
-    Some(Solution { density, objective: values, duals: [z, y], relative_gap, end })
+    let Executable { density, relative_gap, .. } = best?;
+    let duals = [at.z, at.y];
+    Some(Solution { density, objective: values, duals, iterations: iteration, relative_gap, end })
+}
+
+/// An iterate that keeps the rows themselves.
+struct Executable {
+    density: Vec<f64>,
+    value: f64,
+    relative_gap: f64,
 }
 
 /// (2).
 struct Step {
     density: Vec<f64>,
-    /// J d.
+    /// J d, less the excess.
     c: Vec<f64>,
     z: Vec<f64>,
     y: Vec<f64>,
@@ -291,25 +349,181 @@ impl Products {
 /// Where the method stands.
 struct Iterate<'a> {
     program: &'a Program<'a>,
-    density: &'a [f64],
-    here: &'a [Constraint],
+    density: Vec<f64>,
+    f: Objective,
+    /// The rows here; or the tangents that are kept, with what they leave here.
+    here: Vec<Constraint>,
     /// Slacks of the rows and of the bounds, and their dual variables.
-    c: &'a [f64],
-    room: &'a [f64],
-    z: &'a [f64],
-    y: &'a [f64],
+    c: Vec<f64>,
+    room: Vec<f64>,
+    z: Vec<f64>,
+    y: Vec<f64>,
+    /// By how much c is above what the tangents that are kept leave.
+    excess: Vec<f64>,
+    /// Where the tangents that are kept are those of the rows.
+    kept: Option<Kept>,
 }
 
-impl Iterate<'_> {
+/// An iterate whose tangents are kept.
+struct Kept {
+    density: Vec<f64>,
+    value: f64,
+    c: Vec<f64>,
+    /// Smallest proven gap, nm^2.
+    gap: f64,
+}
+
+impl<'a> Iterate<'a> {
+    fn new(program: &'a Program<'a>, start: Start, f: Objective) -> Self {
+        let density = start.density;
+        let here = program.rows.constraints(&density);
+        let c: Vec<f64> = here.iter().map(|row| row.slack).collect();
+        let room: Vec<f64> = density.iter().zip(program.lo).map(|(d, lo)| d - lo).collect();
+        let members = (c.len() + room.len()) as f64;
+        let [z, y] = match start.duals {
+            Some([z, y]) => {
+                // Products far below their mean would hold the steps back.
+                let least = LEAST_PRODUCT * (dot(&c, &z) + dot(&room, &y)) / members;
+                let raised = |v: Vec<f64>, slack: &[f64]| -> Vec<f64> {
+                    v.into_iter().zip(slack).map(|(v, slack)| v.max(least / slack)).collect()
+                };
+                [raised(z, &c), raised(y, &room)]
+            }
+            None => {
+                let mu = FIRST_RELATIVE_GAP * f.value / members;
+                [&c, &room].map(|slack| slack.iter().map(|c| mu / c).collect())
+            }
+        };
+        let excess = vec![0.0; c.len()];
+        Self { program, density, f, here, c, room, z, y, excess, kept: None }
+    }
+
+    fn complementarity(&self) -> f64 {
+        dot(&self.c, &self.z) + dot(&self.room, &self.y)
+    }
+
+    /// How far f is at most above its least value under the tangents, nm^2; with the inverse of its curvature
+    /// a closer bound is tried.
+    fn gap(
+        &self,
+        inverse: Option<&Inverse<'_>>,
+        mut objective: impl FnMut(&[f64]) -> Objective,
+    ) -> f64 {
+        let alpha = self.program.alpha;
+        // f' - J' z
+        let mut r = self.f.gradient.clone();
+        add_adjoint(&self.here, |i| -self.z[i], &mut r);
+        let of_tangents = dot(&self.c, &self.z) - dot(&self.excess, &self.z);
+        let simple = of_tangents + certificate::by_alpha(&r, &self.room, alpha);
+        let Some(inverse) = inverse else { return simple };
+        r.iter_mut().zip(&self.y).for_each(|(r, y)| *r -= y);
+        let product = |d: &[f64]| self.curvature(d, &mut objective);
+        let square = certificate::by_curvature(&r, alpha, product, |e| inverse.solve(e));
+        simple.min(of_tangents + dot(&self.room, &self.y) + square)
+    }
+
+    /// The iterate whose rows the tangents are, and how far it is above their least value, with the `gap` from here.
+    fn executable(&mut self, gap: f64) -> Executable {
+        let (density, value, gap) = match &mut self.kept {
+            None => (&self.density, self.f.value, gap),
+            Some(kept) => {
+                kept.gap = kept.gap.min(kept.value - self.f.value + gap);
+                (&kept.density, kept.value, kept.gap)
+            }
+        };
+        Executable { density: density.clone(), value, relative_gap: gap / value }
+    }
+
+    /// From here on the rows are their tangents; `gap` is that known so far.
+    fn keep_tangents(&mut self, gap: f64) {
+        let (density, value, c) = (self.density.clone(), self.f.value, self.c.clone());
+        self.kept = Some(Kept { density, value, c, gap });
+        self.here.iter_mut().for_each(|row| row.bend = [0.0; 3]);
+        let mean = self.complementarity() / (self.c.len() + self.room.len()) as f64;
+        let product = RAISED_PRODUCT * mean;
+        for ((c, z), excess) in self.c.iter_mut().zip(&mut self.z).zip(&mut self.excess) {
+            if *c < ACTIVE_SLACK {
+                let before = *c;
+                *c = (product / *z).clamp(before, ACTIVE_SLACK);
+                *excess = *c - before;
+            }
+            *z = z.max(product / *c);
+        }
+        self.y.iter_mut().zip(&self.room).for_each(|(y, room)| *y = y.max(product / room));
+    }
+
+    /// As far as the rows allow from where the tangents were kept to here, and the rows there.
+    fn move_towards_solution(&mut self) {
+        let Some(kept) = self.kept.take() else { return };
+        self.excess.fill(0.0);
+        let by: Vec<f64> = self.density.iter().zip(&kept.density).map(|(d, k)| d - k).collect();
+        let (t, to) = self.program.farthest(&kept.density, &by, &kept.c, 1.0);
+        self.move_to(if t >= LEAST_PART { to } else { kept.density });
+    }
+
+    /// The rows at other densities.
+    fn move_to(&mut self, density: Vec<f64>) {
+        self.here = self.program.rows.constraints(&density);
+        self.c = self.here.iter().map(|row| row.slack).collect();
+        self.room = density.iter().zip(self.program.lo).map(|(d, lo)| d - lo).collect();
+        self.density = density;
+    }
+
+    /// (2) with Mehrotra's mu, and Gondzio's corrections.
+    fn step(&self, row_of: &[usize]) -> Option<Step> {
+        let inverse = self.inverse(row_of)?;
+        let (rows, bounds) = (self.c.len(), self.room.len());
+        let complementarity = self.complementarity();
+        let towards = |t: &Products| self.direction(&inverse, t);
+        let zero = Products { rows: vec![0.0; rows], bounds: vec![0.0; bounds] };
+        let predictor = towards(&zero);
+        let after = self.products(&predictor, self.primal(&predictor).0, self.dual(&predictor));
+        let centring = (after.sum() / complementarity).powi(3).clamp(LEAST_CENTRING, 1.0);
+        let mu = centring * complementarity / (rows + bounds) as f64;
+        let second = self.second_order(&predictor);
+        let centred = Products { rows: vec![mu; rows], bounds: vec![mu; bounds] };
+        let mut target = centred.minus(&second);
+        let mut step = towards(&target);
+        for _ in 0..MAX_CENTRALITY_CORRECTIONS {
+            let (a, b) = (self.by_tangents(&step), self.dual(&step));
+            let [further_a, further_b] = [a, b].map(|v| (v + FURTHER).min(1.0));
+            let correction = self.products(&step, further_a, further_b).correction(mu);
+            let corrected = target.plus(&correction);
+            let next = towards(&corrected);
+            let gained = (self.by_tangents(&next) - a, self.dual(&next) - b);
+            if gained.0.min(gained.1) < 0.0 || gained.0.max(gained.1) < LEAST_GAIN * FURTHER {
+                break;
+            }
+            (target, step) = (corrected, next);
+        }
+        Some(step)
+    }
+
+    /// As far as the step may go; its complementarity by the tangents.
+    fn advance(&mut self, step: &Step) -> f64 {
+        let (length, to) = self.primal(step);
+        let b = self.dual(step);
+        let after = self.products(step, length, b).sum();
+        self.z.iter_mut().zip(&step.z).for_each(|(z, d)| *z += b * d);
+        self.y.iter_mut().zip(&step.y).for_each(|(y, d)| *y += b * d);
+        if self.kept.is_some() {
+            self.c.iter_mut().zip(&step.c).for_each(|(c, d)| *c += length * d);
+            self.excess.iter_mut().for_each(|e| *e *= 1.0 - length);
+            self.room.iter_mut().zip(&step.density).for_each(|(room, d)| *room += length * d);
+            self.density = to;
+        } else {
+            self.move_to(to);
+        }
+        after
+    }
+
     /// The matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
-    fn inverse(&self, row_of: &[usize]) -> Option<Woodbury> {
-        let Program { normal, chain, .. } = self.program;
-        let n = row_of.len();
-        let mut k = normal.matrix.k.clone();
+    fn inverse(&self, row_of: &[usize]) -> Option<Inverse<'_>> {
+        let chain = self.program.chain;
         let mut diagonal: Vec<f64> =
-            (0..n).map(|j| chain.0[j] + self.y[j] / self.room[j]).collect();
+            (0..row_of.len()).map(|j| chain.0[j] + self.y[j] / self.room[j]).collect();
         let mut below = chain.1.to_vec();
-        for ((row, z), c) in self.here.iter().zip(self.z).zip(self.c) {
+        for ((row, z), c) in self.here.iter().zip(&self.z).zip(&self.c) {
             let (s, by, bend) = (z / c, row.by, row.bend.map(|b| z * b));
             for e in 0..2 {
                 if let Some(j) = row.nodes[e] {
@@ -320,28 +534,28 @@ impl Iterate<'_> {
                 below[b] += s * by[0] * by[1] + bend[1];
             }
         }
-        for j in 0..n {
-            k.add(row_of[j], row_of[j], diagonal[j]);
-            if j > 0 && below[j] != 0.0 {
-                let (a, b) = (row_of[j - 1], row_of[j]);
-                k.add(a.max(b), a.min(b), below[j]);
-            }
-        }
-        Woodbury::new(k.factorise()?, normal.matrix.u.clone())
+        let u = self.program.normal.matrix.u.clone();
+        self.program.inverse(row_of, (&diagonal, &below), u)
+    }
+
+    /// F d: f is quadratic, so the difference of its gradients is exact for every length; at the length of the densities
+    /// it has the least rounding.
+    fn curvature(&self, d: &[f64], objective: &mut impl FnMut(&[f64]) -> Objective) -> Vec<f64> {
+        let largest = |v: &[f64]| v.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let scale = largest(&self.density) / largest(d);
+        let there = objective(&moved(&self.density, d, scale)).gradient;
+        there.iter().zip(&self.f.gradient).map(|(a, b)| (a - b) / scale).collect()
     }
 
     /// (2) with `target` in place of mu.
-    fn direction(&self, gradient: &[f64], inverse: &Woodbury, target: &Products) -> Step {
-        let Self { program, here, c, room, z, y, .. } = self;
-        let order = &program.normal.order;
-        let t = target.bounds.iter().zip(*room).map(|(t, room)| t / room);
-        let mut rhs: Vec<f64> = gradient.iter().zip(t).map(|(g, t)| t - g).collect();
-        add_adjoint(here, |i| target.rows[i] / c[i], &mut rhs);
-        let mut b: Vec<f64> = order.iter().map(|j| rhs[*j]).collect();
-        inverse.solve(&mut b);
-        let mut d = vec![0.0; rhs.len()];
-        order.iter().zip(b).for_each(|(j, b)| d[*j] = b);
-        let j_d = along(here, &d);
+    fn direction(&self, inverse: &Inverse<'_>, target: &Products) -> Step {
+        let Self { f, here, c, room, z, y, excess, .. } = self;
+        let t = target.bounds.iter().zip(room).map(|(t, room)| t / room);
+        let mut rhs: Vec<f64> = f.gradient.iter().zip(t).map(|(g, t)| t - g).collect();
+        add_adjoint(here, |i| (target.rows[i] + z[i] * excess[i]) / c[i], &mut rhs);
+        let d = inverse.solve(&rhs);
+        let mut j_d = along(here, &d);
+        j_d.iter_mut().zip(excess).for_each(|(c, e)| *c -= e);
         let of_z = |i: usize| (target.rows[i] - z[i] * j_d[i]) / c[i] - z[i];
         let of_y = |j: usize| (target.bounds[j] - y[j] * d[j]) / room[j] - y[j];
         Step {
@@ -354,27 +568,21 @@ impl Iterate<'_> {
 
     /// The longest step by the tangents of the rows.
     fn by_tangents(&self, step: &Step) -> f64 {
-        longest(self.room, &step.density).min(longest(self.c, &step.c))
+        longest(&self.room, &step.density).min(longest(&self.c, &step.c))
     }
 
-    /// The longest step by the rows themselves, and where it ends.
+    /// The longest step, and where it ends: by the rows themselves, unless their tangents are kept.
     fn primal(&self, step: &Step) -> (f64, Vec<f64>) {
         // The tangents say nearly how far.
-        let mut length = self.by_tangents(step);
-        loop {
-            let moved = self.density.iter().zip(&step.density).map(|(d, s)| d + length * s);
-            let to: Vec<f64> = moved.collect();
-            let after = self.program.rows.slacks(&to);
-            let keeps = |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
-            if after.iter().zip(self.c).all(keeps) || length < f64::EPSILON {
-                return (length, to);
-            }
-            length *= BACKTRACKING;
+        let length = self.by_tangents(step);
+        match self.kept {
+            None => self.program.farthest(&self.density, &step.density, &self.c, length),
+            Some(_) => (length, moved(&self.density, &step.density, length)),
         }
     }
 
     fn dual(&self, step: &Step) -> f64 {
-        longest(self.z, &step.z).min(longest(self.y, &step.y))
+        longest(&self.z, &step.z).min(longest(&self.y, &step.y))
     }
 
     /// The products after a primal step of length `a` and a dual one of length `b`, by the tangents.
@@ -383,8 +591,8 @@ impl Iterate<'_> {
             (0..v.len()).map(|i| (v[i] + a * dv[i]) * (z[i] + b * dz[i])).collect()
         };
         Products {
-            rows: of(self.c, &step.c, self.z, &step.z),
-            bounds: of(self.room, &step.density, self.y, &step.y),
+            rows: of(&self.c, &step.c, &self.z, &step.z),
+            bounds: of(&self.room, &step.density, &self.y, &step.y),
         }
     }
 

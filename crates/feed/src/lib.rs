@@ -15,6 +15,7 @@
 //! | [`mod@motion`] | the cubic pieces in time |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
+mod certificate;
 pub mod curve;
 pub mod interior_point;
 pub mod limits;

@@ -280,7 +280,7 @@ fn solve(
         let objective = |at: Progress, density: &[f64]| merit.evaluate(mesh, at, density);
         let solution = interior_point::solve(&program, start, &stop, objective)
             .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
-        iterations += solution.objective.len() - 1;
+        iterations += solution.iterations;
         let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
         let used = motion.use_of_acceleration(mesh.spans.len(), limits);

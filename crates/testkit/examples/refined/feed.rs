@@ -15,12 +15,12 @@ use crate::{
     paths::{fixture, lines, own_maze, random},
 };
 
-/// Of the second plan: nodes half as far apart, and a second that is dear enough for shorter times than those of the
-/// closed loop.
-const FINE_SPACING_MM: f64 = 0.5;
-const FINE_ELASTICITY: f64 = 0.6;
+/// Of the further plans on the mirror: nodes a third as far apart, and seconds that are dear enough for shorter times
+/// than those of the closed loop.
+const FINE_SPACING_MM: f64 = 0.3;
+const FINE_ELASTICITIES: [f64; 2] = [0.6, 0.9];
 
-/// Of the second plan of a fixture.
+/// Of the second plan on a fixture.
 const DEARER_ELASTICITY: f64 = 0.75;
 
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
@@ -96,18 +96,18 @@ fn on_the_mirror(desired: &Surface, tif: &Tif, published: &ToolPath) {
         ("maze", own_maze(desired)),
         ("spiral", spiral(desired, &around).expect("a path")),
     ];
-    let fine = Settings {
+    let fine = FINE_ELASTICITIES.map(|elasticity| Settings {
         node_spacing_mm: Some(FINE_SPACING_MM),
-        price: Price::Elasticity(FINE_ELASTICITY),
+        price: Price::Elasticity(elasticity),
         ..Settings::default()
-    };
-    let plans = &[Settings::default(), fine];
+    });
+    let plans: Vec<Settings> = std::iter::once(Settings::default()).chain(fine).collect();
     let slow = machine([25.0, 15.0], [200.0, 100.0]);
     for (title, limits) in
         [("The reference mirror", &ion_beam()), ("The same, a tenth of every limit", &slow)]
     {
-        heading(title, plans);
-        let part = Part { desired, tif, limits, plans };
+        heading(title, &plans);
+        let part = Part { desired, tif, limits, plans: &plans };
         for (name, path) in &paths {
             part.row(name, path);
         }

@@ -1,0 +1,121 @@
+//! How far an objective is above its least value, proven.
+//!
+//! The convex program is `min f(D)` with the rows `c + J d >= 0` and the bounds `D + d >= lo`, with f quadratic. For
+//! all dual variables z >= 0 and y >= 0, with the curvature F of f, at least alpha,
+//!
+//! ```text
+//! f - min <= z' c + y' (D - lo) + 1/2 r' F^-1 r,   r = f' - J' z - y                            (1)
+//! ```
+//!
+//! by Lagrange's function, which is least at `d = -F^-1 r`. The y at hand is not the best one. With that of all of r that
+//! is positive, and alpha in the place of F,
+//!
+//! ```text
+//! f - min <= z' c + sum over r_j > 0 of r_j (D_j - lo_j) + sum over r_j < 0 of r_j^2 / (2 alpha),   r = f' - J' z   (2)
+//! ```
+//!
+//! costs nothing, and is much too large where r is smooth, since F is far above alpha there. Then (1) is taken, with
+//!
+//! ```text
+//! r' F^-1 r <= x' r + x' e + e' e / alpha,   e = r - F x,   for every x                          (3)
+//! ```
+//!
+//! for the x of conjugate gradients, whose products with F are exact: differences of f'.
+
+use planish_numerics::linear::skyline::dot;
+
+/// Most steps of conjugate gradients for (3).
+const MAX_STEPS: usize = 10;
+
+/// The last term of (3) over all of it at which the steps end.
+const REST: f64 = 0.1;
+
+/// (2) without `z' c`, for `r = f' - J' z`, nm^2.
+pub fn by_alpha(r: &[f64], room: &[f64], alpha: f64) -> f64 {
+    let of = |(r, room): (&f64, &f64)| if *r > 0.0 { r * room } else { r * r / (2.0 * alpha) };
+    r.iter().zip(room).map(of).sum()
+}
+
+/// An upper bound of `1/2 r' F^-1 r` by (3), for `r = f' - J' z - y`; `product` is F x, `precondition` nearly F^-1 x.
+pub fn by_curvature(
+    r: &[f64],
+    alpha: f64,
+    mut product: impl FnMut(&[f64]) -> Vec<f64>,
+    precondition: impl Fn(&[f64]) -> Vec<f64>,
+) -> f64 {
+    let bound = |x: &[f64], e: &[f64]| (dot(x, r) + dot(x, e), dot(e, e) / alpha);
+    let (mut x, mut e) = (vec![0.0; r.len()], r.to_vec());
+    let (mut known, mut rest) = bound(&x, &e);
+    let mut least = known + rest;
+    let mut towards = precondition(&e);
+    let mut e_m_e = dot(&e, &towards);
+    for _ in 0..MAX_STEPS {
+        if rest <= REST * known || e_m_e <= 0.0 {
+            break;
+        }
+        let f_towards = product(&towards);
+        let length = e_m_e / dot(&towards, &f_towards);
+        x.iter_mut().zip(&towards).for_each(|(x, t)| *x += length * t);
+        e.iter_mut().zip(&f_towards).for_each(|(e, t)| *e -= length * t);
+        (known, rest) = bound(&x, &e);
+        least = least.min(known + rest);
+        let next = precondition(&e);
+        let before = std::mem::replace(&mut e_m_e, dot(&e, &next));
+        let kept = e_m_e / before;
+        towards.iter_mut().zip(&next).for_each(|(t, n)| *t = n + kept * *t);
+    }
+    0.5 * least
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const N: usize = 40;
+    const ALPHA: f64 = 1e-5;
+
+    /// The matrix with these eigenvalues along cosines, applied.
+    fn of_spectrum(spectrum: impl Fn(usize) -> f64, x: &[f64]) -> Vec<f64> {
+        let cosine = |k: usize, i: usize| {
+            let norm = if k == 0 { 1.0 } else { 2.0f64 };
+            (norm / N as f64).sqrt()
+                * (std::f64::consts::PI * (i as f64 + 0.5) * k as f64 / N as f64).cos()
+        };
+        let along = |k: usize| (0..N).map(|i| cosine(k, i) * x[i]).sum::<f64>();
+        let parts: Vec<f64> = (0..N).map(|k| spectrum(k) * along(k)).collect();
+        (0..N).map(|i| (0..N).map(|k| cosine(k, i) * parts[k]).sum()).collect()
+    }
+
+    #[test]
+    fn it_is_a_bound_and_close_to_what_it_bounds() {
+        let f = |k: usize| ALPHA + (-0.5 * k as f64).exp();
+        let r: Vec<f64> = (0..N).map(|i| 1e-3 * (0.07 * (i * i) as f64).cos()).collect();
+        let exact = 0.5 * dot(&r, &of_spectrum(|k| 1.0 / f(k), &r));
+        // A preconditioner that is up to a third off, and none.
+        let off = |k: usize| f(k) * (1.0 + 0.3 * (k as f64).sin());
+        let near = |x: &[f64]| of_spectrum(|k| 1.0 / off(k), x);
+        let found = by_curvature(&r, ALPHA, |x| of_spectrum(f, x), near);
+        // The steps end where the rest is a tenth; rounding through a condition number of 1e5.
+        assert!(found >= exact * (1.0 - 1e-9) && found <= 1.11 * exact, "{found} {exact}");
+        let poor = by_curvature(&r, ALPHA, |x| of_spectrum(f, x), <[f64]>::to_vec);
+        assert!(poor >= exact * (1.0 - 1e-9), "{poor} {exact}");
+        assert!(poor <= 0.5 * dot(&r, &r) / ALPHA);
+    }
+
+    #[test]
+    fn lagrange_bounds_the_fall_of_a_program() {
+        // f = 1/2 a d^2 + g d with d >= -room: the least value is -g^2 / (2 a), or that at the bound.
+        for (a, g, room) in [(2.0, 0.3, 1.0), (2.0, 0.3, 0.05), (2.0, -0.3, 1.0)] {
+            let d = f64::max(-g / a, -room);
+            let fall = -(0.5 * a * d * d + g * d);
+            let bound = by_alpha(&[g], &[room], a);
+            assert!(bound >= fall, "{bound} {fall}");
+            let of_y = |y: f64| {
+                y * room + by_curvature(&[g - y], a, |x| vec![a * x[0]], |x| vec![x[0] / a])
+            };
+            let best = (0..=400).map(|k| of_y(f64::from(k) * 1e-3)).fold(f64::INFINITY, f64::min);
+            // Duality is strong: the best of the bounds is the fall, to the square of the step of y, 2.5e-7 / a.
+            assert!(best >= fall - 1e-12 && best <= fall + 1e-6, "{best} {fall}");
+        }
+    }
+}
