@@ -1,4 +1,6 @@
-//! Residual against total time: refinements at rising prices of a second, and their picture.
+//! Residual against total time: plans at rising prices of a second, and their picture. Each price has a plan of the
+//! closed loop and, where the machine does not limit jerk, one whose motion and times are one problem ([`planish_feed`]).
+//! Both methods minimise half the mean square of the residual plus the price times the total time.
 //!
 //! No plan takes less time than the volume to be removed over the volumetric removal rate (VRR) of the tool,
 //!
@@ -10,7 +12,9 @@
 //! pixels lies: a pit of a few pixels would ask for a layer of its depth all over the mirror.
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
-use planish_types::{End, Invalid, Limits, Surface, Tif, ToolPath, text::fixed};
+use planish_feed::{FeedError, Price, plan};
+use planish_types::{End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, text::fixed};
+use serde::Serialize;
 
 use crate::{Iterate, RefineError, Settings, refine};
 
@@ -20,14 +24,36 @@ pub const IGNORED: f64 = 1e-3;
 /// Most prices: a curve of more points looks the same, and takes days.
 const MOST_PRICES: usize = 1000;
 
+/// How a plan was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Dwell times corrected against their motion, round by round.
+    ClosedLoop,
+    /// Motion and times as one problem.
+    Feed,
+}
+
+impl Method {
+    /// In tables and pictures.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ClosedLoop => "closed loop",
+            Self::Feed => "feed",
+        }
+    }
+}
+
 /// One price.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
+    /// How the plan was made.
+    pub method: Method,
     /// Price of a second, nm^2/s.
     pub time_weight_nm2_per_s: f64,
-    /// The best round of its refinement.
+    /// The plan; of the closed loop its best round.
     pub best: Iterate,
-    /// Why its refinement ended.
+    /// Why the method ended.
     pub end: End,
 }
 
@@ -82,9 +108,39 @@ pub fn trade_off(
         let mut refined = refine(desired, tif, path, limits, first, &settings)?;
         first = Some(refined.dwell);
         let best = refined.iterates.swap_remove(refined.best);
-        points.push(Point { time_weight_nm2_per_s: price, best, end: refined.end });
+        let (method, end) = (Method::ClosedLoop, refined.end);
+        points.push(Point { method, time_weight_nm2_per_s: price, best, end });
     }
     Ok(points)
+}
+
+/// A plan of motion and times as one problem per price.
+pub fn feed_trade_off(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    limits: &Limits,
+    prices: &[f64],
+    min_dwell_s_per_mm: f64,
+) -> Result<Vec<Point>, FeedError> {
+    let at_price = |price: &f64| {
+        let price = Price::Nm2PerS(*price);
+        let settings = planish_feed::Settings { min_dwell_s_per_mm, price, ..Default::default() };
+        let plan = plan(desired, tif, path, limits, &settings)?;
+        let rms = Rms::of(plan.removal.residual());
+        let best = Iterate {
+            dwell_s: plan.dwell.dwell_s().to_vec(),
+            rms_nm: rms.rms_nm,
+            detilted_nm: rms.detilted_nm,
+            merit_nm: rms.rms_nm,
+            total_time_s: plan.trajectory.total_time_s(),
+            stretched: 0,
+            limits_respected: plan.refused.is_none(),
+        };
+        let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
+        Ok(Point { method: Method::Feed, time_weight_nm2_per_s, best, end: plan.report.end })
+    };
+    prices.iter().map(at_price).collect()
 }
 
 /// Height of the texts, px of the picture.
@@ -96,6 +152,9 @@ const SIZE_PX: [f64; 2] = [610.0, 340.0];
 /// Left, top, right and bottom of the frame, px.
 const MARGIN_PX: [f64; 4] = [80.0, 40.0, 30.0, 60.0];
 
+/// Room for the name of a method above the frame, px.
+const NAME_WIDTH_PX: f64 = 110.0;
+
 /// Least residual that is drawn, nm: a logarithm needs a positive value.
 const LEAST_RMS_NM: f64 = 1e-12;
 
@@ -103,17 +162,16 @@ const LEAST_RMS_NM: f64 = 1e-12;
 const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
-const CURVE: &str = "#365c8d";
+const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Feed, "#b5367a")];
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
-/// The curve as SVG text: total time to the right, residual upwards (logarithmic), the bound (1)
+/// A curve per method as SVG text: total time to the right, residual upwards (logarithmic), the bound (1)
 /// dashed.
 pub fn svg(points: &[Point], least_time_s: f64) -> String {
-    let curve: Vec<[f64; 2]> =
-        points.iter().map(|p| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)]).collect();
-    let end_s = 1.08 * curve.iter().map(|p| p[0]).fold(least_time_s, f64::max);
+    let place = |p: &Point| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)];
+    let end_s = 1.08 * points.iter().map(|p| place(p)[0]).fold(least_time_s, f64::max);
     // A tenth of a decade of room below and above.
-    let [low, high] = range(curve.iter().map(|p| p[1].log10()));
+    let [low, high] = range(points.iter().map(|p| place(p)[1].log10()));
     let rms = [low - 0.1, high + 0.1].map(|power| 10_f64.powf(power));
     let scales = [Scale::linear([0.0, end_s]), Scale::logarithmic(rms)];
     let frame = Frame::new([0.0; 2], SIZE_PX, MARGIN_PX, scales);
@@ -124,12 +182,25 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
     frame.upright(&mut svg, least_time_s, BOUND);
     let label = format!("volume / VRR = {} s", fixed(least_time_s, 1));
     svg.text([frame.at([least_time_s, 1.0])[0] + 8.0, frame.top + 16.0], "", &label);
-    frame.curve(&mut svg, curve.iter().copied(), CURVE);
-    for point in curve {
-        let [x, y] = frame.at(point);
-        svg.put(format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{CURVE}\"/>"));
-    }
     let [left, top, right, bottom] = MARGIN_PX;
+    let mut name_x = left + SIZE_PX[0];
+    for (method, colour) in METHODS {
+        let of_method = points.iter().filter(|p| p.method == method);
+        let curve: Vec<[f64; 2]> = of_method.map(place).collect();
+        if curve.is_empty() {
+            continue;
+        }
+        frame.curve(&mut svg, curve.iter().copied(), colour);
+        for point in curve {
+            let [x, y] = frame.at(point);
+            svg.put(format_args!(
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>"
+            ));
+        }
+        let attributes = format!("fill=\"{colour}\" text-anchor=\"end\"");
+        svg.text([name_x, top - 12.0], &attributes, method.name());
+        name_x -= NAME_WIDTH_PX;
+    }
     svg.finish([left + SIZE_PX[0] + right, top + SIZE_PX[1] + bottom])
 }
 
@@ -139,7 +210,8 @@ mod tests {
 
     #[test]
     fn every_plan_is_a_dot_and_the_bound_is_where_its_time_is() {
-        let point = |total_time_s: f64, rms_nm: f64| Point {
+        let point = |method: Method, total_time_s: f64, rms_nm: f64| Point {
+            method,
             time_weight_nm2_per_s: 0.0,
             best: Iterate {
                 dwell_s: vec![total_time_s],
@@ -152,8 +224,12 @@ mod tests {
             },
             end: End::NoImprovement,
         };
-        let svg = svg(&[point(100.0, 0.5), point(200.0, 0.0)], 54.0);
-        assert_eq!(svg.matches("<circle").count(), 2);
+        let (closed, feed) = (Method::ClosedLoop, Method::Feed);
+        let points = [point(closed, 100.0, 0.5), point(closed, 200.0, 0.0), point(feed, 90.0, 0.4)];
+        let svg = svg(&points, 54.0);
+        let of = |colour: &str| svg.matches(&format!("r=\"4\" fill=\"{colour}\"")).count();
+        assert_eq!(METHODS.map(|(_, colour)| of(colour)), [2, 1]);
+        assert!(svg.contains(">closed loop<") && svg.contains(">feed<"), "{svg}");
         // The axis ends 8 % beyond 200 s: a quarter of its 610 px is 54 s, from 80 px.
         assert!(svg.contains("stroke-dasharray=\"6 4\" d=\"M232.5 40.0v340.0\""), "{svg}");
         // The longest plan: 80 + 610 / 1.08.

@@ -7,15 +7,19 @@ use planish_handoff::{
     flags::{FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
     kind, say, task,
 };
-use planish_refine::{Scheduler, Settings, trade_off};
+use planish_refine::{
+    Scheduler, Settings,
+    trade_off::{self, Method},
+};
 use planish_schedule::pvt::ModeChoice;
 use planish_types::{End, plausible};
 use serde_json::json;
 
 use super::iterations;
 
-/// Refine at rising prices of a second: residual against total time
+/// Plan at rising prices of a second: residual against total time
 ///
+/// By the closed loop and, where the machine does not limit jerk, by motion and times as one problem (planish-feed).
 /// Writes the plans as iterations and DIR/pareto.svg, and prints the table, with the least total time that any
 /// plan can take: the volume to be removed over the volumetric removal rate (VRR) of the tool.
 #[derive(Args)]
@@ -60,15 +64,28 @@ impl Pareto {
 
         plausible::check_path(&surface, &tif, &path)?;
         let prices = trade_off::prices(&surface, &tif, self.prices)?;
-        let points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
+        let mut points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
             .map_err(Failure::with_flags)?;
+        let limits_jerk = machine.axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
+        if limits_jerk {
+            say(
+                "the machine limits jerk, which motion and times as one problem do not keep: the closed loop alone",
+            );
+        } else {
+            // A floor per dwell point says nothing of a motion without points.
+            let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm);
+            let of_feed =
+                trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
+            points.extend(of_feed.map_err(Failure::with_flags)?);
+        }
         let least_time_s = trade_off::least_time_s(&surface, &tif);
 
-        say("| price, nm^2/s | total time, s | residual RMS, nm | limits |");
-        say("|---|---|---|---|");
+        say("| method | price, nm^2/s | total time, s | residual RMS, nm | limits |");
+        say("|---|---|---|---|---|");
         for p in &points {
             say(format!(
-                "| {:.2e} | {:.1} | {:.4} | {} |",
+                "| {} | {:.2e} | {:.1} | {:.4} | {} |",
+                p.method.name(),
                 p.time_weight_nm2_per_s,
                 p.best.total_time_s,
                 p.best.rms_nm,
@@ -82,10 +99,13 @@ impl Pareto {
         let arrays = iterations(points.iter().map(|p| &p.best));
         let picture = trade_off::svg(&points, least_time_s).into_bytes();
         let ends: Vec<End> = points.iter().map(|p| p.end).collect();
+        let methods: Vec<Method> = points.iter().map(|p| p.method).collect();
+        let of_points: Vec<f64> = points.iter().map(|p| p.time_weight_nm2_per_s).collect();
         let outcome = json!({
             "end": End::AllPrices,
             "ends": ends,
-            "time_weight_nm2_per_s": prices,
+            "methods": methods,
+            "time_weight_nm2_per_s": of_points,
             "least_time_s": least_time_s,
         });
         let status = trade_off::negative(&points).map_or(Status::Done, Status::Negative);
