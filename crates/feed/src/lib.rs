@@ -13,11 +13,13 @@
 //! | [`merit`] | what is minimised: residual and price of time |
 //! | [`interior_point`] | the least objective under the rows, with its certificate |
 //! | [`mod@motion`] | the cubic pieces in time |
+//! | [`jerk`] | its average in time, where the machine limits jerk |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
 mod certificate;
 pub mod curve;
 pub mod interior_point;
+mod jerk;
 pub mod limits;
 pub mod merit;
 pub mod mesh;
@@ -39,15 +41,6 @@ pub enum FeedError {
     /// The removal model refused.
     #[error(transparent)]
     Dwell(#[from] DwellError),
-    /// The machine limits jerk.
-    #[error(
-        "machine: the axis {axis} limits jerk, which this method does not keep; use `planish-refine` in \
-         smooth mode"
-    )]
-    Jerk {
-        /// Name of the axis.
-        axis: &'static str,
-    },
     /// The program has no unique solution to rounding.
     #[error("the densities are not determined by the surface; raise `tikhonov` (now {tikhonov})")]
     Singular {

@@ -18,6 +18,7 @@ use crate::{
     FeedError,
     curve::{self, Curve, Rounding, Smooth},
     interior_point::{self, Program, Progress, Solution, Start, Stop},
+    jerk::Average,
     limits::Rows,
     merit::{Merit, Price},
     mesh::Mesh,
@@ -34,6 +35,12 @@ const DEVIATION_OVER_TIF_WIDTH: f64 = 0.2;
 /// Largest radius of a corner over the width of the TIF.
 const RADIUS_OVER_TIF_WIDTH: f64 = 1.0;
 
+/// By how much a motion that keeps a limit on jerk may leave the one that was planned, over the width of the TIF.
+const JERK_DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
+
+/// Most times that the desired removal is corrected by what averaging adds.
+const MAX_CORRECTIONS: usize = 3;
+
 /// Least spacing over the width of the TIF; what is smaller is a mistake in the units.
 const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 
@@ -41,7 +48,7 @@ const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
 /// Rounds in which corners whose motion exceeds a limit are asked for less, and the program is solved again.
-const MAX_ROUNDS: usize = 4;
+const MAX_ROUNDS: usize = 8;
 
 /// By what the densities of a round are above those that just keep the limits, so that the next one can begin there.
 const ABOVE_LIMITS: f64 = 1.01;
@@ -125,8 +132,22 @@ pub struct Report {
     pub model_rms_nm: f64,
     /// Largest distance of the motion from the curve at equal times, mm.
     pub fit_error_mm: f64,
+    /// How the motion was averaged in time; absent where the machine does not limit jerk.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub average: Option<Averaged>,
     /// Rounds of the solver, with corners asked for less in all but the first.
     pub rounds: usize,
+}
+
+/// Of a motion that keeps a limit on jerk.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Averaged {
+    /// Over which time, s.
+    pub window_s: f64,
+    /// Fraction of the limits on acceleration that was planned with.
+    pub fraction_of_acceleration: f64,
+    /// Proven bound on the distance from the motion that was planned, mm.
+    pub deviation_mm: f64,
 }
 
 /// The plan.
@@ -173,31 +194,35 @@ pub fn plan(
     settings: &Settings,
 ) -> Result<Plan, FeedError> {
     check(settings)?;
-    if let Some(axis) = limits.axes().iter().find(|a| a.max_jerk_mm_per_s3().is_some()) {
-        return Err(FeedError::Jerk { axis: axis.name() });
-    }
-    let (rounding, spacing_mm) = scales(tif_width_mm(tif), settings)?;
+    let tif_width_mm = tif_width_mm(tif);
+    let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;
+    let average = Average::new(limits, JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm);
     let Smooth { curves, moved_mm } = curve::curves(path, &rounding);
     if curves.is_empty() {
         let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
         return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
     }
     let mesh = Mesh::new(&curves, path, spacing_mm)?;
-    let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
-    let Solved { solution, motion, refused, price, iterations, rounds } = solve(
-        &curves,
-        &mesh,
-        path,
-        &residual,
-        level_s_per_mm(&mesh, &residual, desired),
-        limits,
-        settings,
-    )?;
-    let times_s = mesh.times_s(&solution.density);
-    let model_rms_nm = (2.0 * residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
     let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
-    let removal = simulation.predict(&motion.trajectory, desired)?.removal;
-    let dwell = DwellTime::new(motion.trajectory.served_s(path.len(), |_| true)?)?;
+    let case = Case { desired, tif, path, curves: &curves, mesh: &mesh, limits, average };
+    let mut best = case.executed(desired, &simulation, settings)?;
+    if average.is_some() {
+        // At the same price, so that the objectives can be compared.
+        let fixed = Settings { price: Price::Nm2PerS(best.solved.price), ..*settings };
+        for _ in 0..MAX_CORRECTIONS {
+            let asked = best.corrected(desired, &simulation)?;
+            let next = case.executed(&asked, &simulation, &fixed)?;
+            if next.refused.is_some()
+                || next.objective_nm2(settings) >= best.objective_nm2(settings)
+            {
+                break;
+            }
+            best = next;
+        }
+    }
+    let Executed { solved, trajectory, refused, removal, model_rms_nm } = best;
+    let Solved { solution, motion, price, iterations, rounds, .. } = solved;
+    let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let corners = || curves.iter().flat_map(Curve::corners);
     let report = Report {
         curves: curves.len(),
@@ -215,9 +240,82 @@ pub fn plan(
         objective_nm2: solution.objective,
         model_rms_nm,
         fit_error_mm: motion.fit_error_mm,
+        average: average.map(|a| Averaged {
+            window_s: a.window_s,
+            fraction_of_acceleration: a.fraction,
+            deviation_mm: a.deviation_mm,
+        }),
         rounds,
     };
-    Ok(Plan { dwell, trajectory: motion.trajectory, removal, refused, report })
+    Ok(Plan { dwell, trajectory, removal, refused, report })
+}
+
+/// What stays the same while the desired removal is corrected.
+struct Case<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    path: &'a ToolPath,
+    curves: &'a [Curve],
+    mesh: &'a Mesh,
+    limits: &'a Limits,
+    average: Option<Average>,
+}
+
+/// A solution, and its motion as it will be executed.
+struct Executed {
+    solved: Solved,
+    trajectory: Trajectory,
+    /// Why the judge refuses it.
+    refused: Option<String>,
+    removal: Removal,
+    model_rms_nm: f64,
+}
+
+impl Case<'_> {
+    /// Plans for the removal `asked`; what is left is judged by the one that is desired.
+    fn executed(
+        &self,
+        asked: &Surface,
+        simulation: &Simulation,
+        settings: &Settings,
+    ) -> Result<Executed, FeedError> {
+        let Self { desired, tif, path, curves, mesh, limits, average } = *self;
+        let planned_with = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
+        let residual = Residual::new(asked, tif, &mesh.points_mm, None, settings.free)?;
+        let level = level_s_per_mm(mesh, &residual, asked);
+        let solved = solve(curves, mesh, path, &residual, level, &planned_with, settings)?;
+        let (trajectory, refused) = match average {
+            None => (solved.motion.trajectory.clone(), solved.refused.clone()),
+            Some(average) => {
+                let trajectory = average.of(&solved.motion.trajectory)?;
+                let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
+                (trajectory, verdict.reason())
+            }
+        };
+        let times_s = mesh.times_s(&solved.solution.density);
+        let model_rms_nm = (2.0 * residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
+        let removal = simulation.predict(&trajectory, desired)?.removal;
+        Ok(Executed { solved, trajectory, refused, removal, model_rms_nm })
+    }
+}
+
+impl Executed {
+    /// Half the mean square of the executed residual and the price of its time, nm^2.
+    fn objective_nm2(&self, settings: &Settings) -> f64 {
+        let rms = Rms::of(self.removal.residual());
+        let left_nm = match settings.free {
+            Free::Piston => rms.rms_nm,
+            Free::Plane => rms.detilted_nm,
+        };
+        0.5 * left_nm * left_nm + self.solved.price * self.trajectory.total_time_s()
+    }
+
+    /// The removal to ask for so that the averaged motion removes what is desired: less what averaging adds.
+    fn corrected(&self, desired: &Surface, simulation: &Simulation) -> Result<Surface, FeedError> {
+        let planned = simulation.predict(&self.solved.motion.trajectory, desired)?.removal;
+        let added = self.removal.removal_nm() - planned.removal_nm();
+        Ok(Surface::new(*desired.grid(), desired.height_nm() - &added)?)
+    }
 }
 
 /// How corners are rounded, and the distance of the nodes (mm), for the width of the TIF.

@@ -1,7 +1,7 @@
 //! A small mirror along every kind of path: the plan is what the judges find, and a freer problem is never worse.
 
 use ndarray::Array2;
-use planish_feed::{FeedError, Plan, Price, Settings, plan};
+use planish_feed::{Plan, Price, Settings, plan};
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_types::{
     Axis, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
@@ -162,6 +162,40 @@ fn a_freer_problem_is_never_worse() {
 }
 
 #[test]
+fn a_limit_on_jerk_is_kept_and_a_higher_one_is_never_worse() {
+    let price = 1e-3;
+    for path in [raster(), meander(), one_way()] {
+        let of = |jerk: Option<f64>| {
+            let limits = machine(100.0, 2000.0, jerk);
+            let plan = run(&path, &limits, &at_price(price));
+            assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None), "{jerk:?}");
+            let verdict = verify(&plan.trajectory, &limits, &VerifySettings::default()).unwrap();
+            assert!(verdict.limits_respected, "{jerk:?}: {:?}", verdict.violations);
+            let executed =
+                simulate(&plan.trajectory, &tif(), &desired(), Simulation::Gridded).unwrap();
+            let left = executed.removal.residual().height_nm();
+            assert_eq!(left, plan.removal.residual().height_nm());
+            let averaged = plan.report.average.map_or(0.0, |a| a.deviation_mm);
+            println!("{jerk:?}: {} of {averaged} mm", merit(&plan, price));
+            (merit(&plan, price), plan)
+        };
+        let jerks = [Some(2e3), Some(2e4), Some(2e5), None];
+        let plans = jerks.map(of);
+        // The gap of the solver, and what three corrections of the desired removal may leave.
+        for pair in plans.windows(2) {
+            assert!(pair[1].0 <= pair[0].0 * (1.0 + 4e-3), "{} {}", pair[0].0, pair[1].0);
+        }
+        // The limit decides: time is what a low one costs.
+        let [low, .., none] = plans.each_ref().map(|(_, plan)| plan.trajectory.total_time_s());
+        assert!(low > 1.01 * none, "{low} {none}");
+        // What averaging displaces is part of what is asked for: regression bound, measured below 1 %.
+        let rms = plans[0].1.removal.residual().statistics().rms;
+        let off = (rms / plans[0].1.report.model_rms_nm - 1.0).abs();
+        assert!(off < 0.1, "{off}");
+    }
+}
+
+#[test]
 fn the_price_follows_from_the_elasticity() {
     let (path, limits) = (raster(), machine(100.0, 2000.0, None));
     for x in [0.1, 0.5] {
@@ -180,8 +214,6 @@ fn what_cannot_be_planned_is_refused_by_name() {
     let refuse = |path: &ToolPath, limits: &Limits, settings: &Settings| {
         plan(&desired(), &tif(), path, limits, settings).unwrap_err()
     };
-    let jerk = machine(100.0, 2000.0, Some(1e5));
-    assert!(matches!(refuse(&raster(), &jerk, &settings), FeedError::Jerk { axis: "x" }));
     let still = through(vec![[1.0, 1.0], [1.0, 1.0]]);
     assert!(refuse(&still, &limits, &settings).to_string().contains("no segment with a length"));
     let far = through(vec![[100.0, 100.0], [110.0, 100.0]]);

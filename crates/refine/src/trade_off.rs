@@ -1,5 +1,5 @@
 //! Residual against total time: plans at rising prices of a second, and their picture. Each price has a plan of the
-//! closed loop and, where the machine does not limit jerk, one whose motion and times are one problem ([`planish_feed`]).
+//! closed loop, and one whose motion and times are one problem ([`planish_feed`]).
 //! Both methods minimise half the mean square of the residual plus the price times the total time.
 //!
 //! No plan takes less time than the volume to be removed over the volumetric removal rate (VRR) of the tool,

@@ -19,7 +19,7 @@ use super::iterations;
 
 /// Plan at rising prices of a second: residual against total time
 ///
-/// By the closed loop and, where the machine does not limit jerk, by motion and times as one problem (planish-feed).
+/// By the closed loop, and by motion and times as one problem (planish-feed).
 /// Writes the plans as iterations and DIR/pareto.svg, and prints the table, with the least total time that any
 /// plan can take: the volume to be removed over the volumetric removal rate (VRR) of the tool.
 #[derive(Args)]
@@ -66,18 +66,10 @@ impl Pareto {
         let prices = trade_off::prices(&surface, &tif, self.prices)?;
         let mut points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
             .map_err(Failure::with_flags)?;
-        let limits_jerk = machine.axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
-        if limits_jerk {
-            say(
-                "the machine limits jerk, which motion and times as one problem do not keep: the closed loop alone",
-            );
-        } else {
-            // A floor per dwell point says nothing of a motion without points.
-            let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm);
-            let of_feed =
-                trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
-            points.extend(of_feed.map_err(Failure::with_flags)?);
-        }
+        // A floor per dwell point says nothing of a motion without points.
+        let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm);
+        let of_feed = trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
+        points.extend(of_feed.map_err(Failure::with_flags)?);
         let least_time_s = trade_off::least_time_s(&surface, &tif);
 
         say("| method | price, nm^2/s | total time, s | residual RMS, nm | limits |");

@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, say, words};
+use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, words};
 use planish_run::owner::{Mirror, Owner};
 
 /// Says whose directory it is.
@@ -41,9 +41,6 @@ pub struct Start {
     /// mark in it is found before anything runs
     #[arg(long, value_name = "NAME=FLAGS")]
     flags: Vec<String>,
-    /// A word of the command that is left out, and said so, where the machine limits jerk
-    #[arg(long, value_name = "WORD")]
-    without_jerk: Option<String>,
     /// What to run, with its arguments
     #[arg(last = true, required = true, value_name = "COMMAND")]
     command: Vec<String>,
@@ -63,21 +60,15 @@ fn start(arguments: &Start) -> Result<Status, Failure> {
         words::split(text).map_err(|e| Failure::new(format!("{name}={text}: {e}")))?;
     }
     // By the reader of the stages.
-    let limits = Inputs::new().read_machine(machine)?;
-    let limits_jerk = limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some());
-    let mut command = command.clone();
-    if let Some(word) = arguments.without_jerk.as_ref().filter(|_| limits_jerk) {
-        command.retain(|given| given != word);
-        say(format!("{word} is left out: {} limits jerk", machine.display()));
-    }
+    Inputs::new().read_machine(machine)?;
     let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
     for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
         path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
     }
     refuse_overlap(out, "machine", machine)?;
 
-    let lock = take(out, &owner, &command)?;
-    Err(become_command(&command, lock))
+    let lock = take(out, &owner, command)?;
+    Err(become_command(command, lock))
 }
 
 /// The mirror, which is there.
