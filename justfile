@@ -166,9 +166,9 @@ pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_
 refine-table:
     @cargo run --quiet --release --locked -p planish-testkit --example refined
 
-# The tables of docs/feed.md: motion and times as one problem beside the closed loop; with PLANISH_REFERENCE set, also those of the reference mirror
-feed-table:
-    @cargo run --quiet --release --locked -p planish-testkit --example refined -- feed
+# The tables of docs/feed.md: motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference mirror), or some: just feed-table mirror slow jerk fixtures
+feed-table *names:
+    @cargo run --quiet --release --locked -p planish-testkit --example refined -- feed {{ names }}
 
 # `just run` and its relatives as a user calls them: hostile settings, races, exit codes
 test-pipelines: build
@@ -235,9 +235,9 @@ surface-pictures: build
     surface tif --tif $tool --centre centroid --pitch-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
-# Print the table of docs/paths.md: every path on the reference mirror (PLANISH_REFERENCE)
-paths-table: build
-    @sh docs/paths/table.sh
+# Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
+paths-table machine="fixtures/machines/ion-beam.json": build
+    @sh docs/paths/table.sh {{ quote(machine) }}
 
 [private]
 python:

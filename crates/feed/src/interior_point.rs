@@ -19,7 +19,7 @@
 //! a row couples neighbours only.
 //!
 //! That the objective has stopped to fall does not prove that it is least: z fits rows that bend from step to step, and
-//! lags behind. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and its
+//! is always a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and its
 //! tangents are kept: the steps go on for the convex program that they make of (1), whose slacks may first be larger
 //! than the tangents leave (an infeasible start), until its dual variables prove how far the iterate is above its least
 //! value ([`crate::certificate`]). If that is more than is wanted, its solution is gone towards as far as the rows

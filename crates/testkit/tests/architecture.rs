@@ -21,7 +21,10 @@ const ROOMS: [Room; 9] = [
     ("handoff", &["types"]),
     (
         "refine",
-        &["numerics", "types", "draw", "handoff", "dwell", "schedule", "simulate", "verify"],
+        &[
+            "numerics", "types", "draw", "handoff", "dwell", "schedule", "simulate", "verify",
+            "feed",
+        ],
     ),
     ("feed", &["numerics", "types", "handoff", "dwell", "simulate", "verify"]),
     ("tolerance", &["numerics", "types", "handoff", "simulate"]),

@@ -6,9 +6,12 @@ use planish_dwell::bounded_least_squares::Bound;
 use planish_feed::{Price, Settings, plan};
 use planish_fixture::Fixture;
 use planish_schedule::pvt::Mode;
-use planish_testkit::{ion_beam, machine, mirror};
+use planish_testkit::{
+    ion_beam, machine,
+    mirror::{self, Mirror},
+};
 use planish_toolpath::{Construction, Scan, SpiralSettings, spiral};
-use planish_types::{Limits, Surface, Tif, ToolPath, plausible::Rms};
+use planish_types::{Limits, MachineFile, Surface, Tif, ToolPath, plausible::Rms};
 
 use crate::{
     Case,
@@ -22,6 +25,8 @@ const FINE_ELASTICITIES: [f64; 2] = [0.6, 0.9];
 
 /// Of the second plan on a fixture.
 const DEARER_ELASTICITY: f64 = 0.75;
+
+const JERKS_MM_PER_S3: [f64; 3] = [1e5, 2e4, 2e3];
 
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
 
@@ -51,7 +56,9 @@ impl Part<'_> {
     fn measured(&self, path: &ToolPath) -> Vec<[f64; 2]> {
         let Self { desired, tif, limits, plans } = *self;
         let floor = Bound::SecondsPerMm(0.02);
-        let case = Case { desired, tif, limits, mode: Mode::Monotone, floor, noise_rms_nm: None };
+        let limits_jerk = limits.axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
+        let mode = if limits_jerk { Mode::Smooth } else { Mode::Monotone };
+        let case = Case { desired, tif, limits, mode, floor, noise_rms_nm: None };
         let refined = case.refined(path);
         let best = &refined.iterates[refined.best];
         assert!(best.limits_respected);
@@ -87,10 +94,11 @@ fn print_row(name: &str, of: &[[f64; 2]]) {
     println!("| {name} |{cells}");
 }
 
-fn on_the_mirror(desired: &Surface, tif: &Tif, published: &ToolPath) {
+fn on_the_mirror(title: &str, reference: &Mirror, limits: &Limits) {
+    let (desired, tif) = (&reference.desired, &reference.tif);
     let around = SpiralSettings { pitch_mm: 1.0, step_mm: 1.0, overscan_mm: 5.0 };
     let paths = [
-        ("published raster", published.clone()),
+        ("published raster", reference.path("raster")),
         ("raster", lines(desired, tif, 1.0, Scan::X)),
         ("raster at 30 degrees", lines(desired, tif, 1.0, Scan::Angle { angle_deg: 30.0 })),
         ("maze", own_maze(desired)),
@@ -102,24 +110,31 @@ fn on_the_mirror(desired: &Surface, tif: &Tif, published: &ToolPath) {
         ..Settings::default()
     });
     let plans: Vec<Settings> = std::iter::once(Settings::default()).chain(fine).collect();
-    let slow = machine([25.0, 15.0], [200.0, 100.0]);
-    for (title, limits) in
-        [("The reference mirror", &ion_beam()), ("The same, a tenth of every limit", &slow)]
-    {
-        heading(title, &plans);
-        let part = Part { desired, tif, limits, plans: &plans };
-        for (name, path) in &paths {
-            part.row(name, path);
+    heading(title, &plans);
+    let part = Part { desired, tif, limits, plans: &plans };
+    for (name, path) in &paths {
+        part.row(name, path);
+    }
+    part.median_of_seeds();
+}
+
+/// On the raster and the maze.
+fn with_limits_on_jerk(reference: &Mirror) {
+    let (desired, tif, plans) = (&reference.desired, &reference.tif, &[Settings::default()]);
+    heading("The reference mirror, with a limit on jerk", plans);
+    let paths = [("raster", lines(desired, tif, 1.0, Scan::X)), ("maze", own_maze(desired))];
+    for (name, path) in &paths {
+        for jerk_mm_per_s3 in JERKS_MM_PER_S3 {
+            let mut file = MachineFile::from(&ion_beam());
+            file.axes.iter_mut().for_each(|axis| axis.max_jerk_mm_per_s3 = Some(jerk_mm_per_s3));
+            let limits = &file.checked().expect("a machine");
+            let part = Part { desired, tif, limits, plans };
+            part.row(&format!("{name}, {jerk_mm_per_s3:e} mm/s^3"), path);
         }
-        part.median_of_seeds();
     }
 }
 
-/// Of the reference mirror, where it is there, and of fixtures.
-pub fn tables() {
-    if let Some(reference) = mirror::mirror() {
-        on_the_mirror(&reference.desired, &reference.tif, &reference.path("raster"));
-    }
+fn on_fixtures() {
     let dearer = Settings { price: Price::Elasticity(DEARER_ELASTICITY), ..Settings::default() };
     let (limits, plans) = (&ion_beam(), &[Settings::default(), dearer]);
     heading("Fixtures", plans);
@@ -130,5 +145,25 @@ pub fn tables() {
         let path = lines(&surface, &tif, pitch_mm, Scan::X);
         let part = Part { desired: &surface, tif: &tif, limits, plans };
         part.row(&format!("`{name}`, raster {pitch_mm} mm"), &path);
+    }
+}
+
+/// The tables of these names, or all: of the reference mirror, where it is there, and of fixtures.
+pub fn tables(names: &[String]) {
+    let wanted = |name: &str| names.is_empty() || names.iter().any(|n| n == name);
+    if let Some(reference) = mirror::mirror() {
+        if wanted("mirror") {
+            on_the_mirror("The reference mirror", &reference, &ion_beam());
+        }
+        if wanted("slow") {
+            let slow = machine([25.0, 15.0], [200.0, 100.0]);
+            on_the_mirror("The same, a tenth of every limit", &reference, &slow);
+        }
+        if wanted("jerk") {
+            with_limits_on_jerk(&reference);
+        }
+    }
+    if wanted("fixtures") {
+        on_fixtures();
     }
 }

@@ -194,8 +194,9 @@ fn on_the_coupons() {
 }
 
 fn main() {
-    if std::env::args().nth(1).as_deref() == Some("feed") {
-        return feed::tables();
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    if let Some(("feed", names)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
+        return feed::tables(names);
     }
     if let Some(reference) = mirror::mirror() {
         on_the_mirror(&reference);
