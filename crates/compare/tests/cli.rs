@@ -95,6 +95,19 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(found["methods"]["pvt"]["max_velocity_step_mm_per_s"], json!([5.0, 6.0]));
     assert_eq!(found["methods"]["pvt"]["schedule_wall_s"], 0.125);
     assert_eq!(found["methods"]["pvt"]["simulate_wall_s"], Value::Null);
+    // The answer: heights 2.25 and 1.25 nm remain, 1.25 nm is 0.6 nm below their mean.
+    let answer = &found["answer"];
+    assert_eq!(answer["method"], "pvt");
+    assert_eq!(
+        answer["sentence"],
+        "pvt runs in 60 s: 1.96 to 0.49 nm RMS, worst -0.6 nm from the mean at x 0.5, y 0.0 mm; \
+         the limits of the machine are kept."
+    );
+    let why = answer["why"].as_str().unwrap();
+    let next = "the least RMS of the 2 plans that keep the limits; the next is bspline with 0.98 nm in 62 s.";
+    assert!(why.starts_with("pvt, because it leaves ") && why.contains(next), "{why}");
+    assert!(answer["ideal"].as_str().unwrap().starts_with("Not a plan: position is the ideal"));
+    assert_eq!(answer["problems"], json!([]));
     let order: Vec<_> = found["methods"].as_object().unwrap().keys().collect();
     assert_eq!(order, ["position", "pvt", "bspline"]);
 
@@ -165,6 +178,24 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     for file in ["refinement.svg", "spectrum.svg"] {
         assert!(!dir.path().join("one").join(file).exists(), "{file}");
     }
+}
+
+#[test]
+fn where_no_plan_keeps_the_limits_the_answer_is_that_nothing_is_to_be_run() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, false), ("position", 0.9, false)]);
+    let made = compare(dir.path(), &["report", "run", "--out", "report"]);
+    assert_eq!(made.status.code(), Some(1));
+    let answer = &summary(&dir.path().join("report"))["answer"];
+    assert_eq!(
+        (&answer["method"], &answer["sentence"], &answer["why"]),
+        (
+            &Value::Null,
+            &json!("Nothing here is to be run."),
+            &json!("pvt exceeds the limits of the machine.")
+        )
+    );
+    assert_eq!(answer["problems"], json!(["no plan of this run keeps the limits of the machine"]));
 }
 
 #[test]

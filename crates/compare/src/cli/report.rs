@@ -7,9 +7,10 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use planish_compare::{
+    answer::to_json,
     chain::Standing,
     report::{figure::figures, page, sparkline, views},
-    summary::{Summary, negative, to_json},
+    summary::{Summary, negative},
     table::{execution_table, specification_table, table, table_of_runs},
 };
 use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
