@@ -176,7 +176,8 @@ fn failing(name: &str, judged: &Judged) -> String {
     format!("{name} does not keep the specification {}: {}", judged.name, said.join("; "))
 }
 
-fn duration(time_s: f64) -> String {
+/// A duration in the unit that people plan with, three digits.
+pub fn duration(time_s: f64) -> String {
     let (time, unit) = match time_s {
         t if t < MINUTES_FROM_S => (t, "s"),
         t if t < HOURS_FROM_S => (t / 60.0, "min"),

@@ -6,6 +6,7 @@
 //! * [`dwell`]: dwell solvers side by side.
 //! * [`execution`]: dwell times kept, overshoot, jerk.
 //! * [`report`]: a page to look at, and its figures.
+//! * [`typeset`]: a figure as PDF or PNG.
 //! * [`chain`]: whether the artifacts of a run belong together.
 //! * [`plan`]: how good a plan is known to be.
 //! * [`reach`]: what of a residual no dwell time can change.
@@ -25,3 +26,4 @@ pub mod report;
 pub mod specification;
 pub mod summary;
 pub mod table;
+pub mod typeset;
