@@ -254,9 +254,15 @@ test-report: build browser
     target/python/bin/python crates/compare/tests/browser.py --several out/test-report-both --shots out/test-report-pictures
     target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
 
-# Write the pictures of docs/report.md
+# Write the pictures of docs/gallery.md: every path and method on one mirror
+gallery: build
+    pipelines/gallery.sh
+
+# Write the pictures of docs/report.md, and the one that README.md opens with
 report-pictures: build browser
     just run raster
+    target/release/planish-compare figures out/raster/flat-92x16 --format png --dpi 110 --out out/raster/figures --force
+    cp out/raster/figures/overview.png docs/report/overview.png
     target/python/bin/python crates/compare/tests/browser.py --docs out/raster/flat-92x16/report docs/report
 
 [private]
