@@ -248,6 +248,8 @@ python:
 test-report: build browser
     just run raster fixture=coupon refine=yes out=out/test-report
     target/python/bin/python crates/compare/tests/browser.py out/test-report/report out/test-report --shots out/test-report-pictures
+    just run raster fixture=coupon specification=fixtures/specifications/lithography.json out=out/test-report-specified || [ $? -eq 1 ]
+    target/python/bin/python crates/compare/tests/browser.py out/test-report-specified/report out/test-report-specified
     just run maze fixture=coupon out=out/test-report-maze
     target/release/planish-compare report out/test-report out/test-report-maze --out out/test-report-both --force
     target/python/bin/python crates/compare/tests/browser.py --hostile target/release out/test-report

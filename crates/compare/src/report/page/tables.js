@@ -96,15 +96,17 @@ function fillSummary() {
 function fillSpecifications() {
   for (const r of RUNS) {
     const { before, after } = r.summary.specification, known = (c) => c[1];
-    const methods = r.methods.map((m) => [m.name, r.summary.methods[m.name].specification]);
-    const columns = [["before", before], ...methods, ["measured after", after]].filter(known);
+    // The plan that is to be run, what it starts from and what was measured after it; then the others, the ideal last.
+    const of = (m) => [m.name, r.summary.methods[m.name].specification, r.summary.methods[m.name].plan.state === "ideal"];
+    const methods = r.methods.map(of).sort((a, b) => a[2] - b[2]), chosen = (c) => c[0] === r.best;
+    const columns = [...methods.filter(chosen), ["before", before], ["measured after", after], ...methods.filter((c) => !chosen(c))].filter(known);
     // What fails of the plan that is to run, or after the run, is a fault; before, it is why the run is made.
     const fault = (column, passed) => (!passed && (column === r.best || column === "measured after") ? "bad" : "");
     if (!columns.length) continue;
     const table = element("table", undefined, { class: "specification" }), first = columns[0][1];
     const row = (cells) => { const tr = element("tr"); tr.append(...cells); table.append(tr); };
     const title = (RUNS.length > 1 ? r.name + ": " : "") + "specification " + first.name;
-    row([title, "limit", ...columns.map((c) => c[0])].map((text) => element("th", text, { scope: "col" })));
+    row([title, "limit", ...columns.map(([name, , ideal]) => name + (ideal ? " (ideal, not a plan)" : ""))].map((text) => element("th", text, { scope: "col" })));
     first.limits.forEach((limit, i) => {
       const one = columns.every(([, judged]) => judged.limits[i].limit === limit.limit);
       const bound = (limit.bound === "at-most" ? "≤ " : "≥ ") + (one ? number(limit.limit) : "line");
