@@ -248,15 +248,23 @@ python:
 test-report: build browser
     just run raster fixture=coupon refine=yes out=out/test-report
     target/python/bin/python crates/compare/tests/browser.py out/test-report/report out/test-report --shots out/test-report-pictures
+    just run raster fixture=coupon specification=fixtures/specifications/lithography.json out=out/test-report-specified || [ $? -eq 1 ]
+    target/python/bin/python crates/compare/tests/browser.py out/test-report-specified/report out/test-report-specified
     just run maze fixture=coupon out=out/test-report-maze
     target/release/planish-compare report out/test-report out/test-report-maze --out out/test-report-both --force
     target/python/bin/python crates/compare/tests/browser.py --hostile target/release out/test-report
     target/python/bin/python crates/compare/tests/browser.py --several out/test-report-both --shots out/test-report-pictures
     target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
 
-# Write the pictures of docs/report.md
+# Write the pictures of docs/gallery.md: every path and method on one mirror
+gallery: build
+    pipelines/gallery.sh
+
+# Write the pictures of docs/report.md, and the one that README.md opens with
 report-pictures: build browser
     just run raster
+    target/release/planish-compare figures out/raster/flat-92x16 --format png --dpi 110 --out out/raster/figures --force
+    cp out/raster/figures/overview.png docs/report/overview.png
     target/python/bin/python crates/compare/tests/browser.py --docs out/raster/flat-92x16/report docs/report
 
 [private]

@@ -2,6 +2,7 @@
 
 mod diff;
 mod dwell;
+mod figures;
 mod report;
 
 use clap::Subcommand;
@@ -13,6 +14,8 @@ pub enum Command {
     /// Print the results of the methods of one or several runs side by side; write summary.json,
     /// report.html and figures (SVG)
     Report(report::Report),
+    /// Draw the figures of a plan for papers and lab books, as PDF, PNG or SVG
+    Figures(figures::Figures),
     /// Print the results of dwell solvers side by side, and write summary.json
     Dwell(dwell::Dwell),
     /// Print how far the arrays of two artifacts are apart; exit code 1 above the tolerance
@@ -23,6 +26,7 @@ impl Command {
     pub fn run(&self) -> Result<Status, Failure> {
         let ended = match self {
             Self::Report(arguments) => arguments.run(),
+            Self::Figures(arguments) => arguments.run(),
             Self::Dwell(arguments) => arguments.run(),
             Self::Diff(arguments) => arguments.run(),
         };

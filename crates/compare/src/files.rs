@@ -12,6 +12,7 @@ use planish_compare::{
     chain::{self, Chain, MethodRecords, Record, Recorded, RunRecords, Standing},
     diff::Elements,
     dwell::{Row, Solver},
+    places::Division,
     plan::Plan,
     reach::Reach,
     report::{Frames, Rounds, Run, RunMethod},
@@ -54,14 +55,13 @@ pub fn read_run(
         Some(dir) => Some(inputs.read("measured", dir)?),
         None => None,
     };
-    let reach = match names.tif {
-        Some(dir) => {
-            let tif: Tif = inputs.read(&format!("{role}/tif"), dir)?;
-            let digest = inputs.digest(&format!("{role}/tif")).unwrap_or_default().to_string();
-            Reach::new(&desired.value, &tif).map(|reach| (reach, digest))
-        }
-        None => None,
-    };
+    let tif_role = format!("{role}/tif");
+    let tif: Option<Tif> = names.tif.map(|dir| inputs.read(&tif_role, dir)).transpose()?;
+    let reach = tif.as_ref().and_then(|tif| {
+        let digest = inputs.digest(&tif_role).unwrap_or_default().to_string();
+        Some((Reach::new(&desired.value, tif)?, digest))
+    });
+    let division = Division::new(&desired.value, tif.as_ref());
     let mut judge = Judge { inputs, role: &role, specification: None, remarks: vec![] };
     let around = Around {
         before: judge.read("before", run, Some(("surface", &desired.recorded.digest)))?,
@@ -106,6 +106,7 @@ pub fn read_run(
             .as_ref()
             .map_or(vec![], |dwell| chain::solved_for_another(&records, dwell)),
         reach: reach.as_ref(),
+        division: &division,
     };
     let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
     for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
@@ -123,7 +124,8 @@ pub fn read_run(
     let pipeline = names.pipeline.unwrap_or(&name);
     let mut remarks = chain::check_run(&records);
     remarks.extend(judge_remarks);
-    let summary = Summary::new(pipeline, names.fixture, &desired.value, numbers, left_out, remarks)
+    let (mirror, surface) = (names.fixture, &desired.value);
+    let summary = Summary::new(pipeline, mirror, surface, &division, numbers, left_out, remarks)
         .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
     let path = path.map(|p| p.value);
     Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
@@ -195,6 +197,14 @@ type Provenance = Vec<(String, Value)>;
 
 fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Value> {
     provenance.iter().find(|(r, _)| r == role).map(|(_, manifest)| manifest)
+}
+
+/// Name of the machine that a method was judged by: that of its file.
+fn machine_of(provenance: &Provenance) -> Option<String> {
+    let inputs = manifest_of(provenance, "verdict")?["inputs"].as_array()?;
+    let machine = inputs.iter().find(|input| input["role"] == "machine")?;
+    let path = Path::new(machine["path"].as_str()?);
+    Some(path.file_stem()?.to_string_lossy().into_owned())
 }
 
 /// An artifact and what is known of where it comes from.
@@ -319,6 +329,7 @@ struct Shared<'a> {
     plan_is_for_another: Vec<&'static str>,
     /// What the tool reaches, and its BLAKE3.
     reach: Option<&'a (Reach, String)>,
+    division: &'a Division,
 }
 
 impl Shared<'_> {
@@ -351,11 +362,19 @@ impl Shared<'_> {
             reach.map(|(reach, _)| reach.uncorrectable_rms_nm(found.removal.residual()));
         let numbers = Method::new(
             self.desired,
+            self.division,
             &found.removal,
             &found.trajectory,
             dwell.as_ref(),
             &outcome,
-            Told { wall: found.wall, plan, uncorrectable_rms_nm, specification, remarks },
+            Told {
+                wall: found.wall,
+                machine: machine_of(&found.provenance),
+                plan,
+                uncorrectable_rms_nm,
+                specification,
+                remarks,
+            },
         )
         .map_err(of_dir)?;
         let method = RunMethod {

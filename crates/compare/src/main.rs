@@ -14,6 +14,7 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-compare report out/raster --out out/raster/report\n\
     \x20 planish-compare report out/raster out/maze --out out/both\n\
+    \x20 planish-compare figures out/raster --format pdf --out out/figures\n\
     \x20 planish-compare diff out/a/removal out/b/removal --tolerance 0.001";
 
 /// Compare runs, or two artifacts

@@ -24,6 +24,7 @@ use serde_json::Value;
 use crate::{
     chain::Standing,
     execution::Execution,
+    places::{Division, DivisionReport, Places, ZoneRms},
     plan::{IDEAL, PROGRAM, Plan, State},
     reach::{Reach, ReachReport},
     specification::{Around, Judged},
@@ -71,6 +72,8 @@ pub struct Summary {
     pub slope_base_mm: [Option<f64>; 2],
     /// Which waves the tool reaches; `null` where the tool is not known, or the map has no spectrum.
     pub reach: Option<ReachReport>,
+    /// How the mirror is divided to say where something remains, and where the time goes.
+    pub division: DivisionReport,
     /// What was judged by a specification beside the methods.
     pub specification: Around,
     /// Dwell applied at the dwell points, no dynamics; `null` when the run has no such method.
@@ -108,6 +111,8 @@ pub struct Initial {
     pub slope_rms_nrad: [Option<f64>; 2],
     /// RMS of what no dwell time can change, nm; `null` where the tool is not known.
     pub uncorrectable_rms_nm: Option<f64>,
+    /// RMS of the edge zone and of the inside.
+    pub zone_rms: ZoneRms,
 }
 
 /// Dwell applied at the dwell points.
@@ -144,12 +149,16 @@ pub struct Method {
     pub max_acceleration_step_mm_per_s2: [f64; 2],
     /// Whether the verdict found every limit of the machine kept.
     pub limits_respected: bool,
+    /// Name of the machine that the verdict is about; `null` where its manifest does not say.
+    pub machine: Option<String>,
     /// Seconds that the scheduler took, `null` when not measured.
     pub schedule_wall_s: Option<f64>,
     /// Seconds that the simulation took, `null` when not measured.
     pub simulate_wall_s: Option<f64>,
     /// What the motion does with the plan.
     pub execution: Execution,
+    /// What remains where, and where the time goes.
+    pub places: Places,
     /// How good the plan is known to be.
     pub plan: Plan,
     /// Whether the residual keeps a specification; `null` where none was asked.
@@ -192,6 +201,8 @@ pub struct WallTimes {
 pub struct Told {
     /// Seconds that its stages took.
     pub wall: WallTimes,
+    /// Name of the machine that its verdict is about.
+    pub machine: Option<String>,
     /// How good its plan is known to be.
     pub plan: Plan,
     /// RMS of what of its residual no dwell time can change, nm, where the tool is known.
@@ -212,13 +223,14 @@ impl Method {
     /// trajectory and dwell times of another path.
     pub fn new(
         desired: &Surface,
+        division: &Division,
         removal: &Removal,
         trajectory: &Trajectory,
         dwell: Option<&DwellTime>,
         verdict: &VerdictOutcome,
         told: Told,
     ) -> Result<Self, Invalid> {
-        let Told { wall, plan, uncorrectable_rms_nm, specification, mut remarks } = told;
+        let Told { wall, machine, plan, uncorrectable_rms_nm, specification, mut remarks } = told;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -254,9 +266,11 @@ impl Method {
             max_velocity_step_mm_per_s: verdict.max_velocity_step_mm_per_s,
             max_acceleration_step_mm_per_s2: verdict.max_acceleration_step_mm_per_s2,
             limits_respected: verdict.limits_respected,
+            machine,
             schedule_wall_s: wall.schedule_s,
             simulate_wall_s: wall.simulate_s,
             execution,
+            places: division.places(residual, trajectory),
             plan,
             specification,
             remarks,
@@ -291,6 +305,7 @@ impl Summary {
         pipeline: impl Into<String>,
         fixture: impl Into<String>,
         desired: &Surface,
+        division: &Division,
         mut methods: Vec<(String, Method)>,
         left_out: Vec<LeftOut>,
         remarks: Vec<String>,
@@ -329,9 +344,11 @@ impl Summary {
                 pv_nm: statistics.pv,
                 slope_rms_nrad: slope_rms_nrad(desired),
                 uncorrectable_rms_nm: None,
+                zone_rms: division.zone_rms(desired),
             },
             slope_base_mm: slope_base(desired).map(|base| base.map(|(_, mm)| mm)),
             reach: None,
+            division: division.report(),
             specification: Around::default(),
             ideal,
             methods,
@@ -380,14 +397,6 @@ pub fn negative(runs: &[(&str, &Summary)]) -> Option<String> {
     });
     let reserves: Vec<String> = named.collect();
     (!reserves.is_empty()).then(|| reserves.join("; "))
-}
-
-/// `summary.json`: the summary itself for one run, `{"runs": [...]}` for several.
-pub fn to_json(summaries: &[Summary]) -> Value {
-    match summaries {
-        [one] => serde_json::json!(one),
-        several => serde_json::json!({ "runs": several }),
-    }
 }
 
 fn as_map<S: Serializer>(methods: &[(String, Method)], serializer: S) -> Result<S::Ok, S::Error> {
@@ -463,12 +472,17 @@ mod tests {
         let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
         let told = told(wall);
-        Method::new(&desired(), &removal(), &trajectory(), None, &verdict, told)
+        Method::new(&desired(), &division(), &removal(), &trajectory(), None, &verdict, told)
+    }
+
+    fn division() -> Division {
+        Division::new(&desired(), None)
     }
 
     fn told(wall: WallTimes) -> Told {
         Told {
             wall,
+            machine: Some("fast".into()),
             plan: plan(),
             uncorrectable_rms_nm: None,
             specification: None,
@@ -481,7 +495,7 @@ mod tests {
     }
 
     fn summary_of(methods: Vec<(String, Method)>) -> Summary {
-        Summary::new("raster", "coupon", &desired(), methods, vec![], vec![])
+        Summary::new("raster", "coupon", &desired(), &division(), methods, vec![], vec![])
     }
 
     #[test]
@@ -506,7 +520,7 @@ mod tests {
             ("position".to_string(), Method { total_time_s: 3.5, ..method().unwrap() }),
         ];
         let summary = summary_of(methods);
-        let json = to_json(std::slice::from_ref(&summary));
+        let json = json!(summary);
         let keys = |v: &Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
         assert_eq!(
             keys(&json),
@@ -516,6 +530,7 @@ mod tests {
                 "initial",
                 "slope_base_mm",
                 "reach",
+                "division",
                 "specification",
                 "ideal",
                 "methods",
@@ -528,7 +543,7 @@ mod tests {
         assert_eq!(keys(&json["methods"]["pvt"]["plan"]), ["state", "word", "text"]);
         assert_eq!(
             keys(&json["initial"]),
-            ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm"]
+            ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm", "zone_rms"]
         );
         assert_eq!(keys(&json["ideal"]), ["rms_nm", "total_time_s"]);
         assert_eq!(json["ideal"]["total_time_s"], 3.5);
@@ -547,9 +562,11 @@ mod tests {
                 "max_velocity_step_mm_per_s",
                 "max_acceleration_step_mm_per_s2",
                 "limits_respected",
+                "machine",
                 "schedule_wall_s",
                 "simulate_wall_s",
                 "execution",
+                "places",
                 "plan",
                 "specification",
                 "remarks",
@@ -565,10 +582,7 @@ mod tests {
         }
         assert_eq!(json["methods"]["pvt"]["schedule_wall_s"], 0.25);
         assert!(json["methods"]["pvt"]["simulate_wall_s"].is_null());
-        let without = summary_of(vec![]);
-        let json = to_json(&[summary, without]);
-        assert!(json["runs"][1]["ideal"].is_null());
-        assert_eq!(json["runs"][0]["pipeline"], "raster");
+        assert!(json!(summary_of(vec![]))["ideal"].is_null());
     }
 
     #[test]
@@ -621,7 +635,8 @@ mod tests {
         let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
         let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
             let told = told(WallTimes::default());
-            Method::new(desired, removal, &trajectory(), None, verdict, told)
+            let division = Division::new(desired, None);
+            Method::new(desired, &division, removal, &trajectory(), None, verdict, told)
                 .unwrap_err()
                 .to_string()
         };

@@ -11,160 +11,25 @@ Needs chromium (Debian package), numpy and websocket-client. Exit code 1 when a 
 """
 
 import argparse
-import base64
 import json
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 
 import numpy as np
-import websocket
 
-FAILED = []
-
-
-def check(what, ok, found=""):
-    print(f"{'ok  ' if ok else 'FAIL'} {what}" + (f" ({found})" if found != "" else ""))
-    if not ok:
-        FAILED.append(what)
-
-
-class Browser:
-    """One page in headless Chromium, spoken to over the DevTools protocol."""
-
-    def __init__(self):
-        program = shutil.which("chromium") or shutil.which("chromium-browser")
-        if program is None:
-            print("skipped: chromium is not installed (apt-get install --no-install-recommends chromium)")
-            sys.exit(0)
-        self.profile = tempfile.mkdtemp(prefix="planish-browser-")
-        self.process = subprocess.Popen(
-            [program, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
-             "--remote-allow-origins=*", "--hide-scrollbars", "--no-first-run", "--disable-dev-shm-usage",
-             f"--user-data-dir={self.profile}", "about:blank"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        port_file = pathlib.Path(self.profile, "DevToolsActivePort")
-        for _ in range(600):
-            if port_file.exists() and port_file.read_text().strip():
-                break
-            time.sleep(0.1)
-        port = port_file.read_text().split()[0]
-        pages = json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/json"))
-        page = next(p for p in pages if p["type"] == "page")
-        self.socket = websocket.create_connection(page["webSocketDebuggerUrl"], timeout=120)
-        self.number = 0
-        self.events = []
-        # What this program itself causes: it reads drawings back.
-        self.own = "willReadFrequently"
-        for domain in ["Page", "Runtime", "Log", "Network", "DOM"]:
-            self.call(domain + ".enable")
-
-    def call(self, method, **parameters):
-        self.number += 1
-        self.socket.send(json.dumps({"id": self.number, "method": method, "params": parameters}))
-        while True:
-            message = json.loads(self.socket.recv())
-            if message.get("id") == self.number:
-                if "error" in message:
-                    raise RuntimeError(f"{method}: {message['error']}")
-                return message["result"]
-            self.events.append(message)
-
-    def js(self, expression):
-        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
-        if "exceptionDetails" in result:
-            raise RuntimeError(f"{expression}: {result['exceptionDetails']}")
-        return result["result"].get("value")
-
-    def settle(self):
-        """Two frames after everything that was asked for."""
-        self.js("new Promise((r) => setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(r)), 220))")
-
-    def size(self, width, height, dark=False, scale=1):
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False)
-        scheme = "dark" if dark else "light"
-        self.call("Emulation.setEmulatedMedia", media="screen", features=[{"name": "prefers-color-scheme", "value": scheme}])
-
-    def open(self, path):
-        self.call("Page.navigate", url=path.resolve().as_uri())
-        for _ in range(600):
-            if self.js("document.readyState") == "complete" and self.js("!!window.planish"):
-                break
-            time.sleep(0.05)
-        self.settle()
-
-    def mouse(self, kind, x, y, **more):
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
-
-    def click(self, x, y, count=1):
-        self.mouse("mouseMoved", x, y)
-        for i in range(1, count + 1):
-            self.mouse("mousePressed", x, y, button="left", clickCount=i, buttons=1)
-            self.mouse("mouseReleased", x, y, button="left", clickCount=i)
-        self.settle()
-
-    def key(self, name, text=None, shift=False):
-        codes = {"Tab": 9, "Enter": 13, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36}
-        common = {"key": name, "windowsVirtualKeyCode": codes.get(name, ord(name[0].upper())), "modifiers": 8 if shift else 0}
-        if name not in ("+", "-", "0"):
-            common["code"] = name
-        self.call("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **common, **({"text": text} if text else {}))
-        self.call("Input.dispatchKeyEvent", type="keyUp", **common)
-
-    def shot(self, path, whole=False):
-        height = self.js("document.documentElement.scrollHeight") if whole else self.js("innerHeight")
-        width = self.js("innerWidth")
-        clip = {"x": 0, "y": 0 if whole else self.js("scrollY"), "width": width, "height": height, "scale": 1}
-        data = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True, clip=clip)["data"]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(base64.b64decode(data))
-
-    def complaints(self):
-        """Console errors, exceptions, and requests to anything but files."""
-        found = []
-        for e in self.events:
-            p = e.get("params", {})
-            if e["method"] == "Runtime.exceptionThrown":
-                found.append(p["exceptionDetails"].get("exception", {}).get("description", "exception"))
-            if e["method"] == "Runtime.consoleAPICalled" and p["type"] in ("error", "warning"):
-                found.append(str([a.get("value") for a in p["args"]]))
-            if e["method"] == "Log.entryAdded" and p["entry"]["level"] in ("error", "warning"):
-                found.append(p["entry"]["text"])
-            if e["method"] == "Network.requestWillBeSent" and not p["request"]["url"].startswith(("file:", "data:", "blob:")):
-                found.append("request to " + p["request"]["url"])
-        return [text for text in found if self.own not in text]
-
-    def close(self):
-        self.socket.close()
-        self.process.terminate()
-        self.process.wait()
-        shutil.rmtree(self.profile, ignore_errors=True)
-
-
-def panel(browser, name):
-    """Brings a panel into view; its place on the screen."""
-    browser.js(f"document.querySelector('[data-panel=\"{name}\"]').scrollIntoView({{block: 'center'}})")
-    browser.settle()
-    return browser.js(f"(() => {{ const r = document.querySelector('[data-panel=\"{name}\"]').getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; }})()")
-
-
-def on_screen(browser, name, x_mm, y_mm):
-    return browser.js(f"(() => {{ const p = planish.panels.find((q) => q.name === '{name}'), r = p.canvas.getBoundingClientRect(), b = p.box(); return [r.left + b.x.at({x_mm}), r.top + b.y.at({y_mm})]; }})()")
-
-
-def read_text(browser, name):
-    return browser.js(f"planish.panels.find((p) => p.name === '{name}').read.textContent")
+from chromium import FAILED, Browser, check, on_screen, panel, read_text
 
 
 def check_table(browser, report):
     summary = json.loads((report / "summary.json").read_text())
     runs = summary.get("runs", [summary])
     methods = [m for run in runs for m in run["methods"].values()]
-    beside = ("execution", "specification", "remarks")
+    beside = ("execution", "specification", "remarks", "machine", "places")
     wanted = [{k: v for k, v in {**m, **m["execution"]}.items() if k not in beside} for m in methods]
     cells = browser.js("[...document.querySelectorAll('#summary td')].map((c) => [c.dataset.key, +c.dataset.entry, c.dataset.value, c.textContent, c.className])")
     shown = {(key, entry): (json.loads(value), text) for key, entry, value, text, _ in cells}
@@ -183,7 +48,7 @@ def check_table(browser, report):
     kept = [m for m in wanted if m["limits_respected"] and m["plan"]["state"] != "ideal"] or wanted
     best = [(k, e) for k, e, _, _, c in cells if c == "best" and k == "rms_nm"]
     least = min(m["rms_nm"] for m in kept)
-    plans = [text for key, _, _, text, _ in cells if key == "plan"]
+    plans = [text for _, text in sorted((entry, text) for key, entry, _, text, _ in cells if key == "plan")]
     check("how good every plan is known to be stands in the table", plans == [m["plan"]["word"] for m in wanted], plans)
     judged = [l for run in runs for j in [run["specification"]["before"], *(m["specification"] for m in run["methods"].values()),
               run["specification"]["after"]] if j for l in j["limits"]]
@@ -199,6 +64,135 @@ def check_table(browser, report):
     signed = browser.js("[...document.querySelectorAll('td, p, li, .read, output')].map((e) => e.textContent).filter((t) => /-0(\\.0+)?(?![\\d.e])/.test(t))")
     check("no zero has a sign", signed == [], signed[:3] or "")
     check("the best of a row is marked", len(wanted) == 1 or all(wanted[e]["rms_nm"] == least for _, e in best) and best != [], best)
+
+
+NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
+SENTENCE = re.compile(
+    rf"^(?P<name>\S+) runs on (?P<machine>\S+) in {NUMBER} (s|min|h): {NUMBER} to {NUMBER} nm RMS"
+    rf"(?: \(of which {NUMBER} no dwell time can change\))?"
+    rf", worst {NUMBER} nm from the mean at x {NUMBER}, y {NUMBER} mm; the limits of the machine are kept")
+
+
+def runs_of(report):
+    summary = json.loads((report / "summary.json").read_text())
+    return summary.get("runs", [summary])
+
+
+def check_answer(browser, report):
+    """The answer stands first, and every number in it is that of the summary."""
+    shown = browser.js("[...document.querySelectorAll('#answer .run')].map((p) => [p.querySelector('.sentence').textContent, "
+                       "[...p.querySelectorAll('.violation')].map((e) => e.textContent), p.querySelector('.why').textContent, p.querySelector('.ideal')?.textContent ?? null])")
+    runs = runs_of(report)
+    wanted = [[a["sentence"], a["problems"], a["why"], a["ideal"]] for a in (run["answer"] for run in runs)]
+    check("the answer of every run is that of summary.json", shown == wanted, shown[0][0])
+    for run, (sentence, _, why, ideal) in zip(runs, shown):
+        found = SENTENCE.match(sentence)
+        check("the answer says plan, machine, time, RMS and worst place", found is not None, sentence)
+        if found is None:
+            continue
+        m = run["methods"][run["best"]]
+        value, unit, *numbers = found.groups()[2:]
+        # Rounded to three digits, places to 0.1 mm.
+        near = lambda text, v, slack: text is None and v is None or abs(float(text) - v) <= slack
+        three = lambda v: 0 if v is None else 0.00501 * abs(v)
+        worst = m["places"]["worst"][0]
+        values = [run["initial"]["rms_nm"], m["rms_nm"], m["uncorrectable_rms_nm"], worst["from_mean_nm"]]
+        time_s = float(value) * {"s": 1, "min": 60, "h": 3600}[unit]
+        ok = found["name"] == run["best"] and found["machine"] == m["machine"] and abs(time_s - m["total_time_s"]) <= three(m["total_time_s"])
+        ok = ok and all(near(t, v, three(v)) for t, v in zip(numbers, values))
+        ok = ok and all(near(t, v, 0.0501) for t, v in zip(numbers[4:], (worst["x_mm"], worst["y_mm"])))
+        check("its numbers are those of the plan that is to be run", ok, numbers)
+        check("and why this one", run["best"] in why and m["plan"]["text"] in why)
+        ideals = [n for n, o in run["methods"].items() if o["plan"]["state"] == "ideal"]
+        check("the ideal is called no plan", all(ideal.startswith("Not a plan: " + n) for n in ideals))
+        labels = browser.js("planish.ENTRIES.filter((e) => e.run.summary.methods[e.method.name].plan.state === 'ideal').map((e) => e.label)")
+        check("wherever it stands", all(label.endswith("(ideal, not a plan)") for label in labels), labels)
+    tops = browser.js("['#answer', '#bar', '#summary', '#maps'].map((s) => document.querySelector(s).getBoundingClientRect().top)")
+    check("the answer comes first", tops == sorted(tops), tops)
+    heads = browser.js("[...document.querySelectorAll('#summary thead th')].map((e) => e.textContent)")
+    best = [run["best"] for run in runs if run["best"]]
+    check("the plan that is to be run is the first column", heads[1].endswith("to be run") and any(b in heads[1] for b in best), heads[1])
+    bad = browser.js("[...document.querySelectorAll('.bad, .violation')].map((e) => e.textContent)")
+    problems = [p for run in runs for p in run["answer"]["problems"]]
+    spoken = all(p in bad for p in problems)
+    check("red is only what concerns that plan", spoken and (problems != [] or bad == []), bad[:2])
+
+
+def check_places(browser, report, run):
+    """What remains where: every number of every method, and by other means that of the one that is shown."""
+    chosen = browser.js("planish.state.a")
+    wrong, count = [], 0
+    for entry in range(browser.js("planish.ENTRIES.length")):
+        browser.js(f"(() => {{ const s = document.getElementById('a'); s.value = {entry}; s.dispatchEvent(new Event('change')); }})()")
+        browser.settle()
+        cells = browser.js("[...document.querySelectorAll('[data-path]')].map((c) => [JSON.parse(c.dataset.path), +c.dataset.run, c.textContent])")
+        for path, number, text in cells:
+            value = runs_of(report)[number]
+            for key in path:
+                value = value[key]
+            digits = re.search(r"-?\d+(?:\.(\d+))?", text)
+            near = text == "-" if value is None else abs(float(digits[0]) - value) <= 0.5000001 * 10 ** -len(digits[1] or "")
+            count += 1
+            if not near:
+                wrong.append((path, text, value))
+    check("every number about places equals summary.json", wrong == [] and count > 40, wrong[:2] or f"{count} numbers")
+    browser.js(f"(() => {{ const s = document.getElementById('a'); s.value = {chosen}; s.dispatchEvent(new Event('change')); }})()")
+    browser.settle()
+
+    method = browser.js(f"planish.ENTRIES[{chosen}].method.name")
+    summary = runs_of(report)[0]
+    places = summary["methods"][method]["places"]
+    z = np.load(run / "methods" / method / "removal/residual_nm.npy")
+    x, y = np.load(run / "surface/x_mm.npy"), np.load(run / "surface/y_mm.npy")
+    off = z - np.nanmean(z)
+    r, c = np.unravel_index(np.nanargmax(np.abs(off)), off.shape)
+    first = places["worst"][0]
+    same = [abs(first["x_mm"] - x[c]), abs(first["y_mm"] - y[r]), abs(first["from_mean_nm"] - off[r, c])]
+    check("the worst place is that of the array", max(same) < 1e-9, first)
+    rate = np.load(run / "fixture/tif/rate_nm_per_s.npy")
+    tx, ty = np.load(run / "fixture/tif/x_mm.npy"), np.load(run / "fixture/tif/y_mm.npy")
+    radius = np.sqrt((rate >= 0.5 * rate.max()).sum() * (tx[1] - tx[0]) * (ty[1] - ty[0]) / np.pi)
+    dx, dy = x[1] - x[0], y[1] - y[0]
+    nr, nc = int(np.ceil(radius / dy)), int(np.ceil(radius / dx))
+    invalid = np.pad(np.isnan(z), ((nr, nr), (nc, nc)), constant_values=True)
+    near = np.zeros(z.shape, bool)
+    for i in range(-nr, nr + 1):
+        for j in range(-nc, nc + 1):
+            if np.hypot(i * dy, j * dx) < radius:
+                near |= invalid[nr + i:nr + i + z.shape[0], nc + j:nc + j + z.shape[1]]
+    near &= ~np.isnan(z)
+    wanted = [radius, np.sqrt(np.mean(off[near] ** 2)), np.sqrt(np.mean(off[~near & ~np.isnan(z)] ** 2))]
+    found = [summary["division"]["edge_width_mm"], places["zone_rms"]["edge_nm"], places["zone_rms"]["inside_nm"]]
+    check("so are the edge zone and the inside", np.allclose(found, wanted, rtol=1e-9), found)
+    t = np.diff(np.load(run / "methods" / method / "trajectory/break_time_s.npy"))
+    k = np.load(run / "methods" / method / "trajectory/coefficient_mm.npy")
+    u = t[:, None] * np.linspace(0, 1, 65)
+    at = sum(k[:, :, None, p] * u[:, None, :] ** p for p in range(4))
+    sampled = [[at[:, a].min(), at[:, a].max()] for a in (0, 1)]
+    # 65 samples of a cubic miss its extreme by less than 1e-3 of what it moves within its segment.
+    slack = 1e-3 * np.abs(at - at[:, :, :1]).max() + 1e-9
+    check("and the travel", np.abs(np.array(places["travel_mm"]) - sampled).max() <= slack, places["travel_mm"])
+    parts = places["time"]
+    total = sum(v or 0 for v in parts.values())
+    on_mirror = (parts["edge_s"] or 0) + parts["inside_s"]
+    whole = summary["methods"][method]["total_time_s"]
+    check("times add up", abs(total - whole) < 1e-6 * whole and abs(np.sum(places["region_time_s"]) - on_mirror) < 1e-6 * whole, parts)
+
+    reach = browser.js("planish.panels.find((p) => p.name === 'residual').content().bar.range[1]")
+    wanted = np.nanquantile(np.abs(off), 0.99, method="lower")
+    check("the residual has its own scale", abs(reach / wanted - 1) < 1e-9, f"{reach:.4f} nm")
+    others = [browser.js(f"planish.panels.find((p) => p.name === '{n}').content().bar.range[1]") for n in ("desired", "removal")]
+    check("before and removal share theirs", others[0] == others[1] and others[0] > reach, others)
+    marks = browser.js("planish.panels.find((p) => p.name === 'residual').content().marks.map((m) => [...m.at, m.text])")
+    check("the worst places are marked", marks == [[w["x_mm"], w["y_mm"], str(i + 1)] for i, w in enumerate(places["worst"])], marks[:2])
+    browser.js("document.querySelector('#worst button').click()")
+    browser.settle()
+    check("and lead to their profiles", browser.js("planish.state.pin") == [first["x_mm"], first["y_mm"]])
+    panel(browser, "desired")
+    browser.mouse("mouseMoved", *on_screen(browser, "desired", x[len(x) // 3], y[len(y) // 2]))
+    browser.settle()
+    read = [re.search(r"\[(\d+), (\d+)\]", read_text(browser, n)) for n in ("desired", "removal", "residual")]
+    check("the cursor is the same in before, removal and residual", all(read) and len({m[0] for m in read}) == 1, read[0] and read[0][0])
 
 
 def check_pointer(browser, run, entry):
@@ -355,7 +349,7 @@ def check_methods(browser, run):
         reach = browser.js("planish.panels.find((p) => p.name === 'difference').content().bar.range[1]")
         expected = np.nanquantile(np.abs(wanted - np.nanmean(wanted)), 0.99)
         check("its own scale holds 99 % of it", abs(reach / expected - 1) < 0.02, f"{reach:.4f} nm")
-        browser.js("(() => { const s = document.getElementById('scale'); s.value = 'common'; s.dispatchEvent(new Event('change')); })()")
+        browser.js("(() => { const s = document.getElementById('scale'); s.value = 'apart'; s.dispatchEvent(new Event('change')); })()")
     check("both residuals are shown", not browser.js("planish.panels.find((p) => p.name === 'residual-b').figure.hidden"))
 
 
@@ -395,7 +389,7 @@ def check_keyboard(browser):
 def check_look(browser, shots):
     """Widths and colour schemes: nothing sticks out, text can be told from the ground."""
     luminance = "(c) => { const v = c.match(/[\\d.]+/g).slice(0, 3).map((u) => u / 255).map((u) => u <= 0.03928 ? u / 12.92 : ((u + 0.055) / 1.055) ** 2.4); return 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]; }"
-    for width in (1280, 400):
+    for width in (1280, 390):
         for dark in (False, True):
             name = f"{width}-{'dark' if dark else 'light'}"
             browser.size(width, 900, dark)
@@ -411,6 +405,8 @@ def check_look(browser, shots):
             check(f"{name}: drawings are wide enough", narrow >= min(360, width - 40), narrow)
             blank = browser.js("[...document.querySelectorAll('canvas')].filter((e) => e.offsetParent).filter((c) => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size < 5; }).map((c) => c.dataset.panel || c.id)")
             check(f"{name}: no drawing is blank", blank == [], blank)
+            first = browser.js("(() => { const a = document.querySelector('#answer .sentence').getBoundingClientRect(), c = document.querySelector('#summary thead th:nth-child(2)').getBoundingClientRect(); return [a.bottom, c.left, innerWidth]; })()")
+            check(f"{name}: the answer is seen at once, and the column of its plan", first[0] < 450 and first[1] + 60 < first[2], first)
             if shots:
                 browser.shot(shots / f"{name}.png", whole=True)
 
@@ -424,6 +420,7 @@ def check_everywhere(browser, report):
                 browser.js(f"(() => {{ const t = document.getElementById('time'); t.value = {end}; t.dispatchEvent(new Event('input')); }})()")
                 browser.settle()
                 print(f"{width} px, {'dark' if dark else 'light'}, slider at {end / 10:.0f} %")
+                check_answer(browser, report)
                 check_table(browser, report)
                 entry = browser.js("planish.state.a")
                 shown = float(browser.js("document.getElementById('now').textContent").split(" ")[0])
@@ -439,7 +436,9 @@ def ordinary(report, run, shots):
         size = (report / "report.html").stat().st_size
         check("the page is at most 10 MB", size <= 10e6, f"{size / 1e6:.2f} MB")
         entry = browser.js("planish.state.a")
+        check_answer(browser, report)
         check_table(browser, report)
+        check_places(browser, report, run)
         check_pointer(browser, run, entry)
         check_zoom(browser)
         check_profiles(browser, run, entry)
@@ -466,7 +465,7 @@ def docs(report, shots):
         browser.settle()
         browser.shot(shots / "maps.png")
         browser.size(1280, 860)
-        browser.js("(() => { for (const [id, value] of [['b', -1], ['scale', 'common']]) { const s = document.getElementById(id); s.value = value; s.dispatchEvent(new Event('change')); } })()")
+        browser.js("(() => { for (const [id, value] of [['b', -1], ['scale', 'apart']]) { const s = document.getElementById(id); s.value = value; s.dispatchEvent(new Event('change')); } })()")
         browser.js("(() => { const t = document.getElementById('time'); t.value = 450; t.dispatchEvent(new Event('input')); })()")
         browser.js("document.getElementById('time').scrollIntoView({block: 'start'}); scrollBy(0, -60)")
         browser.settle()
@@ -481,6 +480,7 @@ def several(report, shots):
     try:
         browser.size(1280, 900)
         browser.open(report / "report.html")
+        check_answer(browser, report)
         check_table(browser, report)
         browser.js("(() => { const s = document.getElementById('b'), a = planish.ENTRIES[planish.state.a]; s.value = planish.ENTRIES.findIndex((e) => e.run !== a.run && e.method.name === 'pvt'); s.dispatchEvent(new Event('change')); })()")
         browser.settle()
@@ -637,7 +637,9 @@ def hostile(programs, run):
         browser.call("Page.navigate", url=(work / "none/report.html").resolve().as_uri())
         browser.settle()
         check("its page says why", "not valid: its verdict is of another trajectory" in browser.js("document.getElementById('notes').textContent"))
-        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 2, browser.complaints()[:3] or "")
+        check("without an error", browser.complaints() == [] and browser.js("document.querySelectorAll('section:not([hidden])').length") == 3, browser.complaints()[:3] or "")
+        answer = browser.js("document.getElementById('answer').textContent")
+        check("and says at the top that nothing is to be run", answer.startswith("Nothing here is to be run."), answer)
         for svg in sorted((work / "report").glob("*.svg")):
             browser.call("Page.navigate", url=svg.resolve().as_uri())
             browser.settle()

@@ -8,6 +8,7 @@ use std::{
 
 use ndarray::{Array2, ArrayD, array};
 use ndarray_npy::write_npy;
+use planish_draw::colour::{BLUE_TO_BROWN, rgb_at};
 use planish_handoff::{Inputs, Output, Status, Task, flags::OutputArgs, kind, save};
 use planish_testkit::program::text;
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Trajectory};
@@ -95,6 +96,19 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(found["methods"]["pvt"]["max_velocity_step_mm_per_s"], json!([5.0, 6.0]));
     assert_eq!(found["methods"]["pvt"]["schedule_wall_s"], 0.125);
     assert_eq!(found["methods"]["pvt"]["simulate_wall_s"], Value::Null);
+    // The answer: heights 2.25 and 1.25 nm remain, 1.25 nm is 0.6 nm below their mean.
+    let answer = &found["answer"];
+    assert_eq!(answer["method"], "pvt");
+    assert_eq!(
+        answer["sentence"],
+        "pvt runs in 60 s: 1.96 to 0.49 nm RMS, worst -0.6 nm from the mean at x 0.5, y 0.0 mm; \
+         the limits of the machine are kept."
+    );
+    let why = answer["why"].as_str().unwrap();
+    let next = "the least RMS of the 2 plans that keep the limits; the next is bspline with 0.98 nm in 62 s.";
+    assert!(why.starts_with("pvt, because it leaves ") && why.contains(next), "{why}");
+    assert!(answer["ideal"].as_str().unwrap().starts_with("Not a plan: position is the ideal"));
+    assert_eq!(answer["problems"], json!([]));
     let order: Vec<_> = found["methods"].as_object().unwrap().keys().collect();
     assert_eq!(order, ["position", "pvt", "bspline"]);
 
@@ -156,7 +170,9 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     assert!(page.contains("<title>Planish: a&lt;b</title>"));
     assert!(!page.contains("http:") && !page.contains("https:") && !page.contains("{{"));
     compare(dir.path(), &["report", "a<b", "--out", "two", "--fixture", "</script>"]);
-    for file in ["report.html", "maps.svg", "path.svg", "motion.svg", "histogram.svg"] {
+    for file in
+        ["report.html", "overview.svg", "maps.svg", "path.svg", "motion.svg", "histogram.svg"]
+    {
         let read = |out: &str| fs::read(dir.path().join(out).join(file)).unwrap();
         assert!(read("one") == read("two"), "{file}");
         assert!(file.ends_with(".html") || read("one").starts_with(b"<svg xmlns"));
@@ -165,6 +181,158 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     for file in ["refinement.svg", "spectrum.svg"] {
         assert!(!dir.path().join("one").join(file).exists(), "{file}");
     }
+}
+
+#[test]
+fn where_no_plan_keeps_the_limits_the_answer_is_that_nothing_is_to_be_run() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, false), ("position", 0.9, false)]);
+    let made = compare(dir.path(), &["report", "run", "--out", "report"]);
+    assert_eq!(made.status.code(), Some(1));
+    let answer = &summary(&dir.path().join("report"))["answer"];
+    assert_eq!(
+        (&answer["method"], &answer["sentence"], &answer["why"]),
+        (
+            &Value::Null,
+            &json!("Nothing here is to be run."),
+            &json!("pvt exceeds the limits of the machine.")
+        )
+    );
+    assert_eq!(answer["problems"], json!(["no plan of this run keeps the limits of the machine"]));
+}
+
+/// Width, height and red, green and blue of every pixel.
+fn decoded(path: &Path) -> (usize, usize, Vec<[u8; 3]>) {
+    let file = std::io::BufReader::new(fs::File::open(path).unwrap());
+    let mut reader = png::Decoder::new(file).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    assert_eq!(info.color_type, png::ColorType::Rgb);
+    let pixels = bytes.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+    (info.width as usize, info.height as usize, pixels)
+}
+
+/// Files of a directory, by name.
+fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let entries = fs::read_dir(dir).unwrap().map(|e| e.unwrap());
+    let mut found: Vec<_> = entries
+        .map(|e| (e.file_name().to_string_lossy().into_owned(), fs::read(e.path()).unwrap()))
+        .collect();
+    found.sort();
+    found
+}
+
+#[test]
+fn figures_for_papers_have_their_size_and_the_same_bytes_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, true), ("position", 0.9, false)]);
+    for format in ["pdf", "png", "svg"] {
+        for out in ["one", "two"] {
+            let out = format!("{out}-{format}");
+            let made = compare(dir.path(), &["figures", "run", "--format", format, "--out", &out]);
+            assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+            assert!(text(&made.stdout).contains(&format!("maps.{format}")));
+        }
+        let both = ["one", "two"].map(|out| files(&dir.path().join(format!("{out}-{format}"))));
+        for (a, b) in both[0].iter().zip(&both[1]).filter(|(a, _)| a.0 != "manifest.json") {
+            assert!(a == b, "{}", a.0);
+        }
+        // No dwell times, no refinement, and no rectangle that is large enough for a spectrum.
+        let names: Vec<&str> = both[0].iter().map(|(name, _)| name.as_str()).collect();
+        let wanted = ["histogram", "maps", "motion", "overview", "path"];
+        let mut wanted: Vec<String> = wanted.iter().map(|n| format!("{n}.{format}")).collect();
+        wanted.insert(1, "manifest.json".into());
+        assert_eq!(names, wanted);
+        for (name, bytes) in both[0].iter().filter(|(name, _)| name != "manifest.json") {
+            match format {
+                "pdf" => {
+                    let page = String::from_utf8_lossy(bytes);
+                    assert!(page.starts_with("%PDF-1.") && page.trim_end().ends_with("%%EOF"));
+                    // 180 mm are 510.236 points.
+                    assert!(page.contains("/MediaBox [0 0 510.23"), "{name}");
+                }
+                "png" => {
+                    let (width, height, pixels) = decoded(&dir.path().join("one-png").join(name));
+                    assert_eq!((width, pixels.len()), (2126, width * height), "{name}");
+                    assert!(pixels.iter().any(|p| *p != pixels[0]), "{name}: one colour");
+                }
+                _ => assert!(bytes.starts_with(b"<svg xmlns"), "{name}"),
+            }
+        }
+    }
+    let coarse = ["figures", "run", "--format", "png", "--dpi", "150", "--out", "coarse"];
+    assert_eq!(compare(dir.path(), &coarse).status.code(), Some(0));
+    assert_eq!(decoded(&dir.path().join("coarse/maps.png")).0, 1063);
+}
+
+#[test]
+fn the_residual_is_read_back_from_the_pixels_of_its_figure() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, true)]);
+    for format in ["svg", "png"] {
+        let made = compare(dir.path(), &["figures", "run", "--format", format, "--out", format]);
+        assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    }
+    // The fourth map is the residual on its own scale; the drawing says where, in pixels of which 952 are its width.
+    let svg = fs::read_to_string(dir.path().join("svg/maps.svg")).unwrap();
+    let image = svg.lines().filter(|l| l.starts_with("<image")).nth(3).unwrap();
+    let [x, y, width, height] = ["x", "y", "width", "height"].map(|key| {
+        let (_, rest) = image.split_once(&format!(" {key}=\"")).unwrap();
+        rest.split_once('"').unwrap().0.parse::<f64>().unwrap()
+    });
+    let (columns, _, pixels) = decoded(&dir.path().join("png/maps.png"));
+    let scale = columns as f64 / 952.0;
+    // A quarter of the heights remains; 99 % of the five pixels are within 0.6 nm of their mean, 1.85 nm.
+    let (mean, reach) = (1.85, 0.6);
+    for ((r, c), desired) in desired().height_nm().indexed_iter() {
+        // Row 0 is the smallest y, at the lower edge.
+        let px = (x + width * (c as f64 + 0.5) / 3.0) * scale;
+        let py = (y + height * (1.0 - (r as f64 + 0.5) / 2.0)) * scale;
+        let found = pixels[py as usize * columns + px as usize];
+        if desired.is_nan() {
+            assert_eq!(found, [255; 3], "an invalid pixel is paper");
+            continue;
+        }
+        let far = |k: &i32| -> i32 {
+            let colour = rgb_at(&BLUE_TO_BROWN, f64::from(*k) / 254.0);
+            colour.iter().zip(found).map(|(a, b)| (i32::from(*a) - i32::from(b)).abs()).sum()
+        };
+        let nearest = (0..255).min_by_key(far).unwrap();
+        let read = mean + f64::from(nearest - 127) / 127.0 * reach;
+        // Half of one of 254 steps between the colours, and one for colours that are equal when rounded.
+        assert!((read - 0.25 * desired).abs() < 1.5 * reach / 127.0, "[{r}, {c}]: {read}");
+        assert!(far(&nearest) <= 3, "[{r}, {c}]: {found:?} is no colour of the scale");
+    }
+}
+
+#[test]
+fn figures_refuse_what_they_cannot_draw() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, false), ("position", 0.9, false)]);
+    for (flags, expected) in [
+        (&["nowhere", "--format", "pdf"][..], "nowhere/surface: does not exist"),
+        (&["run", "--format", "gif"], "invalid value 'gif'"),
+        (&["run"], "--format"),
+        (
+            &["run", "--format", "pdf"],
+            "run: no plan keeps the limits; name the method to draw (--method)",
+        ),
+        (&["run", "--format", "pdf", "--method", "x"], "has no valid method \"x\"; there is: "),
+        (&["run", "--format", "pdf", "--dpi", "150"], "--dpi is of a PNG"),
+        (
+            &["run", "--format", "png", "--dpi", "10"],
+            "--dpi: is 10; give 72 to 1200 pixels an inch",
+        ),
+        (&["run", "--format", "png", "--dpi", "nan"], "--dpi: is NaN"),
+    ] {
+        let refused = compare(dir.path(), &[&["figures"], flags, &["--out", "figures"]].concat());
+        assert_eq!(refused.status.code(), Some(2), "{flags:?}");
+        assert!(text(&refused.stderr).contains(expected), "{}", text(&refused.stderr));
+        assert!(refused.stdout.is_empty() && !dir.path().join("figures").exists());
+    }
+    // A plan that exceeds the limits is drawn when it is asked for by name.
+    let named = ["figures", "run", "--format", "svg", "--method", "pvt", "--out", "figures"];
+    assert_eq!(compare(dir.path(), &named).status.code(), Some(0));
 }
 
 #[test]

@@ -605,6 +605,7 @@ pub const REPORT: Kind = Kind {
     files: &[
         "summary.json",
         "report.html",
+        "overview.svg",
         "maps.svg",
         "path.svg",
         "motion.svg",
@@ -615,8 +616,43 @@ pub const REPORT: Kind = Kind {
     ],
 };
 
+/// Figures for papers and lab books.
+pub const FIGURES: Kind = Kind {
+    name: "figures",
+    version: 1,
+    doc: "The figures of a plan in one format, for papers and lab books (see report.md).",
+    frame: MAP_FRAME,
+    arrays: &[],
+    files: &[
+        "overview.pdf",
+        "overview.png",
+        "overview.svg",
+        "maps.pdf",
+        "maps.png",
+        "maps.svg",
+        "path.pdf",
+        "path.png",
+        "path.svg",
+        "motion.pdf",
+        "motion.png",
+        "motion.svg",
+        "dwell.pdf",
+        "dwell.png",
+        "dwell.svg",
+        "histogram.pdf",
+        "histogram.png",
+        "histogram.svg",
+        "spectrum.pdf",
+        "spectrum.png",
+        "spectrum.svg",
+        "refinement.pdf",
+        "refinement.png",
+        "refinement.svg",
+    ],
+};
+
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 14] = [
+pub const ALL: [&Kind; 15] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -631,6 +667,7 @@ pub const ALL: [&Kind; 14] = [
     &PSD,
     &SPECIFICATION,
     &REPORT,
+    &FIGURES,
 ];
 
 /// Columns of a paragraph of the page.

@@ -7,9 +7,13 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use planish_compare::{
+    answer::to_json,
     chain::Standing,
-    report::{figure::figures, page, sparkline, views},
-    summary::{Summary, negative, to_json},
+    report::{
+        figure::{Layout, figures},
+        page, sparkline, views,
+    },
+    summary::{Summary, negative},
     table::{execution_table, specification_table, table, table_of_runs},
 };
 use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
@@ -89,7 +93,11 @@ impl Report {
             bytes.push(b'\n');
             let page = page(&views, &summary);
             let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
-            beside.extend(figures(&views).into_iter().map(|(name, svg)| (name, svg.into_bytes())));
+            let drawn = figures(&views, &Layout::BESIDE_PAGE);
+            let drawn: Vec<_> =
+                drawn.into_iter().map(|(name, svg)| (format!("{name}.svg"), svg)).collect();
+            beside
+                .extend(drawn.iter().map(|(name, svg)| (name.as_str(), svg.clone().into_bytes())));
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
         say(match &summaries[..] {

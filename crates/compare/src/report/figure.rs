@@ -12,12 +12,12 @@ use rayon::prelude::*;
 
 use super::{
     map::ScreenMap,
-    motion::{Envelope, QUANTITIES},
+    motion::{Envelope, Line, QUANTITIES},
     pack::base64,
     spectrum::{BAND_PERIOD_MM, Spectrum},
     view::{MethodView, View},
 };
-use crate::plan::IDEAL;
+use crate::{answer::duration, plan::IDEAL};
 
 /// Colours of the lines and squares of a picture.
 const BINS: usize = 24;
@@ -43,104 +43,249 @@ const FONT_PX: f64 = 14.0;
 /// Left, top, right and bottom of a panel, px.
 const MARGIN_PX: [f64; 4] = [80.0, 34.0, 96.0, 56.0];
 
-/// The figures of a report: file name and SVG; only those that have something to show.
-pub fn figures(views: &[View]) -> Vec<(&'static str, String)> {
-    type Figure = fn(&[View]) -> Option<String>;
-    let figures: [(&str, Figure); 7] = [
-        ("maps.svg", maps),
-        ("path.svg", path),
-        ("motion.svg", motion),
-        ("dwell.svg", dwell),
-        ("histogram.svg", histograms),
-        ("spectrum.svg", spectra),
-        ("refinement.svg", refinement),
+/// Panels of a figure side by side, and how wide each is, px; the height where it is not that of a mirror.
+#[derive(Clone, Copy, Debug)]
+struct Panels {
+    columns: usize,
+    width_px: f64,
+    height_px: f64,
+}
+
+impl Panels {
+    const fn new(columns: usize, width_px: f64, height_px: f64) -> Self {
+        Self { columns, width_px, height_px }
+    }
+
+    /// A sheet of panels of this height.
+    fn sheet(&self) -> Sheet {
+        Sheet::new(self.columns, [self.width_px, self.height_px])
+    }
+
+    /// A sheet of panels with this height over width.
+    fn sheet_of_shape(&self, shape: f64) -> Sheet {
+        Sheet::new(self.columns, [self.width_px, self.width_px * shape])
+    }
+}
+
+/// What size the panels of a set of figures have.
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    overview: Panels,
+    /// Of a mirror that is much longer than wide.
+    overview_narrow: Panels,
+    maps: Panels,
+    path: Panels,
+    motion: Panels,
+    dwell: Panels,
+    histogram: Panels,
+    spectrum: Panels,
+    refinement: Panels,
+}
+
+impl Layout {
+    /// Beside the page: many methods, one below the other.
+    pub const BESIDE_PAGE: Self = Self {
+        overview: Panels::new(3, 300.0, 300.0),
+        overview_narrow: Panels::new(1, 900.0, 900.0),
+        maps: Panels::new(4, 300.0, 300.0),
+        path: Panels::new(1, 900.0, 900.0),
+        motion: Panels::new(3, 420.0, 240.0),
+        dwell: Panels::new(2, 520.0, 520.0),
+        histogram: Panels::new(1, 760.0, 380.0),
+        spectrum: Panels::new(1, 760.0, 420.0),
+        refinement: Panels::new(1, 600.0, 320.0),
+    };
+
+    /// For papers and lab books: every figure [`PAPER_PX`] wide.
+    pub const PAPER: Self = {
+        let margin = MARGIN_PX[0] + MARGIN_PX[2];
+        let (whole, half) = (PAPER_PX - margin, 0.5 * PAPER_PX - margin);
+        Self {
+            overview: Panels::new(3, PAPER_PX / 3.0 - MARGIN_OF_THREE_PX, 0.0),
+            overview_narrow: Panels::new(1, whole, 0.0),
+            maps: Panels::new(2, half, half),
+            path: Panels::new(1, whole, whole),
+            motion: Panels::new(1, whole, 170.0),
+            dwell: Panels::new(2, half, half),
+            histogram: Panels::new(1, whole, 300.0),
+            spectrum: Panels::new(1, whole, 320.0),
+            refinement: Panels::new(1, whole, 260.0),
+        }
+    };
+}
+
+/// Margins to the left and right of three panels side by side, px: their numbers have two digits.
+const MARGIN_OF_THREE_PX: f64 = 134.0;
+
+/// Height over width of a path whose panels are one below the other in an overview.
+const NARROW: f64 = 0.4;
+
+/// Width of the panels that have small print below them, px.
+const NOTED_FROM_PX: f64 = 500.0;
+
+/// Width of a figure for papers, px: its texts of 14 px are 7.5 pt high where it is printed 180 mm wide.
+pub const PAPER_PX: f64 = 952.0;
+
+/// The figures of a report: names and SVG; only those that have something to show.
+pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
+    type Figure = fn(&[View], &Layout) -> Option<String>;
+    let figures: [(&str, Figure); 8] = [
+        ("overview", overview),
+        ("maps", maps),
+        ("path", path),
+        ("motion", motion),
+        ("dwell", dwell),
+        ("histogram", histograms),
+        ("spectrum", spectra),
+        ("refinement", refinement),
     ];
-    figures.into_par_iter().filter_map(|(name, figure)| Some((name, figure(views)?))).collect()
+    let drawn = figures.into_par_iter();
+    drawn.filter_map(|(name, figure)| Some((name, figure(views, layout)?))).collect()
 }
 
 // ---------------------------------------------------------------------------------------------
 // The figures
 
-/// Rows: methods. Columns: desired removal, predicted removal and residual on one scale, and the
-/// residual on its own.
-fn maps(views: &[View]) -> Option<String> {
+/// Of every method: desired removal, predicted removal and residual on one scale, and the residual on its own,
+/// that of 99 % of its pixels.
+fn maps(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 2.0);
-    let mut sheet = Sheet::new(4, [300.0, 300.0 * shape]);
+    let mut sheet = layout.maps.sheet_of_shape(shape);
     let mut panels = Vec::new();
     for view in views {
         let common = scale_of(&view.desired);
         for m in &view.methods {
-            let own = scale_of(&m.residual);
+            let own = m.residual.reach_99_nm;
             let of = label(views, view, m);
             panels.extend([
                 (&view.desired, common, "desired removal".to_string()),
                 (&m.removal, common, format!("predicted removal, {of}")),
                 (&m.residual, common, format!("residual, {of}")),
-                (&m.residual, own, format!("residual, {of}, own scale")),
+                (&m.residual, own, format!("residual, {of}, own scale (99 %)")),
             ]);
         }
     }
     let images: Vec<_> = panels.par_iter().map(|(map, scale, _)| png_of(map, *scale)).collect();
     for ((map, scale, title), image) in panels.iter().zip(images) {
         let frame = sheet.panel(extent(map).map(Scale::linear));
-        let svg = &mut sheet.svg;
-        svg.put(format_args!(
-            "<image x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" \
-             preserveAspectRatio=\"none\" image-rendering=\"pixelated\" \
-             href=\"data:image/png;base64,{}\"/>",
-            frame.left,
-            frame.top,
-            frame.width,
-            frame.height,
-            base64(&image)
-        ));
-        frame.axes(svg, ["x (mm)", "y (mm)"]);
-        let bands = Bands::new(&BLUE_TO_BROWN, BAR_BANDS, [-scale, *scale]);
-        frame.colour_bar(svg, &bands, "nm from the mean");
-        frame.title(svg, title);
+        draw_map(&mut sheet.svg, &frame, &image, *scale);
+        frame.title(&mut sheet.svg, title);
     }
     Some(sheet.finish())
 }
 
-fn path(views: &[View]) -> Option<String> {
-    methods(views).next()?;
-    let shape = aspect(&views.first()?.desired).clamp(0.15, 1.2);
-    let mut sheet = Sheet::new(1, [900.0, 900.0 * shape]);
+fn path(views: &[View], layout: &Layout) -> Option<String> {
+    let (_, first) = methods(views).next()?;
+    let shape = shape_of(&first.line.point_mm);
+    let mut sheet = layout.path.sheet_of_shape(shape);
     for (view, m) in methods(views) {
-        let line = &m.line;
-        let speeds: Vec<f64> =
-            line.speed_mm_per_s.iter().copied().filter(|v| v.is_finite()).collect();
-        let bands = Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, or_one(quantile(&speeds, 0.99))]);
-        let frame = sheet.panel(same_scale(&line.point_mm, shape));
-        let every = line.point_mm.len().div_ceil(MAX_POINTS);
-        let kept: Vec<usize> = (0..line.point_mm.len()).step_by(every).collect();
-        let mut jumps = String::new();
-        let mut moves = vec![String::new(); BINS];
-        for pair in kept.windows(2) {
-            let jump = (pair[0] + 1..=pair[1]).any(|i| line.speed_mm_per_s[i].is_nan());
-            let bin =
-                if jump { &mut jumps } else { &mut moves[bands.of(line.speed_mm_per_s[pair[1]])] };
-            let [a, b] = [pair[0], pair[1]].map(|i| frame.at(line.point_mm[i]));
-            put(bin, format_args!("M{:.1} {:.1}L{:.1} {:.1}", a[0], a[1], b[0], b[1]));
-        }
-        let svg = &mut sheet.svg;
-        for (colour, d) in bands.colours().iter().zip(&moves) {
-            svg.path(&format!("fill=\"none\" stroke=\"{colour}\""), d);
-        }
-        let dashed =
-            "fill=\"none\" stroke=\"#888888\" stroke-dasharray=\"2 3\" stroke-opacity=\"0.5\"";
-        svg.path(dashed, &jumps);
-        frame.axes(svg, ["x (mm)", "y (mm)"]);
-        frame.colour_bar(svg, &bands, "mm/s (99 % are below the top)");
-        frame.title(svg, &format!("path, {}", label(views, view, m)));
+        let frame = sheet.panel(same_scale(&m.line.point_mm, shape));
+        draw_path(&mut sheet.svg, &frame, &m.line);
+        frame.title(&mut sheet.svg, &format!("path, {}", label(views, view, m)));
     }
     Some(sheet.finish())
 }
 
-fn motion(views: &[View]) -> Option<String> {
+/// The whole in three panels: the surface before, the path by its speed, the residual on its own scale.
+fn overview(views: &[View], layout: &Layout) -> Option<String> {
+    let (_, first) = methods(views).next()?;
+    let shape = shape_of(&first.line.point_mm);
+    let narrow = shape < NARROW;
+    let panels = if narrow { &layout.overview_narrow } else { &layout.overview };
+    let mut sheet = panels.sheet_of_shape(shape);
+    if !narrow {
+        sheet.margin_px = [56.0, 34.0, MARGIN_OF_THREE_PX - 56.0, 56.0];
+    }
+    for (view, m) in methods(views) {
+        let found = view.summary.methods.iter().find(|(name, _)| *name == m.name);
+        let time = duration(found.map_or(f64::NAN, |(_, numbers)| numbers.total_time_s));
+        let scales = [scale_of(&view.desired), m.residual.reach_99_nm].map(two_digits_up);
+        let maps = [(&view.desired, scales[0]), (&m.residual, scales[1])];
+        let images = maps.map(|(map, scale)| png_of(map, scale));
+        let rms = maps.map(|(map, _)| significant(map.rms_nm, 3));
+        // All on the scale of the path, so that the same place is at the same place.
+        let scales = same_scale(&m.line.point_mm, shape);
+        let frame = sheet.panel(scales);
+        draw_map_at(&mut sheet.svg, &frame, &images[0], maps[0]);
+        frame.title(&mut sheet.svg, &format!("before: {} nm RMS", rms[0]));
+        let frame = sheet.panel(scales);
+        draw_path(&mut sheet.svg, &frame, &m.line);
+        let [x, y] = extent(&view.desired);
+        let ([left, top], [right, bottom]) = (frame.at([x[0], y[1]]), frame.at([x[1], y[0]]));
+        let outline = format!("fill=\"none\" stroke=\"{INK}\" stroke-width=\"0.7\"");
+        sheet.svg.rectangle([left, top], [right - left, bottom - top], &outline);
+        frame.title(&mut sheet.svg, &format!("path: {}, {time}", label(views, view, m)));
+        let frame = sheet.panel(scales);
+        draw_map_at(&mut sheet.svg, &frame, &images[1], maps[1]);
+        frame.title(&mut sheet.svg, &format!("after: {} nm RMS, own scale", rms[1]));
+    }
+    Some(sheet.finish())
+}
+
+/// A map in colours (`image`, as PNG) over the whole of `frame`, with its axes and its bar of colours.
+fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
+    let corner = [frame.left, frame.top];
+    put_image(svg, corner, [frame.width, frame.height], image);
+    frame.axes(svg, ["x (mm)", "y (mm)"]);
+    frame.colour_bar(svg, &Bands::new(&BLUE_TO_BROWN, BAR_BANDS, [-scale, scale]), "nm");
+    note_below(svg, frame, "height from the mean");
+}
+
+/// The same, where the map takes a part of the frame.
+fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&ScreenMap, f64)) {
+    let [x, y] = extent(map);
+    let ([left, top], [right, bottom]) = (frame.at([x[0], y[1]]), frame.at([x[1], y[0]]));
+    put_image(svg, [left, top], [right - left, bottom - top], image);
+    frame.axes(svg, ["x (mm)", "y (mm)"]);
+    frame.colour_bar(svg, &Bands::new(&BLUE_TO_BROWN, BAR_BANDS, [-scale, scale]), "nm");
+    note_below(svg, frame, "height from the mean");
+}
+
+/// Small print below a panel that has room for it beside the title of its axis.
+fn note_below(svg: &mut Svg, frame: &Frame, words: &str) {
+    if frame.width >= NOTED_FROM_PX {
+        frame.note(svg, words);
+    }
+}
+
+fn put_image(svg: &mut Svg, [x, y]: [f64; 2], [width, height]: [f64; 2], image: &[u8]) {
+    svg.put(format_args!(
+        "<image x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
+         preserveAspectRatio=\"none\" style=\"image-rendering:pixelated\" \
+         href=\"data:image/png;base64,{}\"/>",
+        base64(image)
+    ));
+}
+
+/// A path in colours of its speed, with its axes and its bar of colours; jumps are dotted.
+fn draw_path(svg: &mut Svg, frame: &Frame, line: &Line) {
+    let speeds: Vec<f64> = line.speed_mm_per_s.iter().copied().filter(|v| v.is_finite()).collect();
+    let bands = Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, or_one(quantile(&speeds, 0.99))]);
+    let every = line.point_mm.len().div_ceil(MAX_POINTS);
+    let kept: Vec<usize> = (0..line.point_mm.len()).step_by(every).collect();
+    let mut jumps = String::new();
+    let mut moves = vec![String::new(); BINS];
+    for pair in kept.windows(2) {
+        let jump = (pair[0] + 1..=pair[1]).any(|i| line.speed_mm_per_s[i].is_nan());
+        let bin =
+            if jump { &mut jumps } else { &mut moves[bands.of(line.speed_mm_per_s[pair[1]])] };
+        let [a, b] = [pair[0], pair[1]].map(|i| frame.at(line.point_mm[i]));
+        put(bin, format_args!("M{:.1} {:.1}L{:.1} {:.1}", a[0], a[1], b[0], b[1]));
+    }
+    for (colour, d) in bands.colours().iter().zip(&moves) {
+        svg.path(&format!("fill=\"none\" stroke=\"{colour}\""), d);
+    }
+    let dashed = "fill=\"none\" stroke=\"#888888\" stroke-dasharray=\"2 3\" stroke-opacity=\"0.5\"";
+    svg.path(dashed, &jumps);
+    frame.axes(svg, ["x (mm)", "y (mm)"]);
+    frame.colour_bar(svg, &bands, "mm/s");
+    note_below(svg, frame, "99 % of the speeds are below the top");
+}
+
+fn motion(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
-    let mut sheet = Sheet::new(3, [420.0, 240.0]);
+    let mut sheet = layout.motion.sheet();
     for (view, m) in methods(views) {
         let ends = &m.ranges.end_s;
         let time = [0.0, *ends.last()?];
@@ -188,9 +333,9 @@ fn motion(views: &[View]) -> Option<String> {
     Some(sheet.finish())
 }
 
-fn dwell(views: &[View]) -> Option<String> {
-    let shape = aspect(&views.first()?.desired).clamp(0.15, 1.2);
-    let mut sheet = Sheet::new(2, [520.0, 520.0 * shape]);
+fn dwell(views: &[View], layout: &Layout) -> Option<String> {
+    let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
+    let mut sheet = layout.dwell.sheet_of_shape(shape);
     for (view, m) in methods(views) {
         let Some(d) = &m.dwell else { continue };
         let error: Vec<f64> = d.executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect();
@@ -227,8 +372,8 @@ fn dwell(views: &[View]) -> Option<String> {
     sheet.finish_if_any()
 }
 
-fn histograms(views: &[View]) -> Option<String> {
-    let mut sheet = Sheet::new(1, [760.0, 380.0]);
+fn histograms(views: &[View], layout: &Layout) -> Option<String> {
+    let mut sheet = layout.histogram.sheet();
     for view in views {
         let mut histograms = vec![("before", &view.before.0)];
         histograms.extend(view.methods.iter().map(|m| (m.name.as_str(), &m.after.0)));
@@ -250,8 +395,8 @@ fn histograms(views: &[View]) -> Option<String> {
     sheet.finish_if_any()
 }
 
-fn spectra(views: &[View]) -> Option<String> {
-    let mut sheet = Sheet::new(1, [760.0, 420.0]);
+fn spectra(views: &[View], layout: &Layout) -> Option<String> {
+    let mut sheet = layout.spectrum.sheet();
     for view in views {
         let before = std::iter::once(("before", &view.before.1));
         let after = view.methods.iter().map(|m| (m.name.as_str(), &m.after.1));
@@ -291,8 +436,8 @@ fn spectra(views: &[View]) -> Option<String> {
     sheet.finish_if_any()
 }
 
-fn refinement(views: &[View]) -> Option<String> {
-    let mut sheet = Sheet::new(1, [600.0, 320.0]);
+fn refinement(views: &[View], layout: &Layout) -> Option<String> {
+    let mut sheet = layout.refinement.sheet();
     for (view, m) in methods(views) {
         let Some(rounds) = m.rounds.as_ref().filter(|r| !r.rms_nm.is_empty()) else { continue };
         let last = (rounds.rms_nm.len() - 1).max(1) as f64;
@@ -332,17 +477,18 @@ fn curves_of(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
 struct Sheet {
     columns: usize,
     size_px: [f64; 2],
+    margin_px: [f64; 4],
     count: usize,
     svg: Svg,
 }
 
 impl Sheet {
     fn new(columns: usize, size_px: [f64; 2]) -> Self {
-        Self { columns, size_px, count: 0, svg: Svg::new(FONT_PX) }
+        Self { columns, size_px, margin_px: MARGIN_PX, count: 0, svg: Svg::new(FONT_PX) }
     }
 
     fn cell_px(&self) -> [f64; 2] {
-        let [left, top, right, bottom] = MARGIN_PX;
+        let [left, top, right, bottom] = self.margin_px;
         [self.size_px[0] + left + right, self.size_px[1] + top + bottom]
     }
 
@@ -351,7 +497,7 @@ impl Sheet {
         let [w, h] = self.cell_px();
         let (column, row) = (self.count % self.columns, self.count / self.columns);
         self.count += 1;
-        Frame::new([column as f64 * w, row as f64 * h], self.size_px, MARGIN_PX, scales)
+        Frame::new([column as f64 * w, row as f64 * h], self.size_px, self.margin_px, scales)
     }
 
     fn finish(self) -> String {
@@ -375,7 +521,7 @@ fn methods(views: &[View]) -> impl Iterator<Item = (&View, &MethodView)> {
 fn label(views: &[View], view: &View, m: &MethodView) -> String {
     let run = if views.len() > 1 { format!("{} / ", view.name) } else { String::new() };
     // Nobody is to take it for a plan.
-    let ideal = if m.name == IDEAL { " (ideal)" } else { "" };
+    let ideal = if m.name == IDEAL { " (ideal, not a plan)" } else { "" };
     format!("{run}{}{ideal}", m.name)
 }
 
@@ -391,6 +537,16 @@ fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     })
 }
 
+/// Height over width of what lies around `points`, within what a panel can show.
+fn shape_of(points: &[[f64; 2]]) -> f64 {
+    let [w, h] = [0, 1].map(|a| {
+        let [low, high] = range(points.iter().map(|p| p[a]));
+        high - low
+    });
+    let shape = h / w;
+    if shape.is_finite() { shape.clamp(0.15, 1.2) } else { 1.0 }
+}
+
 /// Height over width.
 fn aspect(map: &ScreenMap) -> f64 {
     let [x, y] = extent(map);
@@ -402,6 +558,12 @@ fn scale_of(map: &ScreenMap) -> f64 {
     let [low, high] = map.range_nm;
     let reach = (high - map.mean_nm).max(map.mean_nm - low);
     if reach > FLAT * low.abs().max(high.abs()) { reach } else { 1.0 }
+}
+
+/// The next number of two digits.
+fn two_digits_up(value: f64) -> f64 {
+    let step = 10.0_f64.powf(value.log10().floor() - 1.0);
+    (value / step).ceil() * step
 }
 
 /// 1 in place of 0, for the end of a range that must not be empty.

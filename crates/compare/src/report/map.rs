@@ -24,6 +24,9 @@ pub struct ScreenMap {
     pub rms_nm: f64,
     /// Smallest and largest value of the array, nm.
     pub range_nm: [f64; 2],
+    /// Distance from the mean that 99 % of the valid pixels of the array do not exceed, nm; the largest one where
+    /// it is 0.
+    pub reach_99_nm: f64,
     /// Heights (ny, nx), nm.
     pub height_nm: Packed,
     /// The same, not packed.
@@ -51,9 +54,21 @@ pub fn screen_map(map: ArrayView2<f64>, grid: &Grid, every: usize) -> ScreenMap 
         mean_nm: s.mean,
         rms_nm: s.rms,
         range_nm: [s.min, s.max],
+        reach_99_nm: reach_99(map, s.mean),
         height_nm: pack(means.iter().copied()),
         means_nm: means,
     }
+}
+
+/// The distance from `mean` that 99 % of the valid pixels do not exceed: a pit does not decide the colours of all
+/// others. The largest distance where that is 0, and 1 nm where the map is flat.
+fn reach_99(map: ArrayView2<f64>, mean: f64) -> f64 {
+    let valid = map.iter().filter(|v| !v.is_nan());
+    let mut sizes: Vec<f64> = valid.map(|v| (v - mean).abs()).collect();
+    let at = (0.99 * (sizes.len() - 1) as f64) as usize;
+    let (_, reach, beyond) = sizes.select_nth_unstable_by(at, f64::total_cmp);
+    let largest = beyond.iter().fold(*reach, |m, v| m.max(*v));
+    [*reach, largest].into_iter().find(|v| *v > 0.0).unwrap_or(1.0)
 }
 
 /// Means of the valid pixels of each block; NaN where it has none. The last blocks may be smaller.
@@ -132,6 +147,21 @@ mod tests {
         let grid = Grid { x: Axis::new(0.0, 1.0, 1641).unwrap(), y: axis };
         assert_eq!(block_side(&grid, 1641 * 3), 1);
         assert_eq!([block_side(&grid, 1642), block_side(&grid, 1641)], [2, 3]);
+    }
+
+    #[test]
+    fn a_pit_does_not_decide_the_scale() {
+        // 2 % at 1 nm, one pixel at 100 nm, the others at 0: the mean is taken for 0 by hand.
+        let map = Array2::from_shape_fn((10, 100), |(r, c)| match (r, c) {
+            (0, 0) => 100.0,
+            (_, c) if c < 2 => 1.0,
+            _ => 0.0,
+        });
+        assert_eq!(reach_99(map.view(), 0.0), 1.0);
+        let mut pit = Array2::zeros((10, 100));
+        pit[[3, 3]] = -7.0;
+        assert_eq!(reach_99(pit.view(), 0.0), 7.0);
+        assert_eq!(reach_99(Array2::zeros((2, 2)).view(), 0.0), 1.0);
     }
 
     #[test]

@@ -11,6 +11,7 @@ use super::{
     spectrum::BAND_PERIOD_MM,
     view::{FrameView, MethodView, View},
 };
+use crate::answer::with_answer;
 
 /// Skeleton and style of the page.
 const HTML: &str = include_str!("page.html");
@@ -21,6 +22,7 @@ const JS: &str = concat!(
     include_str!("page/runs.js"),
     include_str!("page/colours.js"),
     include_str!("page/canvas.js"),
+    include_str!("page/answer.js"),
     include_str!("page/panel.js"),
     include_str!("page/map.js"),
     include_str!("page/path.js"),
@@ -31,6 +33,7 @@ const JS: &str = concat!(
     include_str!("page/heights.js"),
     include_str!("page/rounds.js"),
     include_str!("page/tables.js"),
+    include_str!("page/places.js"),
     include_str!("page/provenance.js"),
     include_str!("page/full_values.js"),
     include_str!("page/start.js"),
@@ -102,7 +105,7 @@ fn run_json(view: &View) -> Value {
         "pipeline": view.summary.pipeline,
         "fixture": view.summary.fixture,
         "best": view.summary.best,
-        "summary": view.summary,
+        "summary": with_answer(&view.summary),
         "desired": view.desired,
         "measured": view.measured,
         "histogram": view.before.0,

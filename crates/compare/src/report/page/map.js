@@ -2,9 +2,10 @@
 
 /** Distance from the mean that gets the last colour. */
 function reachOf(layer) {
-  if (state.scale === "common" && layer.title !== "difference of the residuals")
+  const apart = state.scale === "apart";
+  if ((state.scale === "common" || (apart && !layer.own)) && layer.title !== "difference of the residuals")
     return Math.max(...RUNS.map((r) => r.desired.reach));
-  if (state.scale === "own99") {
+  if (state.scale === "own99" || apart) {
     if (layer.reach99 === undefined) {
       const sizes = Float64Array.from(layer.values()).filter((v) => !Number.isNaN(v)).map((v) => Math.abs(v - layer.mean)).sort();
       layer.reach99 = (sizes.length && sizes[Math.floor(0.99 * (sizes.length - 1))]) || layer.reach;
@@ -38,7 +39,7 @@ function mapContent(layer, key, more = {}) {
   if (!layer) return null;
   const reach = reachOf(layer);
   return {
-    title: more.title || layer.title, layer, key: key + "|" + reach + "|" + layer.nx,
+    title: (more.title || layer.title) + (state.scale === "apart" && layer.own ? `; its own scale, 99 % within ±${number(reach, 3)} nm` : ""), layer, marks: more.marks, key: key + "|" + reach + "|" + layer.nx,
     bar: { table: HEIGHT.filter((_, i) => i % 4 === 0), range: [-reach, reach], unit: "nm" },
     paint(ctx, box, panel) {
       const image = imageOf(panel, layer, key);

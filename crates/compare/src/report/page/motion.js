@@ -63,7 +63,7 @@ function drawMotion() {
         const { low, high } = band(entry, axis, axis ? theme.y : theme.x, 0.7);
         const limit = limits[axis].limit, step = ranges[name][axis].step;
         if (limit === null || limit === undefined) return;
-        ctx.fillStyle = theme.bad;
+        ctx.fillStyle = alarm(entry);
         for (let c = 0; c < width; c++)
           if (low[c] <= high[c] && (beyond(low[c], limit, step) || beyond(high[c], limit, step)))
             ctx.fillRect(box.l + (c * box.w) / width - 1, box.t, 3, 7);
@@ -77,7 +77,7 @@ function drawMotion() {
       }
       const marked = [...limits.flatMap((check) => check.worst.map((w) => w[0])), ...(name === "velocity" ? entry.method.limits.steps : [])];
       for (const t of marked) {
-        ctx.fillStyle = theme.bad;
+        ctx.fillStyle = alarm(entry);
         ctx.beginPath();
         ctx.arc(x.at(t), box.t + 10, 4, 0, 7);
         ctx.fill();

@@ -115,12 +115,22 @@ class Panel {
     };
     ctx.lineWidth = 1;
     if (content.layer && state.pin) cross(state.pin, "#00000099", 4000);
-    for (const place of content.marks || []) {
-      ctx.strokeStyle = theme.bad;
-      ctx.lineWidth = 2;
-      ctx.beginPath();
-      ctx.arc(box.x.at(place[0]), box.y.at(place[1]), 6, 0, 7);
-      ctx.stroke();
+    for (const { at, text, colour } of content.marks || []) {
+      const [px, py] = [box.x.at(at[0]), box.y.at(at[1])];
+      for (const [width, stroke] of text ? [[4, "#ffffff"], [1.5, colour]] : [[2, colour]]) {
+        ctx.strokeStyle = stroke;
+        ctx.lineWidth = width;
+        ctx.beginPath();
+        ctx.arc(px, py, 6, 0, 7);
+        ctx.stroke();
+        if (!text) continue;
+        // Inside the frame, whatever side the place is at.
+        const side = px + 20 > box.l + box.w ? -16 : 9, up = py - 6 < box.t + 10 ? 14 : -6;
+        ctx.lineWidth = 3;
+        if (stroke === "#ffffff") ctx.strokeText(text, px + side, py + up);
+        ctx.fillStyle = colour;
+        if (stroke === colour) ctx.fillText(text, px + side, py + up);
+      }
     }
     if (state.pointer) {
       ctx.lineWidth = 3;

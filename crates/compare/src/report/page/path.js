@@ -45,7 +45,7 @@ function pathContent(entry) {
     title: "path, speed: " + entry.label, key: "path" + entry.label, heavy: l.x.length > MOVING_POINTS,
     still: entry !== A(),
     bar: { table: SPEED, range: [0, top], unit: "mm/s" },
-    marks: entry.marks ?? (entry.marks = worstPlaces(entry)),
+    marks: worstPlaces(entry),
     paint(ctx, box) {
       // Lines of one colour in one stroke; only what can be seen.
       const every = state.moving ? Math.ceil(l.x.length / MOVING_POINTS) : 1;
@@ -88,8 +88,8 @@ function pathContent(entry) {
 }
 
 function worstPlaces(entry) {
-  if (entry.run.summary.methods[entry.method.name].plan.state === "ideal") return [];
+  if (isIdeal(entry)) return [];
   const { steps, ...checks } = entry.method.limits;
   const times = [...Object.values(checks).flat().flatMap((check) => check.worst.map((w) => w[0])), ...steps];
-  return times.map((t) => toolAt(entry, t)).map((p) => [p.x, p.y]);
+  return times.map((t) => toolAt(entry, t)).map((p) => ({ at: [p.x, p.y], colour: alarm(entry) }));
 }

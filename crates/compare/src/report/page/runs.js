@@ -11,7 +11,7 @@ function layerOf(title, map) {
   return {
     title, x0: map.start_mm[0], y0: map.start_mm[1], dx: map.step_mm[0], dy: map.step_mm[1],
     nx: map.size[0], ny: map.size[1], every: map.every, mean: map.mean_nm, rms: map.rms_nm,
-    reach: reachAround(map.mean_nm, map.range_nm),
+    reach: reachAround(map.mean_nm, map.range_nm), reach99: map.reach_99_nm,
     step: map.height_nm.scale, values: once(() => unpack(map.height_nm)),
   };
 }
@@ -20,9 +20,9 @@ function entryOf(run, method) {
   const frames = method.frames;
   return {
     run, method,
-    label: (DATA.runs.length > 1 ? run.name + " / " : "") + method.name + (method.name === "position" ? " (ideal)" : ""),
+    label: (DATA.runs.length > 1 ? run.name + " / " : "") + method.name + (run.summary.methods[method.name].plan.state === "ideal" ? " (ideal, not a plan)" : ""),
     removal: layerOf("predicted removal", method.removal),
-    residual: layerOf("residual", method.residual),
+    residual: { ...layerOf("residual", method.residual), own: true },
     line: once(() => ({
       x: unpack(method.line.x_mm), y: unpack(method.line.y_mm), t: doubles(method.line.time_s),
       value: floats(method.line.speed_mm_per_s),
@@ -55,7 +55,7 @@ const ENTRIES = RUNS.flatMap((run) => run.methods.map((method) => entryOf(run, m
 
 /** What is shown. */
 const state = {
-  a: 0, b: -1, scale: "common",
+  a: 0, b: -1, scale: "apart",
   view: null,            // [x low, x high, y low, y high] in mm that the maps show
   pointer: null,         // [x, y] mm under the pointer
   pin: null,             // [x, y] mm of the profiles

@@ -19,6 +19,7 @@ function showMethod(a, b) {
   byId("dwell-section").hidden = !d;
   if (d) byId("dwell-note").textContent = `Time at every dwell point as planned, and what the motion takes there instead; differences add up to ${number(d.total_error_s)} s.`;
   fillBands();
+  fillPlaces();
   setTime(A().total);
 }
 
@@ -66,6 +67,7 @@ function play(on) {
 
 function start() {
   readTheme();
+  fillAnswer();
   fillSummary();
   fillSpecifications();
   fillReach();
@@ -73,7 +75,7 @@ function start() {
   if (!ENTRIES.length) {
     // Every method is left out, and why is said: there is nothing to draw.
     byId("bar").hidden = true;
-    for (const section of document.querySelectorAll("section")) section.hidden = !section.querySelector("#summary, #provenance");
+    for (const section of document.querySelectorAll("section")) section.hidden = section.id !== "answer" && !section.querySelector("#summary, #provenance");
     return;
   }
   ENTRIES.forEach((e, i) => {
@@ -84,8 +86,8 @@ function start() {
   new Panel("maps", "measured", () => mapContent(A().run.measured, "measured" + A().run.name));
   new Panel("maps", "desired", () => mapContent(A().run.desired, "desired" + A().run.name));
   new Panel("maps", "removal", () => mapContent(A().removal, "removal" + state.a, { title: "predicted removal: " + A().label }));
-  new Panel("maps", "residual", () => mapContent(A().residual, "residual" + state.a, { title: "residual: " + A().label }));
-  new Panel("maps", "residual-b", () => B() && mapContent(B().residual, "residual" + state.b, { title: "residual: " + B().label }));
+  new Panel("maps", "residual", () => mapContent(A().residual, "residual" + state.a, { title: "residual: " + A().label, marks: worstMarks(A()) }));
+  new Panel("maps", "residual-b", () => B() && mapContent(B().residual, "residual" + state.b, { title: "residual: " + B().label, marks: worstMarks(B()) }));
   new Panel("maps", "difference", () => B() && mapContent(difference(), "difference" + state.a + "," + state.b, { title: `residual of ${A().label} - residual of ${B().label}` }));
   new Panel("paths", "frame", () => {
     const layer = frameAt(A(), state.time);

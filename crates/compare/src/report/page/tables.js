@@ -27,7 +27,14 @@ const ROWS = [
 function fillSummary() {
   const table = byId("summary"), head = element("tr");
   head.append(element("th", "", { scope: "col" }));
-  for (const e of ENTRIES) head.append(element("th", e.label, { scope: "col" }));
+  // The plan that is to be run comes first, the ideal last.
+  const rank = (e) => (e.method.name === e.run.best ? 0 : isIdeal(e) ? 2 : 1);
+  const order = ENTRIES.map((_, i) => i).sort((i, j) => rank(ENTRIES[i]) - rank(ENTRIES[j]));
+  for (const e of order.map((i) => ENTRIES[i])) {
+    const th = element("th", e.label, { scope: "col" });
+    if (rank(e) === 0) th.append(element("small", "to be run"));
+    head.append(th);
+  }
   table.append(element("thead"), element("tbody"));
   table.tHead.append(head);
   const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]).map((m) => ({ ...m, ...m.execution }));
@@ -41,66 +48,65 @@ function fillSummary() {
     const size = (v) => +Math.max(...[v].flat().map(Math.abs)).toFixed(decimals);
     const counts = (i) => values[i] !== null && (key.endsWith("wall_s") || rated[i]);
     const best = inWords ? null : Math.min(...values.filter((_, i) => counts(i)).map(size));
-    values.forEach((v, i) => {
+    for (const i of order) {
+      const v = values[i];
       const one = (u) => (u === null ? "-" : fixed(u, decimals));
       const text = inWords ? inWords(v) : [v].flat().map(one).join(", ");
       const exact = inWords ? v.text || text : [v].flat().map((u) => (u === null ? "-" : +u.toPrecision(9))).join(", ");
       const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: exact });
-      // Nobody runs the ideal: the limits that it exceeds are no fault of the run.
-      const ideal = numbers[i].plan.state === "ideal";
-      if (key === "limits_respected" ? !v && !ideal : key === "plan" && v.state === "unconverged") cell.className = "bad";
+      const fault = concerns(ENTRIES[i]) && !isIdeal(ENTRIES[i]);
+      if (fault && (key === "limits_respected" ? !v : key === "plan" && v.state === "unconverged")) cell.className = "bad";
       else if (!inWords && ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
       row.append(cell);
-    });
+    }
     table.tBodies[0].append(row);
   }
   byId("heading").textContent = RUNS.map((r) => {
-    const s = r.summary, ideal = s.ideal ? `; dwell at the dwell points alone would leave ${number(s.ideal.rms_nm)} nm RMS in ${fixed(s.ideal.total_time_s, 1)} s` : "";
+    const s = r.summary;
     const name = [r.name, s.pipeline, s.fixture].filter((n, i, all) => n && all.indexOf(n) === i).join(", ");
-    const best = r.best && s.methods[r.best], beyond = best && best.uncorrectable_rms_nm;
-    const left = best ? ` (${number(best.rms_nm)} nm RMS${beyond === null ? "" : `, of which ${number(beyond)} nm no dwell time can change`})` : "";
-    return `${name}: ${number(s.initial.rms_nm)} nm RMS, ${number(s.initial.pv_nm)} nm PV before${ideal}; best within the limits: ${r.best || "none"}${left}`;
+    return `${name}: ${number(s.initial.rms_nm)} nm RMS, ${number(s.initial.pv_nm)} nm PV before`;
   }).join(". ") + ".";
   for (const r of RUNS) {
     const whose = (name) => (RUNS.length > 1 ? r.name + " / " + name : name);
     const note = (text, bad) => byId("notes").append(element("p", text, { class: bad ? "violation" : "note" }));
     for (const left of r.summary.left_out) {
-      const bad = left.standing === "not-valid";
-      note(`${whose(left.name)}: ${bad ? "not valid" : "out of date, left out"}: ${left.reasons.join("; ")}`, bad);
+      const invalid = left.standing === "not-valid";
+      note(`${whose(left.name)}: ${invalid ? "not valid" : "out of date, left out"}: ${left.reasons.join("; ")}`, invalid && r.best === null);
     }
-    for (const text of r.summary.remarks) note(RUNS.length > 1 ? `${r.name}: ${text}` : text, true);
     // Methods of which the same is said share a line.
     const said = new Map();
     for (const [name, m] of Object.entries(r.summary.methods))
       for (const text of [`${m.plan.word}: ${m.plan.text}`, ...m.remarks]) {
-        const bad = m.plan.state === "unconverged" && text.startsWith(m.plan.word);
+        const fault = r.best === null || name === r.best;
+        const bad = fault && m.plan.state === "unconverged" && text.startsWith(m.plan.word);
         if (!said.has(text)) said.set(text, { names: [], bad });
         said.get(text).names.push(whose(name));
+        said.get(text).bad ||= bad;
       }
     for (const [text, { names, bad }] of said) note(`${names.join(", ")}: ${text}`, bad);
   }
-  ENTRIES.forEach((e, i) => {
-    const ideal = numbers[i].plan.state === "ideal";
-    for (const text of e.method.violations)
-      byId("violations").append(ideal
-        ? element("p", `${e.label}: ${text}; expected of the ideal, which has no motion between the dwell points and is not run`, { class: "note" })
-        : element("p", `${e.label}: ${text}`, { class: "violation" }));
-  });
+  for (const e of ENTRIES)
+    for (const text of e.method.violations) {
+      const why = isIdeal(e) ? "; expected of the ideal, which has no motion between the dwell points and is not run" : concerns(e) ? "" : "; it is not to be run";
+      byId("violations").append(element("p", `${e.label}: ${text}${why}`, { class: why ? "note" : "violation" }));
+    }
 }
 
 /** What each run keeps of a specification: limits in rows; before, methods and measured after in columns. */
 function fillSpecifications() {
   for (const r of RUNS) {
     const { before, after } = r.summary.specification, known = (c) => c[1];
-    const methods = r.methods.map((m) => [m.name, r.summary.methods[m.name].specification]);
-    const columns = [["before", before], ...methods, ["measured after", after]].filter(known);
+    // The plan that is to be run, what it starts from and what was measured after it; then the others, the ideal last.
+    const of = (m) => [m.name, r.summary.methods[m.name].specification, r.summary.methods[m.name].plan.state === "ideal"];
+    const methods = r.methods.map(of).sort((a, b) => a[2] - b[2]), chosen = (c) => c[0] === r.best;
+    const columns = [...methods.filter(chosen), ["before", before], ["measured after", after], ...methods.filter((c) => !chosen(c))].filter(known);
     // What fails of the plan that is to run, or after the run, is a fault; before, it is why the run is made.
     const fault = (column, passed) => (!passed && (column === r.best || column === "measured after") ? "bad" : "");
     if (!columns.length) continue;
     const table = element("table", undefined, { class: "specification" }), first = columns[0][1];
     const row = (cells) => { const tr = element("tr"); tr.append(...cells); table.append(tr); };
     const title = (RUNS.length > 1 ? r.name + ": " : "") + "specification " + first.name;
-    row([title, "limit", ...columns.map((c) => c[0])].map((text) => element("th", text, { scope: "col" })));
+    row([title, "limit", ...columns.map(([name, , ideal]) => name + (ideal ? " (ideal, not a plan)" : ""))].map((text) => element("th", text, { scope: "col" })));
     first.limits.forEach((limit, i) => {
       const one = columns.every(([, judged]) => judged.limits[i].limit === limit.limit);
       const bound = (limit.bound === "at-most" ? "≤ " : "≥ ") + (one ? number(limit.limit) : "line");
@@ -123,10 +129,10 @@ function fillSpecifications() {
 function fillReach() {
   const s = RUNS.map((r) => r.summary), reach = s.map((o) => o.reach).find(Boolean), notes = [];
   const bases = s[0].slope_base_mm;
-  if (bases.some((b) => b !== null)) notes.push(`Slopes are over ${bases.map((b) => (b === null ? "-" : number(b))).join(", ")} mm along x, y.`);
+  if (bases.some((b) => b !== null)) notes.push(`Slopes are over ${bases.map((b) => (b === null ? "-" : +b.toPrecision(4))).join(", ")} mm along x, y.`);
   if (reach) {
     const periods = reach.period_mm.map((p) => (p === null ? "none" : number(p, 3) + " mm")).join(" along x, ");
-    notes.push(`No dwell time can change what the tool lets through by less than ${number(100 * reach.transfer_threshold)} % of what it removes of a plane: periods of ${periods} along y and less, beside lobes of its transfer function.`);
+    notes.push(`No dwell time can change what the tool lets through by less than ${+(100 * reach.transfer_threshold).toPrecision(3)} % of what it removes of a plane: periods of ${periods} along y and less, beside lobes of its transfer function.`);
   }
   byId("reach").textContent = notes.join(" ");
 }

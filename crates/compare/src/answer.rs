@@ -1,0 +1,222 @@
+//! What a report answers first: which plan is to be run, what it will leave, and why this one.
+//!
+//! The sentences are made here, once, for the page and for other programs (`answer` in `summary.json`); every number
+//! in them stands in the summary, rounded here to what can be read in passing.
+
+use planish_types::text::{fixed, significant};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::{
+    plan::State,
+    specification::Judged,
+    summary::{Method, Summary},
+};
+
+/// Digits of a number in a sentence.
+const DIGITS: usize = 3;
+
+/// Durations below this are told in seconds, and above the next in hours, s.
+const MINUTES_FROM_S: f64 = 120.0;
+const HOURS_FROM_S: f64 = 7200.0;
+
+/// The answer.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Answer {
+    /// The method that is to be run; `null` when there is none.
+    pub method: Option<String>,
+    /// What it does, and what it leaves.
+    pub sentence: String,
+    /// Why this one, and how good its plan is known to be.
+    pub why: String,
+    /// What the ideal is, so that nobody takes it for a plan; `null` where the run has none.
+    pub ideal: Option<String>,
+    /// What speaks against running it; empty when nothing does.
+    pub problems: Vec<String>,
+}
+
+impl Answer {
+    /// Of a summary whose methods and best are known.
+    pub fn of(summary: &Summary) -> Self {
+        let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
+        let mut problems = summary.remarks.clone();
+        let (sentence, why) = match best {
+            Some((name, method)) => {
+                problems.extend(against(name, method));
+                (sentence(summary, name, method), why(summary, name, method))
+            }
+            None => {
+                problems.push("no plan of this run keeps the limits of the machine".into());
+                ("Nothing here is to be run.".into(), why_none(summary))
+            }
+        };
+        let ideal = summary.methods.iter().find(|(_, m)| m.plan.state == State::Ideal);
+        let ideal = ideal.map(|(name, m)| {
+            format!(
+                "Not a plan: {name} is the ideal, the dwell times at the dwell points without a motion between them. \
+                 It leaves {} nm RMS in {}, and no machine can run it.",
+                significant(m.rms_nm, DIGITS),
+                duration(m.total_time_s)
+            )
+        });
+        Self { method: best.map(|(name, _)| name.clone()), sentence, why, ideal, problems }
+    }
+}
+
+/// A summary and its answer.
+#[derive(Serialize)]
+struct Answered<'a> {
+    answer: Answer,
+    #[serde(flatten)]
+    summary: &'a Summary,
+}
+
+/// One run for other programs and for the page: its answer, then its summary.
+pub fn with_answer(summary: &Summary) -> Value {
+    json!(Answered { answer: Answer::of(summary), summary })
+}
+
+/// `summary.json`: the run itself for one, `{"runs": [...]}` for several.
+pub fn to_json(summaries: &[Summary]) -> Value {
+    match summaries {
+        [one] => with_answer(one),
+        several => json!({ "runs": several.iter().map(with_answer).collect::<Vec<_>>() }),
+    }
+}
+
+/// "pvt runs on ion-beam in 7.45 min: 6.3 to 0.158 nm RMS, worst ...; the limits of the machine are kept."
+fn sentence(summary: &Summary, name: &str, m: &Method) -> String {
+    let machine = m.machine.as_deref().map_or(String::new(), |machine| format!(" on {machine}"));
+    let mut text = format!(
+        "{name} runs{machine} in {}: {} to {} nm RMS",
+        duration(m.total_time_s),
+        significant(summary.initial.rms_nm, DIGITS),
+        significant(m.rms_nm, DIGITS)
+    );
+    if let Some(beyond) = m.uncorrectable_rms_nm {
+        text += &format!(" (of which {} no dwell time can change)", significant(beyond, DIGITS));
+    }
+    if let Some(worst) = m.places.worst.first() {
+        text += &format!(
+            ", worst {} nm from the mean at x {}, y {} mm",
+            significant(worst.from_mean_nm, DIGITS),
+            fixed(worst.x_mm, 1),
+            fixed(worst.y_mm, 1)
+        );
+    }
+    text += "; the limits of the machine are kept";
+    match &m.specification {
+        Some(judged) if judged.passed => {
+            text += &format!("; the specification {} is kept", judged.name);
+        }
+        Some(judged) => text += &format!("; the specification {} is not kept", judged.name),
+        None => {}
+    }
+    text + "."
+}
+
+fn why(summary: &Summary, name: &str, m: &Method) -> String {
+    let rivals = summary.methods.iter().filter(|(other, m)| other != name && m.is_candidate());
+    let next = rivals.clone().min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm));
+    let choice = match next {
+        Some((next, other)) => format!(
+            "{name}, because it leaves the least RMS of the {} plans that keep the limits; the next is {next} with \
+             {} nm in {}.",
+            rivals.count() + 1,
+            significant(other.rms_nm, DIGITS),
+            duration(other.total_time_s)
+        ),
+        None => format!("{name}, because it is the only plan here that keeps the limits."),
+    };
+    format!("{choice} Its plan is {}: {}.{}", m.plan.word, m.plan.text, exceeding(summary))
+}
+
+fn why_none(summary: &Summary) -> String {
+    match exceeding(summary) {
+        none if none.is_empty() => "The run has no plan that could be run.".into(),
+        some => some.trim_start().into(),
+    }
+}
+
+/// The plans that a machine cannot follow.
+fn exceeding(summary: &Summary) -> String {
+    let beyond = |m: &Method| !m.limits_respected && m.plan.state != State::Ideal;
+    let names = summary.methods.iter().filter(|(_, m)| beyond(m)).map(|(name, _)| name.as_str());
+    let names: Vec<&str> = names.collect();
+    match names.len() {
+        0 => String::new(),
+        1 => format!(" {} exceeds the limits of the machine.", names[0]),
+        _ => format!(" {} exceed the limits of the machine.", names.join(", ")),
+    }
+}
+
+/// What speaks against the plan that is to be run.
+fn against(name: &str, m: &Method) -> Vec<String> {
+    let mut found = Vec::new();
+    if m.plan.state == State::Unconverged {
+        found.push(format!("the plan of {name} is not optimal: {}", m.plan.text));
+    }
+    if let Some(judged) = m.specification.as_ref().filter(|judged| !judged.passed) {
+        found.push(failing(name, judged));
+    }
+    found
+}
+
+fn failing(name: &str, judged: &Judged) -> String {
+    let failed = judged.limits.iter().filter(|limit| !limit.passed);
+    let said = failed.map(|l| {
+        let value = l.value.map_or("infinite".into(), |v| significant(v, DIGITS));
+        let unit = if l.unit.is_empty() { String::new() } else { format!(" {}", l.unit) };
+        let bound = if l.bound == "at-most" { "at most" } else { "at least" };
+        let limit = significant(l.limit, DIGITS);
+        let place = l.worst.as_ref().map_or(String::new(), |worst| format!(", worst {worst}"));
+        format!("{} is {value}{unit}, {bound} {limit} is allowed{place}", l.quantity)
+    });
+    let said: Vec<String> = said.collect();
+    format!("{name} does not keep the specification {}: {}", judged.name, said.join("; "))
+}
+
+/// A duration in the unit that people plan with, three digits.
+pub fn duration(time_s: f64) -> String {
+    let (time, unit) = match time_s {
+        t if t < MINUTES_FROM_S => (t, "s"),
+        t if t < HOURS_FROM_S => (t / 60.0, "min"),
+        t => (t / 3600.0, "h"),
+    };
+    format!("{} {unit}", significant(time, DIGITS))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_told_in_what_people_plan_with() {
+        let told = [0.25, 119.9, 120.0, 453.69, 7200.0, 36000.0].map(duration);
+        assert_eq!(told, ["0.25 s", "120 s", "2 min", "7.56 min", "2 h", "10 h"]);
+    }
+
+    #[test]
+    fn what_fails_is_told_with_value_limit_and_place() {
+        let limit = |quantity: &str, value, passed| crate::specification::JudgedLimit {
+            quantity: quantity.into(),
+            unit: "nm".into(),
+            value,
+            limit: 2.0,
+            bound: "at-most".into(),
+            passed,
+            worst: (!passed).then(|| "at x 3 mm".into()),
+        };
+        let limits = vec![
+            limit("RMS", Some(1.0), true),
+            limit("PV", Some(3.456), false),
+            limit("B", None, false),
+        ];
+        let judged = Judged { name: "strict".into(), passed: false, limits };
+        assert_eq!(
+            failing("pvt", &judged),
+            "pvt does not keep the specification strict: PV is 3.46 nm, at most 2 is allowed, worst at x 3 mm; \
+             B is infinite nm, at most 2 is allowed, worst at x 3 mm"
+        );
+    }
+}

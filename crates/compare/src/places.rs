@@ -1,0 +1,448 @@
+//! Where a plan leaves what, and where its time goes: worst places, edge zone, regions, travel.
+//!
+//! ```text
+//! tool radius      = sqrt(area where T >= max T / 2  /  pi)          width of the edge zone
+//! edge zone        = valid pixels nearer than that to a pixel that is invalid or beyond the map
+//! RMS of a zone    = sqrt(mean over its pixels of (z - mean z)^2)    mean z of the whole map
+//! time of a region = time of the motion, tool on, whose position lies in it
+//! travel           = smallest and largest position of the motion along each axis
+//! ```
+//!
+//! The RMS of all zones is about one mean, that of the map: weighted by their pixels, their squares add up to
+//! the square of the RMS. The travel is exact; times are sampled along every segment at distances of at most
+//! a pixel.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z | `residual` | (ny, nx) | nm |
+//! | T | `tif` | (my, mx) | nm/s |
+
+use std::f64::consts::PI;
+
+use ndarray::Array2;
+use planish_numerics::polynomial::range;
+use planish_types::{Axis, Grid, Surface, Tif, Trajectory};
+use serde::Serialize;
+
+/// How many of the worst places are listed.
+const WORST_COUNT: usize = 5;
+
+/// Least distance of two of them, as a fraction of the longer side: a pit is listed once.
+const WORST_APART: f64 = 0.05;
+
+/// Regions along each side.
+const REGIONS: usize = 3;
+
+/// Most samples of one segment: a rest of hours is one place.
+const MOST_SAMPLES: f64 = 4096.0;
+
+/// How a mirror is divided.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DivisionReport {
+    /// Width of the edge zone, mm: the radius of the tool at half its peak; `null` where the tool is not known.
+    pub edge_width_mm: Option<f64>,
+    /// Fraction of the valid pixels in the edge zone; `null` where the tool is not known.
+    pub edge_fraction: Option<f64>,
+    /// Bounds of the regions along [x, y], ascending, mm.
+    pub region_bounds_mm: [[f64; REGIONS + 1]; 2],
+    /// Least distance of two of the worst places, mm.
+    pub worst_apart_mm: f64,
+}
+
+/// A mirror divided into an edge zone and its inside, and into regions.
+#[derive(Clone, Debug)]
+pub struct Division {
+    grid: Grid,
+    /// (ny, nx).
+    valid: Array2<bool>,
+    /// (ny, nx); the valid pixels of the edge zone, where the tool is known.
+    edge: Option<Array2<bool>>,
+    report: DivisionReport,
+}
+
+/// A place and what is left there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Place {
+    /// Centre of the pixel along x, mm.
+    pub x_mm: f64,
+    /// Centre of the pixel along y, mm.
+    pub y_mm: f64,
+    /// Residual from the mean of the map, nm; positive = material that stays.
+    pub from_mean_nm: f64,
+    /// Whether it lies in the edge zone; `null` where the tool is not known.
+    pub at_edge: Option<bool>,
+}
+
+/// RMS of the zones of a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ZoneRms {
+    /// Of the edge zone, nm; `null` where the tool is not known.
+    pub edge_nm: Option<f64>,
+    /// Of the pixels that are not in it, nm; `null` where there are none or the tool is not known.
+    pub inside_nm: Option<f64>,
+}
+
+/// Where the time of a motion goes, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Times {
+    /// Tool on, above valid pixels of the edge zone; `null` where the tool is not known.
+    pub edge_s: Option<f64>,
+    /// Tool on, above the other valid pixels.
+    pub inside_s: f64,
+    /// Tool on, beyond the valid pixels: overscan and turn-arounds.
+    pub beyond_s: f64,
+    /// Tool off.
+    pub tool_off_s: f64,
+}
+
+/// What one plan leaves where, and where it spends its time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Places {
+    /// The places farthest from the mean, the worst first.
+    pub worst: Vec<Place>,
+    /// RMS of the residual in the zones.
+    pub zone_rms: ZoneRms,
+    /// RMS of the residual in the regions, rows from small y, columns from small x, nm; `null` where none is valid.
+    pub region_rms_nm: [[Option<f64>; REGIONS]; REGIONS],
+    /// Time with the tool on above the valid pixels of the regions, in the same order, s.
+    pub region_time_s: [[f64; REGIONS]; REGIONS],
+    /// Time in the zones.
+    pub time: Times,
+    /// Smallest and largest position of the motion along [x, y], mm.
+    pub travel_mm: [[f64; 2]; 2],
+}
+
+impl Division {
+    /// Of the valid pixels of `surface`, with an edge zone as wide as the radius of `tif`.
+    pub fn new(surface: &Surface, tif: Option<&Tif>) -> Self {
+        let grid = *surface.grid();
+        let valid = surface.height_nm().mapv(|v| !v.is_nan());
+        let edge_width_mm = tif.map(tool_radius_mm);
+        let edge = edge_width_mm.map(|width_mm| edge_zone(&valid, &grid, width_mm));
+        let count = |map: &Array2<bool>| map.iter().filter(|v| **v).count() as f64;
+        let sides = [&grid.x, &grid.y].map(|axis| axis.len() as f64 * axis.step_mm());
+        let report = DivisionReport {
+            edge_width_mm,
+            edge_fraction: edge.as_ref().map(|edge| count(edge) / count(&valid)),
+            region_bounds_mm: [bounds_mm(&grid.x), bounds_mm(&grid.y)],
+            worst_apart_mm: WORST_APART * sides[0].max(sides[1]),
+        };
+        Self { grid, valid, edge, report }
+    }
+
+    /// How.
+    pub fn report(&self) -> DivisionReport {
+        self.report.clone()
+    }
+
+    /// What `trajectory` leaves where when its residual is `residual`, on the pixels of this mirror.
+    pub fn places(&self, residual: &Surface, trajectory: &Trajectory) -> Places {
+        let (time, region_time_s) = self.times(trajectory);
+        Places {
+            worst: self.worst(residual),
+            zone_rms: self.zone_rms(residual),
+            region_rms_nm: self.region_rms_nm(residual),
+            region_time_s,
+            time,
+            travel_mm: travel_mm(trajectory),
+        }
+    }
+
+    /// RMS of a map of this mirror in the edge zone and inside.
+    pub fn zone_rms(&self, map: &Surface) -> ZoneRms {
+        let Some(edge) = &self.edge else { return ZoneRms::default() };
+        let [inside_nm, edge_nm] = self.rms_by(map, |index| usize::from(edge[index]));
+        ZoneRms { edge_nm, inside_nm }
+    }
+
+    fn region_rms_nm(&self, map: &Surface) -> [[Option<f64>; REGIONS]; REGIONS] {
+        let third = |i: usize, n: usize| (i * REGIONS / n).min(REGIONS - 1);
+        let (ny, nx) = self.grid.shape();
+        let flat: [Option<f64>; REGIONS * REGIONS] =
+            self.rms_by(map, |(r, c)| third(r, ny) * REGIONS + third(c, nx));
+        std::array::from_fn(|row| std::array::from_fn(|column| flat[row * REGIONS + column]))
+    }
+
+    /// RMS about the mean of the whole map, of the valid pixels of each class; `None` where a class has none.
+    fn rms_by<const N: usize>(
+        &self,
+        map: &Surface,
+        class: impl Fn((usize, usize)) -> usize,
+    ) -> [Option<f64>; N] {
+        let mean = map.statistics().mean;
+        let mut sums = [(0.0, 0.0); N];
+        for (index, z) in map.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            let (squares, count) = &mut sums[class(index)];
+            *squares += (z - mean).powi(2);
+            *count += 1.0;
+        }
+        sums.map(|(squares, count)| (count > 0.0).then(|| (squares / count).sqrt()))
+    }
+
+    fn worst(&self, residual: &Surface) -> Vec<Place> {
+        let mean = residual.statistics().mean;
+        let mut found: Vec<Place> = Vec::new();
+        while found.len() < WORST_COUNT {
+            let free = |x_mm: f64, y_mm: f64| {
+                let far =
+                    |p: &Place| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) >= self.report.worst_apart_mm;
+                found.iter().all(far)
+            };
+            // The first of equals, in the order of the rows.
+            let mut next: Option<((usize, usize), f64)> = None;
+            for (index, z) in residual.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
+                let farther = next.is_none_or(|(_, most)| (z - mean).abs() > f64::abs(most));
+                if farther && free(self.grid.x.at(index.1), self.grid.y.at(index.0)) {
+                    next = Some((index, z - mean));
+                }
+            }
+            let Some(((r, c), from_mean_nm)) = next else { break };
+            found.push(Place {
+                x_mm: self.grid.x.at(c),
+                y_mm: self.grid.y.at(r),
+                from_mean_nm,
+                at_edge: self.edge.as_ref().map(|edge| edge[[r, c]]),
+            });
+        }
+        found
+    }
+
+    fn times(&self, trajectory: &Trajectory) -> (Times, [[f64; REGIONS]; REGIONS]) {
+        let mut times = Times { edge_s: self.edge.as_ref().map(|_| 0.0), ..Times::default() };
+        let mut regions = [[0.0; REGIONS]; REGIONS];
+        let (ny, nx) = self.grid.shape();
+        let step_mm = self.grid.x.step_mm().min(self.grid.y.step_mm());
+        for segment in trajectory.segments() {
+            if !segment.tool_on {
+                times.tool_off_s += segment.duration_s;
+                continue;
+            }
+            // No point of the segment is faster than |c1| + 2 |c2| T + 3 |c3| T^2.
+            let duration_s = segment.duration_s;
+            let speed = segment.coefficient_mm.map(|[_, c1, c2, c3]| {
+                c1.abs() + duration_s * (2.0 * c2.abs() + duration_s * 3.0 * c3.abs())
+            });
+            let length_mm = speed[0].hypot(speed[1]) * duration_s;
+            let samples = (length_mm / step_mm).ceil().clamp(1.0, MOST_SAMPLES);
+            let part_s = duration_s / samples;
+            for k in 0..samples as usize {
+                let [x_mm, y_mm] = segment.position_mm((k as f64 + 0.5) * part_s);
+                let pixel = pixel_at(&self.grid.y, y_mm).zip(pixel_at(&self.grid.x, x_mm));
+                let Some((r, c)) = pixel.filter(|index| self.valid[*index]) else {
+                    times.beyond_s += part_s;
+                    continue;
+                };
+                let third = |i: usize, n: usize| (i * REGIONS / n).min(REGIONS - 1);
+                regions[third(r, ny)][third(c, nx)] += part_s;
+                match &mut times.edge_s {
+                    Some(edge_s) if self.edge.as_ref().is_some_and(|edge| edge[[r, c]]) => {
+                        *edge_s += part_s;
+                    }
+                    _ => times.inside_s += part_s,
+                }
+            }
+        }
+        (times, regions)
+    }
+}
+
+/// Radius of the disc whose area is that where the tool removes at least half of its peak rate, mm.
+fn tool_radius_mm(tif: &Tif) -> f64 {
+    let half = 0.5 * tif.peak_nm_per_s();
+    let count = tif.rate_nm_per_s().iter().filter(|rate| **rate >= half).count();
+    (count as f64 * tif.grid().pixel_mm2() / PI).sqrt()
+}
+
+/// The valid pixels whose centres are nearer than `width_mm` to that of an invalid pixel, or of one beyond the map.
+fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
+    let (ny, nx) = valid.dim();
+    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+    // Along the row, columns to the next invalid pixel or to the first one beyond the map.
+    let mut along = Array2::<usize>::zeros((ny, nx));
+    for r in 0..ny {
+        let mut since = 0;
+        for c in 0..nx {
+            since = if valid[[r, c]] { since + 1 } else { 0 };
+            along[[r, c]] = since;
+        }
+        since = 0;
+        for c in (0..nx).rev() {
+            since = if valid[[r, c]] { since + 1 } else { 0 };
+            along[[r, c]] = along[[r, c]].min(since);
+        }
+    }
+    // d^2 = (columns dx)^2 + (rows dy)^2, the least over the rows that are near enough.
+    let reach = (width_mm / dy).ceil() as isize;
+    Array2::from_shape_fn((ny, nx), |(r, c)| {
+        let near = |offset: isize| {
+            let row = r as isize + offset;
+            let beyond = row < 0 || row >= ny as isize;
+            let columns = if beyond { 0 } else { along[[row as usize, c]] };
+            (columns as f64 * dx).hypot(offset as f64 * dy) < width_mm
+        };
+        valid[[r, c]] && (-reach..=reach).any(near)
+    })
+}
+
+/// The bounds of the regions along an axis, from the outer edge of its first pixel to that of its last one, mm.
+fn bounds_mm(axis: &Axis) -> [f64; REGIONS + 1] {
+    // Whole pixels, as a pixel belongs to one region: the first whose i REGIONS / n is k.
+    std::array::from_fn(|k| {
+        let first = (k * axis.len()).div_ceil(REGIONS);
+        axis.start_mm() + (first as f64 - 0.5) * axis.step_mm()
+    })
+}
+
+/// The pixel whose part of the axis holds `mm`; `None` beyond.
+fn pixel_at(axis: &Axis, mm: f64) -> Option<usize> {
+    let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+    (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
+}
+
+fn travel_mm(trajectory: &Trajectory) -> [[f64; 2]; 2] {
+    let mut travel = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+    for segment in trajectory.segments() {
+        for (ends, c) in travel.iter_mut().zip(segment.coefficient_mm) {
+            let r = range(c, segment.duration_s);
+            *ends = [ends[0].min(r.min), ends[1].max(r.max)];
+        }
+    }
+    travel
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(nx: usize, ny: usize) -> Grid {
+        Grid { x: Axis::new(0.5, 1.0, nx).unwrap(), y: Axis::new(0.5, 1.0, ny).unwrap() }
+    }
+
+    /// Removes where the centre is within `radius_mm`.
+    fn top_hat(radius_mm: f64) -> Tif {
+        let axis = Axis::new(-5.0, 0.05, 201).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            f64::from(u8::from(axis.at(c).hypot(axis.at(r)) <= radius_mm))
+        });
+        Tif::new(grid, rate).unwrap()
+    }
+
+    /// Flat but for 8 nm at column 2, row 1, and -6 nm at column 10, row 4.
+    fn residual() -> Surface {
+        let mut map = Array2::zeros((6, 12));
+        map[[1, 2]] = 8.0;
+        map[[4, 10]] = -6.0;
+        Surface::new(grid(12, 6), map).unwrap()
+    }
+
+    fn along_x(parts: &[(f64, f64, f64, bool)]) -> Trajectory {
+        // From x with velocity v for t, at y = 2.5.
+        let mut times = vec![0.0];
+        times.extend(parts.iter().scan(0.0, |sum, (_, _, t, _)| {
+            *sum += t;
+            Some(*sum)
+        }));
+        let c = parts.iter().map(|(x, v, ..)| [[*x, *v, 0.0, 0.0], [2.5, 0.0, 0.0, 0.0]]);
+        let on = parts.iter().map(|p| p.3).collect();
+        Trajectory::new(times, c.collect(), on, vec![None; parts.len()]).unwrap()
+    }
+
+    #[test]
+    fn an_edge_zone_is_as_wide_as_the_tool() {
+        let radius = tool_radius_mm(&top_hat(2.0));
+        // The area of a disc counted in pixels of 0.05 mm: its rim is 2 pi 40 of 5027 pixels.
+        assert!((radius - 2.0).abs() < 0.02, "{radius}");
+        let valid = Array2::from_elem((6, 12), true);
+        // Pixels are 1 mm: beyond the map the first centre is 1 mm from the first row.
+        let zone = |width| edge_zone(&valid, &grid(12, 6), width);
+        assert_eq!(zone(1.5).iter().filter(|v| **v).count(), 72 - 4 * 10);
+        assert_eq!(zone(2.5).iter().filter(|v| **v).count(), 72 - 2 * 8);
+        assert!(zone(3.5).iter().all(|v| *v));
+        assert!(zone(0.5).iter().all(|v| !*v));
+        // Around a hole: its eight neighbours within sqrt(2), and itself not.
+        let mut holed = Array2::from_elem((9, 9), true);
+        holed[[4, 4]] = false;
+        let found = edge_zone(&holed, &grid(9, 9), 1.42);
+        let middle = found.slice(ndarray::s![2..7, 2..7]);
+        assert_eq!(middle.iter().filter(|v| **v).count(), 8);
+        assert!(!found[[4, 4]] && found[[3, 3]] && !found[[4, 2]]);
+    }
+
+    #[test]
+    fn squares_of_zones_and_regions_add_up_to_that_of_the_rms() {
+        let tif = top_hat(1.5);
+        let map = residual();
+        let division = Division::new(&map, Some(&tif));
+        let report = division.report();
+        let ZoneRms { edge_nm, inside_nm } = division.zone_rms(&map);
+        let share = report.edge_fraction.unwrap();
+        assert!((share - 32.0 / 72.0).abs() < 1e-12);
+        let square = map.statistics().rms.powi(2);
+        let found = share * edge_nm.unwrap().powi(2) + (1.0 - share) * inside_nm.unwrap().powi(2);
+        assert!((found - square).abs() < 1e-12 * square);
+        // 8 nm and -6 nm are both inside, more than a pixel from the edge.
+        assert!(inside_nm.unwrap() > 10.0 * edge_nm.unwrap());
+        let regions = division.region_rms_nm(&map);
+        let sum: f64 = regions.as_flattened().iter().map(|v| v.unwrap().powi(2)).sum();
+        assert!((sum / 9.0 - square).abs() < 1e-12 * square);
+        assert_eq!(report.region_bounds_mm, [[0.0, 4.0, 8.0, 12.0], [0.0, 2.0, 4.0, 6.0]]);
+        // Low y and low x first.
+        assert!(regions[0][0].unwrap() > 2.0 && regions[2][2].unwrap() > 2.0);
+        assert!(regions[0][2].unwrap() < 0.1 && regions[2][0].unwrap() < 0.1);
+        let unknown = Division::new(&map, None);
+        assert_eq!(unknown.zone_rms(&map), ZoneRms::default());
+        assert_eq!(unknown.report().edge_width_mm, None);
+    }
+
+    #[test]
+    fn the_worst_places_are_apart_and_signed() {
+        let map = residual();
+        let division = Division::new(&map, Some(&top_hat(1.5)));
+        let worst = division.worst(&map);
+        let mean = 2.0 / 72.0;
+        assert_eq!(worst.len(), WORST_COUNT);
+        let first = Place { x_mm: 2.5, y_mm: 1.5, from_mean_nm: 8.0 - mean, at_edge: Some(false) };
+        assert_eq!(worst[0], first);
+        assert_eq!((worst[1].x_mm, worst[1].y_mm), (10.5, 4.5));
+        assert!((worst[1].from_mean_nm + 6.0 + mean).abs() < 1e-12);
+        let apart = division.report().worst_apart_mm;
+        assert!((apart - 0.6).abs() < 1e-12);
+        // One valid pixel is one place.
+        let mut one = Array2::from_elem((2, 2), f64::NAN);
+        one[[1, 0]] = 3.0;
+        let one = Surface::new(grid(2, 2), one).unwrap();
+        assert_eq!(Division::new(&one, None).worst(&one).len(), 1);
+    }
+
+    #[test]
+    fn time_goes_where_the_motion_is_and_none_is_lost() {
+        let map = residual();
+        let division = Division::new(&map, Some(&top_hat(1.5)));
+        // 2 s of overscan, 12 mm at 2 mm/s above the mirror, 1 s lifted, 3 s of rest in the last column.
+        let motion = along_x(&[
+            (-2.0, 1.0, 2.0, true),
+            (0.0, 2.0, 6.0, true),
+            (12.0, -0.5, 1.0, false),
+            (11.5, 0.0, 3.0, true),
+        ]);
+        let places = division.places(&map, &motion);
+        let Times { edge_s, inside_s, beyond_s, tool_off_s } = places.time;
+        // The row y = 2.5 is inside; its first and last pixel are in the edge zone: 0.5 s each, and the rest.
+        let near = |found: f64, wanted: f64| (found - wanted).abs() < 1e-9;
+        assert!(near(edge_s.unwrap(), 4.0) && near(inside_s, 5.0), "{:?}", places.time);
+        assert!(near(beyond_s, 2.0) && near(tool_off_s, 1.0), "{:?}", places.time);
+        let row = places.region_time_s[1];
+        assert!(near(row[0], 2.0) && near(row[1], 2.0) && near(row[2], 5.0), "{row:?}");
+        assert_eq!(places.region_time_s[0], [0.0; 3]);
+        assert_eq!(places.travel_mm, [[-2.0, 12.0], [2.5, 2.5]]);
+        // An excursion inside a segment counts: x = 4 u - u^2 for 3 s reaches 4 mm.
+        let hump = Trajectory::new(
+            vec![0.0, 3.0],
+            vec![[[0.0, 4.0, -1.0, 0.0], [0.0; 4]]],
+            vec![true],
+            vec![None],
+        );
+        assert_eq!(travel_mm(&hump.unwrap()), [[0.0, 4.0], [0.0, 0.0]]);
+    }
+}
