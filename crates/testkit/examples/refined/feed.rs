@@ -10,7 +10,7 @@ use planish_testkit::{
     ion_beam, machine,
     mirror::{self, Mirror},
 };
-use planish_toolpath::{Construction, Scan, SpiralSettings, spiral};
+use planish_toolpath::{Construction, Scan};
 use planish_types::{Limits, MachineFile, Surface, Tif, ToolPath, plausible::Rms};
 
 use crate::{
@@ -96,13 +96,11 @@ fn print_row(name: &str, of: &[[f64; 2]]) {
 
 fn on_the_mirror(title: &str, reference: &Mirror, limits: &Limits) {
     let (desired, tif) = (&reference.desired, &reference.tif);
-    let around = SpiralSettings { pitch_mm: 1.0, step_mm: 1.0, overscan_mm: 5.0 };
     let paths = [
         ("published raster", reference.path("raster")),
         ("raster", lines(desired, tif, 1.0, Scan::X)),
         ("raster at 30 degrees", lines(desired, tif, 1.0, Scan::Angle { angle_deg: 30.0 })),
         ("maze", own_maze(desired)),
-        ("spiral", spiral(desired, &around).expect("a path")),
     ];
     let fine = FINE_ELASTICITIES.map(|elasticity| Settings {
         node_spacing_mm: Some(FINE_SPACING_MM),
