@@ -21,10 +21,20 @@ const ROOMS: [Room; 9] = [
     ("handoff", &["types"]),
     (
         "refine",
-        &["numerics", "types", "draw", "handoff", "dwell", "schedule", "simulate", "verify"],
+        &[
+            "numerics",
+            "types",
+            "draw",
+            "handoff",
+            "dwell",
+            "schedule",
+            "simulate",
+            "verify",
+            "tolerance",
+        ],
     ),
     ("feed", &["numerics", "types", "handoff", "dwell", "simulate", "verify"]),
-    ("tolerance", &["numerics", "types", "handoff", "simulate"]),
+    ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("run", &["types", "handoff"]),
     ("testkit", &ALL),
 ];
