@@ -7,6 +7,7 @@
 //! * [`report`]: a page to look at, and its figures.
 //! * [`chain`]: whether the artifacts of a run belong together.
 //! * [`plan`]: how good a plan is known to be.
+//! * [`process`]: what the errors of a process add to a plan.
 //! * [`reach`]: what of a residual no dwell time can change.
 //! * [`specification`]: what the runs keep of a specification.
 //! * [`diff`]: how far two arrays are apart.
@@ -16,6 +17,7 @@ pub mod diff;
 pub mod dwell;
 pub mod execution;
 pub mod plan;
+pub mod process;
 pub mod reach;
 pub mod report;
 pub mod specification;

@@ -25,6 +25,7 @@ use crate::{
     chain::Standing,
     execution::Execution,
     plan::{IDEAL, PROGRAM, Plan, State},
+    process::Process,
     reach::{Reach, ReachReport},
     specification::{Around, Judged},
 };
@@ -73,6 +74,8 @@ pub struct Summary {
     pub reach: Option<ReachReport>,
     /// What was judged by a specification beside the methods.
     pub specification: Around,
+    /// What the errors of a process add to one of the plans; `null` where nobody asked.
+    pub process: Option<Process>,
     /// Dwell applied at the dwell points, no dynamics; `null` when the run has no such method.
     pub ideal: Option<Ideal>,
     /// Methods by scheduler.
@@ -333,6 +336,7 @@ impl Summary {
             slope_base_mm: slope_base(desired).map(|base| base.map(|(_, mm)| mm)),
             reach: None,
             specification: Around::default(),
+            process: None,
             ideal,
             methods,
             left_out,

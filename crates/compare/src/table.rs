@@ -330,6 +330,7 @@ mod tests {
 
     fn summary() -> Summary {
         Summary {
+            process: None,
             pipeline: "raster".into(),
             fixture: "coupon".into(),
             initial: Initial {

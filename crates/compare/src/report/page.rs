@@ -11,6 +11,7 @@ use super::{
     spectrum::BAND_PERIOD_MM,
     view::{FrameView, MethodView, View},
 };
+use crate::process::Process;
 
 /// Skeleton and style of the page.
 const HTML: &str = include_str!("page.html");
@@ -30,6 +31,7 @@ const JS: &str = concat!(
     include_str!("page/motion.js"),
     include_str!("page/heights.js"),
     include_str!("page/rounds.js"),
+    include_str!("page/process.js"),
     include_str!("page/tables.js"),
     include_str!("page/provenance.js"),
     include_str!("page/full_values.js"),
@@ -105,6 +107,7 @@ fn run_json(view: &View) -> Value {
         "summary": view.summary,
         "desired": view.desired,
         "measured": view.measured,
+        "process": view.summary.process.as_ref().map(Process::for_page),
         "histogram": view.before.0,
         "spectrum": view.before.1,
         "methods": view.methods.iter().map(method_json).collect::<Vec<_>>(),
