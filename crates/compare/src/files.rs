@@ -7,13 +7,14 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use ndarray::Ix3;
+use ndarray::{Ix2, Ix3};
 use planish_compare::{
     chain::{self, Chain, MethodRecords, Record, Recorded, RunRecords, Standing},
     diff::Elements,
     dwell::{Row, Solver},
     places::Division,
     plan::Plan,
+    process::{Process, ProcessArrays},
     reach::Reach,
     report::{Frames, Rounds, Run, RunMethod},
     specification::{Around, Judged},
@@ -96,6 +97,7 @@ pub fn read_run(
     }
     let judge_remarks = judge.remarks;
     let method_records: Vec<MethodRecords> = read.iter().map(|m| m.records.clone()).collect();
+    let method_names: Vec<String> = read.iter().map(|m| m.name.clone()).collect();
     let chains = chain::check(&records, &method_records);
     let shared = Shared {
         desired: &desired.value,
@@ -120,13 +122,18 @@ pub fn read_run(
             left_out.push(LeftOut { name, standing, reasons });
         }
     }
+    let (process, process_remark) =
+        read_process(inputs, &role, run, &method_records, &method_names)?;
     let name = name_of(run);
     let pipeline = names.pipeline.unwrap_or(&name);
     let mut remarks = chain::check_run(&records);
-    remarks.extend(judge_remarks);
+    remarks.extend(judge_remarks.into_iter().chain(process_remark));
     let (mirror, surface) = (names.fixture, &desired.value);
-    let summary = Summary::new(pipeline, mirror, surface, &division, numbers, left_out, remarks)
-        .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
+    let mut summary = Summary::new(
+        pipeline, mirror, surface, &division, numbers, left_out, remarks,
+    )
+    .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
+    summary.process = process;
     let path = path.map(|p| p.value);
     Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
 }
@@ -190,6 +197,33 @@ impl Judge<'_> {
         }
         Ok(Some(judged))
     }
+}
+
+/// What `planish-tolerance` said in `run`/tolerance of the motion of one of the methods; a remark in its place where no
+/// method has that motion now.
+fn read_process(
+    inputs: &mut Inputs,
+    role: &str,
+    run: &Path,
+    records: &[MethodRecords],
+    names: &[String],
+) -> Result<(Option<Process>, Option<String>), Failure> {
+    let dir = run.join("tolerance");
+    if !dir.exists() {
+        return Ok((None, None));
+    }
+    let (file, manifest): (ToleranceFile, _) =
+        inputs.read_with_manifest(&format!("{role}/tolerance"), &dir)?;
+    let of = manifest.as_ref().map(record_of).and_then(|record| {
+        let motion = record.inputs.iter().find(|(role, _)| role == "trajectory")?.1.clone();
+        records.iter().position(|r| r.trajectory.digest == motion)
+    });
+    let (Some(manifest), Some(method)) = (manifest, of) else {
+        let remark = "tolerance: it is of a motion that no method of the run has now; run planish-tolerance again";
+        return Ok((None, Some(remark.into())));
+    };
+    let process = Process::new(&names[method], &manifest.settings, &manifest.outcome, file.0);
+    Ok((Some(process.map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?), None))
 }
 
 /// Manifests by role.
@@ -429,6 +463,33 @@ impl Artifact for RoundsFile {
         let rounds =
             Rounds { rms_nm: list("rms_nm"), total_time_s: list("total_time_s"), best: None };
         Ok(Self(rounds))
+    }
+}
+
+/// `kind::TOLERANCE` as an artifact.
+struct ToleranceFile(ProcessArrays);
+
+impl Artifact for ToleranceFile {
+    const KIND: &'static Kind = &kind::TOLERANCE;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        unreachable!("a report does not write tolerances")
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let (part, rms_nm) = (arrays.take_f64("part"), arrays.take_f64("rms_nm"));
+        let deviation_nm = arrays.take_f64("deviation_nm").into_dimensionality::<Ix2>();
+        let mut axis = |name| {
+            let coordinates: Vec<f64> = arrays.take_f64(name).into_iter().collect();
+            Axis::from_coordinates(name, &coordinates)
+        };
+        let grid = Grid { x: axis("x_mm")?, y: axis("y_mm")? };
+        Ok(Self(ProcessArrays {
+            part: part.into_iter().collect(),
+            rms_nm: rms_nm.into_iter().collect(),
+            deviation_nm: deviation_nm.expect("the kind promises two axes"),
+            grid,
+        }))
     }
 }
 

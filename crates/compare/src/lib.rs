@@ -9,6 +9,7 @@
 //! * [`typeset`]: a figure as PDF or PNG.
 //! * [`chain`]: whether the artifacts of a run belong together.
 //! * [`plan`]: how good a plan is known to be.
+//! * [`process`]: what the errors of a process add to a plan.
 //! * [`reach`]: what of a residual no dwell time can change.
 //! * [`places`]: where something remains, and where the time goes.
 //! * [`specification`]: what the runs keep of a specification.
@@ -21,6 +22,7 @@ pub mod dwell;
 pub mod execution;
 pub mod places;
 pub mod plan;
+pub mod process;
 pub mod reach;
 pub mod report;
 pub mod specification;

@@ -9,10 +9,8 @@
 //! so that the squares of both add up to that of the RMS. S is the two-dimensional spectrum of the report: of
 //! the largest rectangle of valid pixels, plane removed, Hann window.
 //!
-//! To take off a wave of 1 nm, dwell times have to vary by what would remove 1 nm / G without the wave. At the
-//! threshold of 1 % this is a hundred nanometres for each, more than most plans remove altogether, and dwell
-//! times cannot be negative. Of a Gaussian TIF the threshold is at a period of 2.07 sigma; a measured one lets
-//! more through beside its main lobe.
+//! The threshold is [`LEAST_TRANSFER`], where its reason stands. Of a Gaussian TIF it is at a period of 2.07 sigma; a
+//! measured one lets more through beside its main lobe.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -21,13 +19,10 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::spectrum::{
-    Density, MIN_SAMPLES, hann, largest_rectangle, transfer, without_plane,
+    Density, LEAST_TRANSFER, MIN_SAMPLES, hann, largest_rectangle, transfer, without_plane,
 };
 use planish_types::{Surface, Tif};
 use serde::Serialize;
-
-/// Transfer below which a wave counts as out of the tool's reach; see the module.
-const THRESHOLD: f64 = 0.01;
 
 /// Which waves a tool reaches.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -68,7 +63,7 @@ impl Reach {
         let at = [tif.grid().x.coordinates(), tif.grid().y.coordinates()];
         let gain =
             transfer(tif.rate_nm_per_s().view(), [&at[0], &at[1]], [&frequency_x, &frequency_y]);
-        let uncorrectable = gain.mapv(|g| g < THRESHOLD);
+        let uncorrectable = gain.mapv(|g| g < LEAST_TRANSFER);
         let first = |frequencies: &[f64], below: &dyn Fn(usize) -> bool| {
             let above_0 = frequencies.iter().enumerate().filter(|(_, f)| **f > 0.0);
             above_0.into_iter().find(|(i, _)| below(*i)).map(|(_, f)| 1.0 / f)
@@ -85,7 +80,7 @@ impl Reach {
             y_mm: grid.y.coordinates()[origin.0..origin.0 + ny].to_vec(),
             step_mm,
             uncorrectable,
-            report: ReachReport { transfer_threshold: THRESHOLD, period_mm },
+            report: ReachReport { transfer_threshold: LEAST_TRANSFER, period_mm },
         })
     }
 

@@ -26,6 +26,7 @@ use crate::{
     execution::Execution,
     places::{Division, DivisionReport, Places, ZoneRms},
     plan::{IDEAL, PROGRAM, Plan, State},
+    process::Process,
     reach::{Reach, ReachReport},
     specification::{Around, Judged},
 };
@@ -76,6 +77,8 @@ pub struct Summary {
     pub division: DivisionReport,
     /// What was judged by a specification beside the methods.
     pub specification: Around,
+    /// What the errors of a process add to one of the plans; `null` where nobody asked.
+    pub process: Option<Process>,
     /// Dwell applied at the dwell points, no dynamics; `null` when the run has no such method.
     pub ideal: Option<Ideal>,
     /// Methods by scheduler.
@@ -350,6 +353,7 @@ impl Summary {
             reach: None,
             division: division.report(),
             specification: Around::default(),
+            process: None,
             ideal,
             methods,
             left_out,

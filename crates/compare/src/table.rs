@@ -332,6 +332,7 @@ mod tests {
 
     fn summary() -> Summary {
         Summary {
+            process: None,
             pipeline: "raster".into(),
             fixture: "coupon".into(),
             initial: Initial {

@@ -96,8 +96,13 @@ pub fn solve(
         smoothness: 0.0,
         ..bounded_least_squares::Settings::default()
     };
-    let program =
-        Program { places: &places, lo: bounds.lo.clone(), hi: bounds.hi.clone(), guess: None };
+    let program = Program {
+        places: &places,
+        lo: bounds.lo.clone(),
+        hi: bounds.hi.clone(),
+        guess: None,
+        quadratic: None,
+    };
     let solution =
         bounded_least_squares::solve_columns(desired, tif, path, weight, &squares, &program)?;
     let report = bounds.report(path, solution.dwell.dwell_s());

@@ -6,23 +6,25 @@
 //!   + 1/2 alpha D sum_j (t_j - lo_j)^2
 //!   + 1/2 beta D sum_k (q_{k+1} - q_k)^2,     q_k = t_k l / l_k                          (1)
 //!   + lambda sum_i w_i sum_j t_j
+//!   + 1/2 t' Q t
 //! ```
 //!
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
 //! of `B' W B`, `l_k` the length of segment k and `l` the median length: `q` is the dwell-time
 //! density along the path. `alpha` decides the dwell times that the map does not (outside the
 //! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
-//! is the price of a second in half a mean square. In place of
+//! is the price of a second in half a mean square, and Q, where a program has one, any symmetric positive
+//! semidefinite matrix, of which only products are asked for: what the scatter of a process adds. In place of
 //! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts
 //! residuals above `k` linearly: pits. What is free is implicit: with functions `f` orthonormal
 //! under the weights and `U = B' W f`,
 //!
 //! ```text
-//! H = B' W B - U U' + alpha D I + beta D G' G                                            (2)
+//! H = B' W B - U U' + alpha D I + beta D G' G + Q                                        (2)
 //! g = B' W (z - its component in f) + alpha D lo
 //! ```
 //!
-//! H is never made. Steps come from a cheap surrogate H~ of it (`surrogate`: cells of pixels and the
+//! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`: cells of pixels and the
 //! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and
 //! conjugate gradients with a spline lattice; where the lattice would be too large, projected
 //! gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
@@ -67,7 +69,7 @@ use crate::{
 pub use crate::{bounds::Bound, objective::Free};
 use prepared::BoundedProblem;
 pub use report::{Algorithm, BoundedSolution, Report};
-pub use settings::{Program, Settings};
+pub use settings::{Product, Program, Settings};
 
 /// Solves (1) for `desired` along `path`.
 ///
@@ -87,7 +89,7 @@ pub fn solve(
         path,
         weight,
         settings,
-        &Program { places: &columns, lo, hi, guess: None },
+        &Program { places: &columns, lo, hi, guess: None, quadratic: None },
     )
 }
 
@@ -117,7 +119,7 @@ pub fn solve_columns(
             return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0").into());
         }
     }
-    let Program { places, lo, hi, guess } = program;
+    let Program { places, lo, hi, guess, .. } = program;
     let guess_len = guess.as_ref().map_or(path.len(), Vec::len);
     let lengths =
         [("places", places.len()), ("lo", lo.len()), ("hi", hi.len()), ("guess", guess_len)];

@@ -207,8 +207,13 @@ fn conditions_hold(seed: u64, pitch_mm: f64, max_factorised_points: usize) {
     let mut case = case(seed, pitch_mm);
     case.settings.max_factorised_points = max_factorised_points;
     let places = Columns::Segment.places(&case.path);
-    let program =
-        Program { places: &places, lo: case.lo.clone(), hi: case.hi.clone(), guess: None };
+    let program = Program {
+        places: &places,
+        lo: case.lo.clone(),
+        hi: case.hi.clone(),
+        guess: None,
+        quadratic: None,
+    };
     let Case { desired, tif, path, weight, settings, .. } = &case;
     let found = solve_columns(desired, tif, path, Some(weight), settings, &program).unwrap();
     let (t, report) = (found.dwell.dwell_s(), &found.report);

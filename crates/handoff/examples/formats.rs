@@ -1,5 +1,5 @@
 //! Prints `docs/formats.md`.
 
 fn main() {
-    print!("{}", planish_handoff::kind::formats_markdown());
+    print!("{}", planish_handoff::formats::formats_markdown());
 }

@@ -84,6 +84,21 @@ impl TrajectoryArgs {
     pub fn read(&self, inputs: &mut Inputs) -> Result<Trajectory, HandoffError> {
         inputs.read("trajectory", &self.trajectory)
     }
+
+    /// Reads it with the mirror that it runs over; warns where it was made from another one.
+    pub fn read_over(
+        &self,
+        mirror: &MirrorArgs,
+        inputs: &mut Inputs,
+    ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
+        let (trajectory, manifest) = inputs.read_with_manifest("trajectory", &self.trajectory)?;
+        let (tif, surface) =
+            (inputs.read("tif", &mirror.tif)?, inputs.read("surface", &mirror.surface)?);
+        for other in ["tif", "surface"] {
+            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
+        }
+        Ok((trajectory, tif, surface))
+    }
 }
 
 /// The machine.

@@ -61,6 +61,7 @@ mod allocator;
 pub mod artifact;
 pub mod command_line;
 pub mod flags;
+pub mod formats;
 mod inputs;
 pub mod kind;
 mod nouns;

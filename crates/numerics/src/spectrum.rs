@@ -46,6 +46,11 @@ use crate::{
 /// ends, and the bin at zero the mean.
 pub const MIN_SAMPLES: usize = 8;
 
+/// Least value of a tool's transfer function at which dwell times can correct a wave. To take off a wave of 1 nm, they
+/// have to vary by what would remove 1 nm over the transfer without the wave: at 1 % a hundred nanometres, more than
+/// most plans remove altogether, and dwell times cannot be negative.
+pub const LEAST_TRANSFER: f64 = 0.01;
+
 /// The periodic Hann window of `n` samples, `w[i] = (1 - cos(2 pi i / n)) / 2`.
 pub fn hann(n: usize) -> Vec<f64> {
     (0..n).map(|i| 0.5 * (1.0 - (2.0 * PI * i as f64 / n as f64).cos())).collect()

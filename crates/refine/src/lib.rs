@@ -28,6 +28,9 @@
 //! `sqrt(e^2 + 2 lambda T)`, twice the objective of the dwell solver. With a noise level the first
 //! correction chooses the smoothness at which the residual reaches the noise; it stays.
 //!
+//! With a process ([`process`]) the loop goes on from its result: e^2 becomes the expected square, to which the errors
+//! of the process add a quadratic t'Q t of the dwell times, and what its fixed errors remove more is taken off the map.
+//!
 //! This is the only crate that sees several stages. What it promises is what `planish-simulate`
 //! and `planish-verify` say of the trajectory it writes; both are called inside as they are.
 //!
@@ -38,15 +41,18 @@
 //! | e | `rms_nm` | - | nm |
 //! | t^, s | `proposed_s`, `step_fraction` | (n), - | s, 1 |
 
+pub mod process;
 pub mod trade_off;
 
+use ndarray::Array2;
 use planish_dwell::{
     DwellError,
-    bounded_least_squares::{self as dwell_solver, Program},
+    bounded_least_squares::{self as dwell_solver, Product, Program},
     columns,
 };
 use planish_schedule::{ScheduleError, constant_acceleration, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
+use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory,
     plausible::{self, Rms},
@@ -137,8 +143,11 @@ pub struct Iterate {
     pub rms_nm: f64,
     /// The same, plane removed, nm.
     pub detilted_nm: f64,
+    /// With a process, sqrt of the expected mean square, nm, of which what is the same whatever the dwell times is
+    /// left out: [`process`].
+    pub expected_rms_nm: Option<f64>,
     /// sqrt(rms^2 + 2 lambda T), nm, with the noise in place of an RMS below it: what the loop
-    /// lowers.
+    /// lowers. With a process the expected square takes the place of rms^2.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
@@ -163,6 +172,8 @@ pub struct Refined {
     pub end: End,
     /// How many dwell times of the best round are at a bound: the least that the floor or the machine allows.
     pub at_bound: usize,
+    /// Lower bounds after the last round: the floor, or what the machine was found to need, s.
+    pub least_s: Vec<f64>,
 }
 
 impl Refined {
@@ -241,11 +252,34 @@ pub fn refine(
     first: Option<DwellTime>,
     settings: &Settings,
 ) -> Result<Refined, RefineError> {
+    let start = Start { dwell: first, least_s: None };
+    rounds(desired, tif, path, limits, start, settings, None)
+}
+
+/// Where the loop starts.
+struct Start {
+    /// First dwell times; those of the dwell solver where there are none.
+    dwell: Option<DwellTime>,
+    /// Lower bounds of an earlier loop; those of the settings where there are none.
+    least_s: Option<Vec<f64>>,
+}
+
+/// The loop; with `sources` it lowers the expected square.
+fn rounds(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    limits: &Limits,
+    start: Start,
+    settings: &Settings,
+    sources: Option<&Sources>,
+) -> Result<Refined, RefineError> {
     let mut solver = settings.dwell;
-    let (mut lo, hi) = dwell_solver::bounds(path, &solver)?;
+    let (floor_s, hi) = dwell_solver::bounds(path, &solver)?;
+    let mut lo = start.least_s.unwrap_or(floor_s);
     let last_smoothness = solver.smoothness;
     solver.smoothness = last_smoothness.max(settings.first_smoothness);
-    let mut t = match first {
+    let mut t = match start.dwell {
         Some(dwell) => dwell,
         None => dwell_solver::solve(desired, tif, path, None, &solver)?.dwell,
     };
@@ -254,7 +288,7 @@ pub fn refine(
     let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
     let known = solver.noise_rms_nm.map_or(0.0, |s| s * (1.0 + 3.0 / (2.0 * pixels).sqrt()));
     let mut iterates: Vec<Iterate> = Vec::new();
-    let mut best: Option<(usize, Trajectory)> = None;
+    let mut best: Option<(usize, Trajectory, Option<Quadratic<'_>>)> = None;
     let (mut proposed_s, mut step_fraction, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
     let mut end = End::RoundLimit;
@@ -270,10 +304,19 @@ pub fn refine(
         let Rms { rms_nm, detilted_nm } = Rms::of(predicted.removal.residual());
         let total_time_s = motion.trajectory.total_time_s();
         let price = 2.0 * solver.time_weight_nm2_per_s * total_time_s;
+        // E |e|^2 = |P (e - m)|^2 + h'Q h
+        let quadratic = sources.map(|s| s.of(&motion.trajectory, path.len())).transpose()?;
+        let (mean_nm, variance_nm2) = match &quadratic {
+            None => (rms_nm, 0.0),
+            Some(q) => {
+                (less_bias(predicted.removal.residual(), q)?.statistics().rms, q.variance_nm2(&h))
+            }
+        };
         let iterate = Iterate {
             rms_nm,
             detilted_nm,
-            merit_nm: (rms_nm.max(known).powi(2) + price).sqrt(),
+            expected_rms_nm: sources.map(|_| (mean_nm.powi(2) + variance_nm2).sqrt()),
+            merit_nm: (mean_nm.max(known).powi(2) + variance_nm2 + price).sqrt(),
             total_time_s,
             stretched: motion.stretched.len(),
             limits_respected: verdict.limits_respected,
@@ -281,7 +324,7 @@ pub fn refine(
         };
 
         // Keep the best; a plan beyond the limits is worse than any within them.
-        let before = best.as_ref().map(|(b, _)| &iterates[*b]);
+        let before = best.as_ref().map(|(b, ..)| &iterates[*b]);
         let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
         let better = before.is_none_or(|b| rank(&iterate) < rank(b));
         let progress = before.is_none_or(|b| {
@@ -292,7 +335,7 @@ pub fn refine(
         tries += 1;
         let at_last = solver.smoothness <= last_smoothness || settings.dwell.noise_rms_nm.is_some();
         if better {
-            best = Some((round, motion.trajectory));
+            best = Some((round, motion.trajectory, quadratic));
             // The machine's need becomes a lower bound.
             for &(j, needed_s) in &motion.stretched {
                 if needed_s > hi[j] {
@@ -320,7 +363,8 @@ pub fn refine(
             break;
         }
 
-        let (b, trajectory) = best.as_ref().expect("the first round is the best one so far");
+        let (b, trajectory, quadratic) =
+            best.as_ref().expect("the first round is the best one so far");
         let best_s = &iterates[*b].dwell_s;
         if better || spent {
             // A step that held at the first try may be longer, and rougher, the next time; a
@@ -334,9 +378,16 @@ pub fn refine(
             // B of the motion; t^ = bounded least squares.
             let places = columns::executed(trajectory, path.len());
             let (lo, hi, guess) = (lo.clone(), hi.clone(), Some(best_s.clone()));
-            let program = Program { places: &places, lo, hi, guess };
-            let solution =
-                dwell_solver::solve_columns(desired, tif, path, None, &solver, &program)?;
+            let target = quadratic.as_ref().map(|q| less_bias(desired, q)).transpose()?;
+            // Sums over the pixels in the solver, means here.
+            let product = |t: &[f64]| -> Vec<f64> {
+                let product = quadratic.as_ref().map(|q| q.product(t)).unwrap_or_default();
+                product.into_iter().map(|v| pixels * v).collect()
+            };
+            let quadratic = quadratic.as_ref().map(|_| &product as Product<'_>);
+            let program = Program { places: &places, lo, hi, guess, quadratic };
+            let target = target.as_ref().unwrap_or(desired);
+            let solution = dwell_solver::solve_columns(target, tif, path, None, &solver, &program)?;
             if solver.noise_rms_nm.take().is_some() {
                 solver.smoothness = solution.report.smoothness;
             }
@@ -349,10 +400,19 @@ pub fn refine(
         let step = best_s.iter().zip(&proposed_s).map(|(t, to)| t + step_fraction * (to - t));
         t = DwellTime::new(step.collect())?;
     }
-    let (best, trajectory) = best.expect("the first round is the best one so far");
+    let (best, trajectory, _) = best.expect("the first round is the best one so far");
     let dwell = DwellTime::new(iterates[best].dwell_s.clone())?;
     let at_bound =
         dwell.dwell_s().iter().enumerate().filter(|(j, t)| **t <= lo[*j] || **t >= hi[*j]);
     let at_bound = at_bound.count();
-    Ok(Refined { dwell, trajectory, best, iterates, end, at_bound })
+    Ok(Refined { dwell, trajectory, best, iterates, end, at_bound, least_s: lo })
+}
+
+/// A map less m: what the fixed errors of a process remove more.
+fn less_bias(map: &Surface, quadratic: &Quadratic<'_>) -> Result<Surface, Invalid> {
+    let height: Array2<f64> = match &quadratic.bias_nm {
+        None => return Ok(map.clone()),
+        Some(bias) => map.height_nm() - bias,
+    };
+    Surface::new(*map.grid(), height)
 }

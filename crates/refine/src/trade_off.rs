@@ -217,6 +217,7 @@ mod tests {
                 dwell_s: vec![total_time_s],
                 rms_nm,
                 detilted_nm: rms_nm,
+                expected_rms_nm: None,
                 merit_nm: rms_nm,
                 total_time_s,
                 stretched: 0,

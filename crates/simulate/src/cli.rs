@@ -14,7 +14,7 @@ use planish_simulate::{
     frames::{Frames, frames},
     simulate,
 };
-use planish_types::{Removal, Surface, Tif, Trajectory, plausible};
+use planish_types::{Removal, plausible};
 use serde_json::json;
 
 #[derive(Args)]
@@ -57,13 +57,7 @@ impl Simulate {
             None => task!(method, settings),
         };
         let mut inputs = Inputs::new();
-        let (trajectory, manifest): (Trajectory, _) =
-            inputs.read_with_manifest("trajectory", &self.trajectory.trajectory)?;
-        let tif: Tif = inputs.read("tif", &self.mirror.tif)?;
-        let surface: Surface = inputs.read("surface", &self.mirror.surface)?;
-        for other in ["tif", "surface"] {
-            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
-        }
+        let (trajectory, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
         let kind = if self.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
         let mut output = match Output::directory(&self.output, kind).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),

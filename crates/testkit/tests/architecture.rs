@@ -22,12 +22,20 @@ const ROOMS: [Room; 9] = [
     (
         "refine",
         &[
-            "numerics", "types", "draw", "handoff", "dwell", "schedule", "simulate", "verify",
+            "numerics",
+            "types",
+            "draw",
+            "handoff",
+            "dwell",
+            "schedule",
+            "simulate",
+            "verify",
             "feed",
+            "tolerance",
         ],
     ),
     ("feed", &["numerics", "types", "handoff", "dwell", "simulate", "verify"]),
-    ("tolerance", &["numerics", "types", "handoff", "simulate"]),
+    ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("run", &["types", "handoff"]),
     ("testkit", &ALL),
 ];

@@ -1,5 +1,6 @@
 //! The budget of the errors, from the plan to the table, the distribution, and what to improve first.
 
+use planish_dwell::residual::tif_width_mm;
 use planish_types::{Invalid, Surface, Tif, Trajectory};
 
 use crate::{
@@ -10,7 +11,7 @@ use crate::{
     reach::Reach,
     report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
     settings::Settings,
-    tool::{smooth, width_mm},
+    tool::smooth,
     work::Work,
 };
 
@@ -36,7 +37,7 @@ pub fn tolerance(
     settings: &Settings,
 ) -> Result<Tolerance, Invalid> {
     settings.check()?;
-    let (seed, width) = (settings.seed, width_mm(tif));
+    let (seed, width) = (settings.seed, tif_width_mm(tif));
     let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, width)? };
     let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;
 

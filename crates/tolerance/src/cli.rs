@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ndarray::Array1;
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status,
@@ -16,7 +16,7 @@ use planish_tolerance::{
     process::{Distribution, ProcessFile},
     tolerance,
 };
-use planish_types::{Surface, Tif, Trajectory, plausible, text::significant};
+use planish_types::{plausible, text::significant};
 
 #[derive(Args)]
 pub struct Tolerance {
@@ -29,7 +29,7 @@ pub struct Tolerance {
     process: PathBuf,
     /// What is not part of the residual
     #[arg(long, value_enum, default_value = "piston")]
-    free: FreeArg,
+    free: Free,
     /// Runs that are drawn to first order, for the distribution
     #[arg(long, value_name = "N", default_value_t = Settings::default().draws)]
     draws: usize,
@@ -46,34 +46,17 @@ pub struct Tolerance {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum FreeArg {
-    /// The mean
-    Piston,
-    /// The best plane
-    Plane,
-}
-
 impl Tolerance {
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = Settings {
-            free: match self.free {
-                FreeArg::Piston => Free::Piston,
-                FreeArg::Plane => Free::Plane,
-            },
+            free: self.free,
             draws: self.draws,
             simulated_runs: self.simulated_runs,
             tif_as_sampled: self.tif_as_sampled,
             seed: self.seed,
         };
         let mut inputs = Inputs::new();
-        let (trajectory, manifest): (Trajectory, _) =
-            inputs.read_with_manifest("trajectory", &self.trajectory.trajectory)?;
-        let tif: Tif = inputs.read("tif", &self.mirror.tif)?;
-        let surface: Surface = inputs.read("surface", &self.mirror.surface)?;
-        for other in ["tif", "surface"] {
-            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
-        }
+        let (trajectory, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
         let file: ProcessFile = inputs.read_json("process", &self.process)?;
         let process =
             file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.process.display())))?;
@@ -135,7 +118,11 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
             line.reached_rms_nm,
             line.unreached_rms_nm,
             line.departs_by_rms_nm,
-            if line.simulated { "  simulated" } else { "" }
+            match (line.simulated, line.standard_error_nm) {
+                (false, _) => String::new(),
+                (true, None) => "  simulated".into(),
+                (true, Some(e)) => format!("  simulated, +-{e:.4} (standard error)"),
+            }
         ));
     }
     let q = &found.residual;

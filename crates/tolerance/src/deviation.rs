@@ -152,7 +152,7 @@ impl Deviation {
     }
 
     /// Mean deviation of the rate over a piece, noise left out.
-    fn rate_at(&self, p: &Piece, total_s: f64) -> f64 {
+    pub fn rate_at(&self, p: &Piece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;
         let warm_up = |&(tau, a): &(f64, f64)| {

@@ -16,7 +16,7 @@ use crate::{
 
 /// Pairs of simulated deviations move the tool by this part of the width of the TIF, or change it by as much:
 /// the third order, which does not cancel, is 1e-4 / 6 of the first.
-const STEP: f64 = 0.01;
+pub const STEP: f64 = 0.01;
 
 /// A field that one number decides, and what it belongs to.
 pub struct Linear {
@@ -147,6 +147,7 @@ impl Work<'_> {
                 unreached_rms_nm: (square - reached).max(0.0).sqrt(),
                 departs_by_rms_nm: departures[i],
                 simulated: false,
+                standard_error_nm: None,
             }
         };
         self.process.errors.iter().enumerate().map(line).collect()

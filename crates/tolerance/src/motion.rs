@@ -29,6 +29,8 @@ pub struct Motion {
     pub pieces: Vec<Piece>,
     /// Time of every stay, s.
     pub stay_s: Vec<f64>,
+    /// Index of the dwell point that every stay serves, if any.
+    pub point_of_stay: Vec<Option<usize>>,
     /// Duration of the whole, s.
     pub total_s: f64,
 }
@@ -48,11 +50,13 @@ impl Motion {
         let first_s = trajectory.break_time_s()[0];
         let mut pieces = Vec::with_capacity(trajectory.len());
         let mut stay_s: Vec<f64> = Vec::new();
+        let mut point_of_stay = Vec::new();
         let mut last = None;
         for segment in trajectory.segments() {
             // Of segments that serve no point each is a stay.
             if segment.dwell_index.is_none() || last != Some(segment.dwell_index) {
                 stay_s.push(0.0);
+                point_of_stay.push(segment.dwell_index);
             }
             last = Some(segment.dwell_index);
             let stay = stay_s.len() - 1;
@@ -70,7 +74,7 @@ impl Motion {
                 });
             }
         }
-        Ok(Self { pieces, stay_s, total_s })
+        Ok(Self { pieces, stay_s, point_of_stay, total_s })
     }
 
     /// Largest speed at the ends and in the middle of the pieces, mm/s.

@@ -25,64 +25,19 @@
 use std::ops::Range;
 
 use nalgebra::DMatrix;
-use planish_numerics::{polynomial::evaluate, quadrature::gauss_legendre};
-use planish_types::{Axis, Invalid, Tif, budget};
+use planish_types::{Invalid, Tif, budget};
 use rand::Rng;
 use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
 use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
+    field::{Field, cells_of_tif, field, slope_x, slope_y},
     inner::Inner,
     motion::{Motion, Piece},
     process::Noise,
     reach::CosinesOnCells,
 };
-
-/// Gauss points of a piece, over which the tool goes half the width of the TIF at most.
-const POINTS: usize = 3;
-
-/// A field on a box of the cells.
-#[derive(Clone, Debug, Default)]
-struct Field {
-    rows: Range<usize>,
-    columns: Range<usize>,
-    value: Vec<f64>,
-}
-
-impl Field {
-    fn on(rows: Range<usize>, columns: Range<usize>) -> Self {
-        let value = vec![0.0; rows.len() * columns.len()];
-        Self { rows, columns, value }
-    }
-
-    /// Index on the cells of each row's first value, and its values.
-    fn lines(&self, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
-        let first = move |r: usize| (self.rows.start + r) * cells_per_row + self.columns.start;
-        let width = self.columns.len().max(1);
-        self.value.chunks_exact(width).enumerate().map(move |(r, line)| (first(r), line))
-    }
-
-    /// Sum of fields times numbers, on a box that holds them all.
-    fn sum(parts: &[(&Self, f64)]) -> Self {
-        let filled: Vec<_> = parts.iter().filter(|(f, _)| !f.value.is_empty()).collect();
-        let hull = |of: fn(&Self) -> &Range<usize>| {
-            let low = filled.iter().map(|(f, _)| of(f).start).min().unwrap_or(0);
-            low..filled.iter().map(|(f, _)| of(f).end).max().unwrap_or(0)
-        };
-        let mut sum = Self::on(hull(|f| &f.rows), hull(|f| &f.columns));
-        let width = sum.columns.len();
-        for (field, by) in filled {
-            for (r, line) in field.value.chunks_exact(field.columns.len()).enumerate() {
-                let row = field.rows.start + r - sum.rows.start;
-                let first = row * width + field.columns.start - sum.columns.start;
-                let into = &mut sum.value[first..first + line.len()];
-                into.iter_mut().zip(line).for_each(|(s, v)| *s += by * v);
-            }
-        }
-        sum
-    }
-}
 
 /// What the errors of one kind add at size one.
 pub struct Response {
@@ -422,15 +377,16 @@ impl<'a> Columns<'a> {
 const TICK_VARIANCE: f64 = 1.0 / 12.0;
 
 /// The mean of an Ornstein-Uhlenbeck process of variance 1 over a piece of x = h / tau.
-struct Mean {
+pub struct Mean {
     /// a = (1 - exp(-x)) / x: its covariance with the value at the start.
-    weight: f64,
+    pub weight: f64,
     /// 2 (x - 1 + exp(-x)) / x^2: its variance.
-    variance: f64,
+    pub variance: f64,
 }
 
 impl Mean {
-    fn over(x: f64) -> Self {
+    /// Over x.
+    pub fn over(x: f64) -> Self {
         let gone = -(-x).exp_m1();
         // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.
         let variance =
@@ -492,67 +448,4 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
             }
         }
     }
-}
-
-/// dR/dx at a fixed place for a tool that moves along x.
-fn slope_x(tif: &Tif, x: f64, y: f64) -> f64 {
-    let h = 0.5 * tif.grid().x.step_mm();
-    (tif.rate_at(x - h, y) - tif.rate_at(x + h, y)) / (2.0 * h)
-}
-
-fn slope_y(tif: &Tif, x: f64, y: f64) -> f64 {
-    let h = 0.5 * tif.grid().y.step_mm();
-    (tif.rate_at(x, y - h) - tif.rate_at(x, y + h)) / (2.0 * h)
-}
-
-/// Cells that a resting tool reaches, at most.
-fn cells_of_tif(inner: &Inner, tif: &Tif) -> usize {
-    let across = |map: &Axis, tif: &Axis, pixels: usize| {
-        let cells = (tif.end_mm() - tif.start_mm()) / (map.step_mm() * pixels as f64);
-        (cells as usize + 3).min(map.len().div_ceil(pixels))
-    };
-    let (map, tool) = (&inner.grid, tif.grid());
-    let [px, py] = inner.cells.pixels;
-    across(&map.x, &tool.x, px) * across(&map.y, &tool.y, py)
-}
-
-/// The integral of `of` over a piece, on the cells it reaches.
-fn field(piece: &Piece, inner: &Inner, tif: &Tif, of: fn(&Tif, f64, f64) -> f64) -> Field {
-    if !piece.tool_on {
-        return Field::default();
-    }
-    let points = gauss_legendre::<POINTS>().map(|(node, weight)| {
-        let u = node * piece.duration_s;
-        let place = [0, 1].map(|a| evaluate(&piece.coefficient_mm[a], u));
-        (place, weight * piece.duration_s)
-    });
-    let cells = &inner.cells;
-    // Cells whose pixels are within the TIF of any of the points, and one more.
-    let reach = |axis: usize| {
-        let (map, tool) = match axis {
-            0 => (&inner.grid.x, &tif.grid().x),
-            _ => (&inner.grid.y, &tif.grid().y),
-        };
-        let low = points.iter().map(|(p, _)| p[axis]).fold(f64::INFINITY, f64::min);
-        let high = points.iter().map(|(p, _)| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-        let last = if axis == 0 { cells.shape.1 } else { cells.shape.0 };
-        let size = cells.pixels[axis] as f64 * map.step_mm();
-        let cell = |mm: f64| (mm - map.start_mm()) / size;
-        let from = (cell(low + tool.start_mm()) - 1.0).floor().clamp(0.0, last as f64);
-        let to = (cell(high + tool.end_mm()) + 2.0).ceil().clamp(0.0, last as f64);
-        from as usize..(to as usize).max(from as usize)
-    };
-    let mut field = Field::on(reach(1), reach(0));
-    let width = field.columns.len();
-    if width == 0 {
-        return Field::default();
-    }
-    for (r, line) in field.value.chunks_exact_mut(width).enumerate() {
-        let first = (field.rows.start + r) * cells.shape.1 + field.columns.start;
-        for (c, v) in line.iter_mut().enumerate().filter(|(c, _)| cells.weight[first + c] > 0.0) {
-            let [x, y] = cells.centre_mm[first + c];
-            *v = points.iter().map(|([px, py], t)| t * of(tif, x - px, y - py)).sum();
-        }
-    }
-    field
 }

@@ -12,14 +12,10 @@
 use std::f64::consts::PI;
 
 use ndarray::{Array2, Zip, s};
-use planish_numerics::spectrum::transfer;
+use planish_numerics::spectrum::{LEAST_TRANSFER, transfer};
 use planish_types::{Axis, Tif};
 
 use crate::inner::Inner;
-
-/// Least value of the transfer function at which the tool corrects: below it, to correct a wave asks for a
-/// variation of the removal ten times as large.
-pub const LEAST_TRANSFER: f64 = 0.1;
 
 /// Largest frequency that is looked at, times the width of the TIF; at it the transfer function of a Gaussian is
 /// exp(-2 pi^2).

@@ -31,6 +31,10 @@ pub struct Line {
     pub departs_by_rms_nm: f64,
     /// Whether the line is that of simulated runs, because the departure is too large.
     pub simulated: bool,
+    /// Standard error of `adds_rms_nm` where it is that of simulated runs with noise, nm; an error of one number is
+    /// simulated at the nodes of a quadrature, which has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub standard_error_nm: Option<f64>,
 }
 
 /// A run with all errors, simulated, and as the first order has it.

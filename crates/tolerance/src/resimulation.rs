@@ -1,6 +1,8 @@
 //! Runs with errors as they are, not to first order.
 
+use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::Array2;
+use planish_numerics::quadrature::gauss_legendre;
 use planish_types::Invalid;
 use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
@@ -10,14 +12,42 @@ use crate::{
     draws::{LINE_STREAM, RUN_STREAM, draw, stream},
     lines::Linear,
     noise::{Columns, sample},
-    process::Effect,
+    process::{Distribution, Effect},
     reach::Reach,
     report::{Line, Pair},
     work::Work,
 };
 
-/// Runs from which the line of an error is taken where the first order is not enough.
-const RUNS_OF_ONE_ERROR: usize = 32;
+/// Runs from which the line of noise is taken where the first order is not enough; their standard error is stated.
+const RUNS_OF_NOISE: usize = 32;
+
+/// Nodes of the quadrature over the one number of an error, where its first order is not enough: exact for the square
+/// of a polynomial of the 5th degree in it. None of them is 0, where a response that has no derivative there (a TIF
+/// with noise that moves over the pixels) would not be seen; the farthest is at 3.32 standard deviations, where the
+/// largest fraction that a process may state has not yet made a rate or a width negative.
+const NODES: usize = 6;
+
+/// Numbers of a distribution at size one, and weights that sum to one, so that the weighted sum of a function of them
+/// is its mean: Gauss and Hermite's rule, Gauss and Legendre's, or the one number.
+fn quadrature(distribution: Distribution) -> Vec<(f64, f64)> {
+    match distribution {
+        // Golub and Welsch: the Jacobi matrix of the polynomials orthogonal under the normal density has sqrt(k)
+        // beside its diagonal.
+        Distribution::Normal => {
+            let beside =
+                |i: usize, j: usize| if i.abs_diff(j) == 1 { i.max(j) as f64 } else { 0.0 };
+            let jacobi = DMatrix::from_fn(NODES, NODES, |i, j| beside(i, j).sqrt());
+            let eigen = SymmetricEigen::new(jacobi);
+            let node = |k: usize| (eigen.eigenvalues[k], eigen.eigenvectors[(0, k)].powi(2));
+            (0..NODES).map(node).collect()
+        }
+        Distribution::Uniform => {
+            let rule = gauss_legendre::<NODES>();
+            rule.iter().map(|(node, weight)| (2.0 * node - 1.0, *weight)).collect()
+        }
+        Distribution::Fixed => vec![(1.0, 1.0)],
+    }
+}
 
 impl Work<'_> {
     /// The line of an error from simulated runs.
@@ -29,15 +59,19 @@ impl Work<'_> {
         seed: u64,
     ) -> Result<(), Invalid> {
         let error = &self.process.errors[index];
-        let squares = (0..RUNS_OF_ONE_ERROR as u64)
+        let noise = matches!(error.effect, Effect::Noise(_));
+        let nodes = match noise {
+            true => vec![(0.0, 1.0 / RUNS_OF_NOISE as f64); RUNS_OF_NOISE],
+            false => quadrature(error.stated.distribution),
+        };
+        let runs = nodes
             .into_par_iter()
-            .map(|k| {
-                let mut rng = stream(seed, LINE_STREAM + ((index as u64) << 16) + k);
+            .enumerate()
+            .map(|(k, (eta, weight))| {
+                let mut rng = stream(seed, LINE_STREAM + ((index as u64) << 16) + k as u64);
                 let mut run = Deviation::default();
                 match error.effect {
-                    Effect::Scalar(effect) => {
-                        run.add(effect, error.size * draw(error.stated.distribution, &mut rng));
-                    }
+                    Effect::Scalar(effect) => run.add(effect, error.size * eta),
                     Effect::Noise(noise) => {
                         sample(noise, error.size, &self.motion, &mut rng, &mut run)
                     }
@@ -45,16 +79,22 @@ impl Work<'_> {
                 }
                 let added = &self.nominal - &self.residual(&run)?;
                 let square = self.inner.dot(&added, &added);
-                Ok((square, reach.mean_square(&self.inner, &added).min(square)))
+                let reached = reach.mean_square(&self.inner, &added).min(square);
+                Ok((weight, square, reached))
             })
             .collect::<Result<Vec<_>, Invalid>>()?;
-        let mean = |of: fn(&(f64, f64)) -> f64| {
-            (squares.iter().map(of).sum::<f64>() / squares.len() as f64).sqrt()
+        let mean = |of: fn(&(f64, f64, f64)) -> f64| -> f64 {
+            runs.iter().map(|run| run.0 * of(run)).sum()
         };
-        line.adds_rms_nm = mean(|s| s.0);
-        line.reached_rms_nm = mean(|s| s.1);
-        line.unreached_rms_nm = mean(|s| s.0 - s.1);
+        let (square, of_square) = (mean(|r| r.1), mean(|r| r.1 * r.1));
+        line.adds_rms_nm = square.sqrt();
+        line.reached_rms_nm = mean(|r| r.2).sqrt();
+        line.unreached_rms_nm = mean(|r| r.1 - r.2).sqrt();
         line.simulated = true;
+        // d sqrt(s) = ds / (2 sqrt(s)), and the variance of a mean over n runs
+        let variance = (of_square - square * square).max(0.0) / (RUNS_OF_NOISE - 1) as f64;
+        line.standard_error_nm =
+            (noise && square > 0.0).then(|| variance.sqrt() / (2.0 * square.sqrt()));
         Ok(())
     }
 
@@ -117,5 +157,25 @@ impl Work<'_> {
             })
         };
         (0..count as u64).into_par_iter().map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Moments of the normal distribution, 1, 1, 3, 15, .., and of the uniform one, 1 / (k + 1).
+    #[test]
+    fn the_quadratures_have_the_moments_of_their_distributions() {
+        let moment = |of, k: i32| -> f64 {
+            quadrature(of).iter().map(|(node, weight)| weight * node.powi(k)).sum()
+        };
+        for (k, normal) in [(0, 1.0), (2, 1.0), (4, 3.0), (6, 15.0), (8, 105.0), (10, 945.0)] {
+            assert!((moment(Distribution::Normal, k) / normal - 1.0).abs() < 1e-12, "{k}");
+            let uniform = 1.0 / f64::from(k + 1);
+            assert!((moment(Distribution::Uniform, k) / uniform - 1.0).abs() < 1e-12, "{k}");
+            assert!(moment(Distribution::Normal, k + 1).abs() < 1e-11 * normal);
+        }
+        assert_eq!(quadrature(Distribution::Fixed), [(1.0, 1.0)]);
     }
 }

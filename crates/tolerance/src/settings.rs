@@ -1,21 +1,12 @@
-//! How to find out: the settings, and what is not part of the residual.
+//! How to find out: the settings.
 
+pub use planish_dwell::residual::Free;
 use planish_types::{Invalid, budget};
 use serde::Serialize;
 
 /// Most draws and simulated runs: a day of work is not meant.
 const MOST_DRAWS: usize = 100_000_000;
 const MOST_SIMULATED_RUNS: usize = 100_000;
-
-/// What nobody asks for: it is not part of the residual.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Free {
-    /// The mean.
-    Piston,
-    /// The best plane.
-    Plane,
-}
 
 /// How to find out.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

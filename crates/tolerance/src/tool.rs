@@ -26,28 +26,6 @@ const MOST_FADED: f64 = 0.2;
 /// A sample below this part of the peak is outside of the TIF.
 const NOTHING: f64 = 1e-9;
 
-/// Width of a TIF, mm: sqrt of its mean square over that of its slope (half of it for each axis); sigma of a
-/// Gaussian, less where it has structure. Its step at the border counts as a slope.
-pub fn width_mm(tif: &Tif) -> f64 {
-    let rate = tif.rate_nm_per_s();
-    let (ny, nx) = rate.dim();
-    let at = |r: isize, c: isize| {
-        let inside = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
-        if inside { rate[[r as usize, c as usize]] } else { 0.0 }
-    };
-    let (dx, dy) = (tif.grid().x.step_mm(), tif.grid().y.step_mm());
-    let (mut square, mut slope) = (0.0, 0.0);
-    for r in -1..=ny as isize {
-        for c in -1..=nx as isize {
-            square += at(r, c) * at(r, c);
-            let x = (at(r, c + 1) - at(r, c - 1)) / (2.0 * dx);
-            let y = (at(r + 1, c) - at(r - 1, c)) / (2.0 * dy);
-            slope += x * x + y * y;
-        }
-    }
-    (square / slope).sqrt()
-}
-
 /// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate.
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let extent = [&tif.grid().x, &tif.grid().y].map(|a| a.end_mm() - a.start_mm());

@@ -109,6 +109,9 @@ impl Report {
         if !judged.is_empty() {
             say(judged);
         }
+        for process in summaries.iter().filter_map(|s| s.process.as_ref()) {
+            say(visible(&process.sentence));
+        }
         if plotted {
             say(sparkline::plots(&views));
         }

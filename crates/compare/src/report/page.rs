@@ -11,7 +11,7 @@ use super::{
     spectrum::BAND_PERIOD_MM,
     view::{FrameView, MethodView, View},
 };
-use crate::answer::with_answer;
+use crate::{answer::with_answer, process::Process};
 
 /// Skeleton and style of the page.
 const HTML: &str = include_str!("page.html");
@@ -32,6 +32,7 @@ const JS: &str = concat!(
     include_str!("page/motion.js"),
     include_str!("page/heights.js"),
     include_str!("page/rounds.js"),
+    include_str!("page/process.js"),
     include_str!("page/tables.js"),
     include_str!("page/places.js"),
     include_str!("page/provenance.js"),
@@ -108,6 +109,7 @@ fn run_json(view: &View) -> Value {
         "summary": with_answer(&view.summary),
         "desired": view.desired,
         "measured": view.measured,
+        "process": view.summary.process.as_ref().map(Process::for_page),
         "histogram": view.before.0,
         "spectrum": view.before.1,
         "methods": view.methods.iter().map(method_json).collect::<Vec<_>>(),

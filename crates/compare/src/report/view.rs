@@ -13,7 +13,7 @@ use super::{
 use crate::summary::Summary;
 
 /// Most pixels of a map, and of all maps together (2 bytes each, 2.7 in base64).
-const MAX_MAP_PIXELS: usize = 400_000;
+pub const MAX_MAP_PIXELS: usize = 400_000;
 const MAX_ALL_PIXELS: usize = 2_000_000;
 
 /// Most points of the lines of all motions (16 bytes each, 22 in base64).

@@ -8,7 +8,11 @@ use planish_numerics::{
 };
 use planish_types::End;
 
-use super::{certificate::gap, prepared::BoundedProblem, settings::Settings};
+use super::{
+    certificate::gap,
+    prepared::BoundedProblem,
+    settings::{Product, Settings},
+};
 use crate::{
     DwellError,
     objective::{Basis, Penalty},
@@ -108,8 +112,14 @@ impl BoundedProblem<'_> {
             let mut q = self.b.adjoint(&(&r * &weight));
             q.iter_mut().for_each(|q| *q = -*q);
             penalty.add_gradient(&t, &mut q);
-            let objective = 0.5 * Zip::from(&r).and(&weight).fold(0.0, |sum, r, w| sum + w * r * r)
+            let mut objective = 0.5
+                * Zip::from(&r).and(&weight).fold(0.0, |sum, r, w| sum + w * r * r)
                 + penalty.value(&t);
+            if let Some(product) = self.quadratic {
+                let more = product(&t);
+                objective += 0.5 * dot(&t, &more);
+                q.iter_mut().zip(&more).for_each(|(q, more)| *q += more);
+            }
 
             let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
             let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha(), &self.reached)
@@ -185,7 +195,12 @@ impl BoundedProblem<'_> {
                     end,
                 });
             }
-            let quadratic = Along { penalty: &penalty, basis: &basis, weight: &weight };
+            let quadratic = Along {
+                penalty: &penalty,
+                basis: &basis,
+                weight: &weight,
+                quadratic: self.quadratic,
+            };
             let d_nm = self.b.apply(&d);
             let curvature = quadratic.value(&d, &d_nm);
             // The whole step lands on the bounds: nearly whole is made whole.
@@ -239,6 +254,7 @@ struct Along<'a> {
     penalty: &'a Penalty,
     basis: &'a Basis,
     weight: &'a Array2<f64>,
+    quadratic: Option<Product<'a>>,
 }
 
 impl Along<'_> {
@@ -251,6 +267,9 @@ impl Along<'_> {
     fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
         let mut curved = vec![0.0; p.0.len()];
         self.penalty.add_product(p.0, &mut curved);
+        if let Some(product) = self.quadratic {
+            curved.iter_mut().zip(product(p.0)).for_each(|(c, more)| *c += more);
+        }
         let free = |nm: &Array2<f64>| self.basis.coefficients(self.weight, nm);
         Zip::from(d.1).and(p.1).and(self.weight).fold(0.0, |s, d, p, w| s + w * d * p)
             - dot(&free(d.1), &free(p.1))

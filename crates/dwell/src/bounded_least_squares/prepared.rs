@@ -5,7 +5,7 @@ use ndarray::{Array2, Zip};
 use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
 use rayon::prelude::*;
 
-use super::settings::{Program, Settings};
+use super::settings::{Product, Program, Settings};
 use crate::{
     DwellError,
     model::{
@@ -53,6 +53,8 @@ pub struct BoundedProblem<'a> {
     pub splines_mm: Option<f64>,
     /// Where the steps begin (n), s.
     pub start: Vec<f64>,
+    /// Q.
+    pub quadratic: Option<Product<'a>>,
 }
 
 /// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: the mean of R^2 along a segment in place
@@ -168,6 +170,7 @@ impl<'a> BoundedProblem<'a> {
             cell,
             splines_mm,
             start,
+            quadratic: program.quadratic,
         })
     }
 

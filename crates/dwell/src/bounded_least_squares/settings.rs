@@ -72,8 +72,11 @@ impl Settings {
     }
 }
 
+/// A product with a symmetric positive semidefinite matrix (n, n): from t (n) to Q t (n).
+pub type Product<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
+
 /// The columns of B and the bounds of their dwell times.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Program<'a> {
     /// Where the tool is in each column (n).
     pub places: &'a [Vec<Place>],
@@ -83,4 +86,6 @@ pub struct Program<'a> {
     pub hi: Vec<f64>,
     /// Dwell times of a similar problem (n), s: a first guess, which only saves time.
     pub guess: Option<Vec<f64>>,
+    /// Q of a further term `t'Q t / 2` of the objective, nm^2/s^2; none when absent.
+    pub quadratic: Option<Product<'a>>,
 }

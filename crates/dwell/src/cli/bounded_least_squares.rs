@@ -108,6 +108,7 @@ impl BoundedLeastSquares {
             lo: least.map_or(lo, |least| least.dwell_s().to_vec()),
             hi: most.map_or(hi, |most| most.dwell_s().to_vec()),
             guess: None,
+            quadratic: None,
         };
         let solution = bounded_least_squares::solve_columns(
             &surface,

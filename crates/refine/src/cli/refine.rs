@@ -1,6 +1,6 @@
 //! `planish-refine`: the refinement itself.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use planish_dwell::bounded_least_squares::Bound;
@@ -9,8 +9,13 @@ use planish_handoff::{
     flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
     kind, say, task, with_flags,
 };
-use planish_refine::{Scheduler, Settings, refine};
+use planish_refine::{
+    Scheduler, Settings,
+    process::{Price, refine_for},
+    refine,
+};
 use planish_schedule::pvt;
+use planish_tolerance::process::{Process, ProcessFile};
 use planish_types::{DwellTime, Trajectory, plausible};
 use serde::Serialize;
 use serde_json::json;
@@ -50,6 +55,9 @@ pub struct Refine {
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
+    /// Process and its errors [JSON]: the expected square of the residual takes the place of the square
+    #[arg(long, value_name = "FILE")]
+    process: Option<PathBuf>,
     /// Most rounds; where a number is given, to stop there is what is wanted [default: 50, and a negative
     /// verdict where they still improve]
     #[arg(long, value_name = "N")]
@@ -95,6 +103,8 @@ impl Refine {
             SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
             SchedulerKind::Pvt => Scheduler::Pvt(self.mode.on(&machine)),
         };
+        let process = self.process.as_ref().map(|path| read_process(path, &mut inputs));
+        let process = process.transpose()?;
         let resolved = Resolved { settings, stop_at_max_rounds: self.max_rounds.is_some() };
         let task = task!(method, resolved);
         let first =
@@ -110,17 +120,29 @@ impl Refine {
         };
 
         plausible::check_path(&surface, &tif, &path)?;
-        let refined = refine(&surface, &tif, &path, &machine, first, &settings)
-            .map_err(Failure::with_flags)?;
+        let (refined, price) = match &process {
+            None => (refine(&surface, &tif, &path, &machine, first, &settings), None),
+            Some(process) => {
+                let found = refine_for(&surface, &tif, &path, &machine, first, &settings, process);
+                match found {
+                    Ok((refined, price)) => (Ok(refined), Some(price)),
+                    Err(e) => (Err(e), None),
+                }
+            }
+        };
+        let refined = refined.map_err(Failure::with_flags)?;
 
         let best = &refined.iterates[refined.best];
-        let outcome = json!({
+        let mut outcome = json!({
             "best_round": refined.best,
             "end": refined.end,
             "at_bound": refined.at_bound,
             "rms_nm": best.rms_nm,
             "total_time_s": best.total_time_s,
         });
+        if let Some(price) = &price {
+            outcome["process"] = json!(price);
+        }
         let status = match refined.negative(&surface, self.max_rounds.is_some()) {
             None => Status::Done,
             Some(reason) => Status::Negative(with_flags(&reason)),
@@ -131,9 +153,10 @@ impl Refine {
         output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
         for (round, i) in refined.iterates.iter().enumerate() {
             say(format!(
-                "round {round}: {:.4} nm RMS executed in {:.2} s, {} segments stretched{}{}",
+                "round {round}: {:.4} nm RMS executed in {:.2} s{}, {} segments stretched{}{}",
                 i.rms_nm,
                 i.total_time_s,
+                i.expected_rms_nm.map_or(String::new(), |e| format!(" ({e:.4} nm expected)")),
                 i.stretched,
                 if i.limits_respected { "" } else { ", limits exceeded" },
                 if round == refined.best { "  <- best" } else { "" }
@@ -158,6 +181,36 @@ impl Refine {
             best.total_time_s,
             self.output.out.display()
         ));
+        if let Some(price) = &price {
+            say(words(price));
+        }
         Ok(status)
     }
+}
+
+fn read_process(path: &Path, inputs: &mut Inputs) -> Result<Process, Failure> {
+    let file: ProcessFile = inputs.read_json("process", path)?;
+    file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}
+
+/// What the process made of the plan.
+fn words(price: &Price) -> String {
+    let Price { name, without, with, kept, not_in_the_objective, .. } = price;
+    let objective = match not_in_the_objective.as_slice() {
+        [] => String::new(),
+        kinds => format!("; not in the objective: {}", kinds.join(", ")),
+    };
+    let plan = if *kept { "" } else { ": the plan made without it is kept" };
+    format!(
+        "{name}{plan}: without errors {:.4} -> {:.4} nm, expected {:.4} -> {:.4} nm, 95 % of the runs below {:.4} -> \
+         {:.4} nm, {:.2} -> {:.2} s{objective}",
+        without.nominal_rms_nm,
+        with.nominal_rms_nm,
+        without.expected_rms_nm,
+        with.expected_rms_nm,
+        without.below_95_percent_nm,
+        with.below_95_percent_nm,
+        without.total_time_s,
+        with.total_time_s
+    )
 }

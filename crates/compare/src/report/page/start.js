@@ -41,6 +41,7 @@ function drawAll() {
     drawHistogram();
     drawSpectrum();
     drawRounds();
+    drawProcess();
   }
   const tool = toolAt(A(), state.time);
   byId("now").textContent = `${fixed(state.time, 2)} of ${fixed(A().total, 2)} s, x ${fixed(tool.x, 2)}, y ${fixed(tool.y, 2)} mm`;
@@ -98,6 +99,7 @@ function start() {
   new Panel("dwells", "dwell", () => dwellContent(A(), "planned"));
   new Panel("dwells", "dwell-error", () => dwellContent(A(), "error"));
   new Panel("dwells", "dwell-error-b", () => B() && dwellContent(B(), "error"));
+  new Panel("process-maps", "deviation", () => deviationContent(A()));
   for (const [name] of CHARTS) listenToChart(byId(name));
   for (const canvas of document.querySelectorAll("canvas.chart")) {
     const caption = element("figcaption");

@@ -1,0 +1,560 @@
+//! What of a process the dwell times decide: the expected mean square of the residual as a quadratic in them.
+//!
+//! With b_j what a second at dwell point j of a motion removes, t_j the times, and independent errors eta_k of
+//! variance s_k^2,
+//!
+//! ```text
+//! E |e|^2 = |P (h - R - m)|^2 + t'Q t + constant
+//! t'Q t   = sum_k s_k^2 |P sum_j t_j c_kj|^2                         one number eta_k
+//!         + s^2 sum_kl C_kl t_j(k) t_j(l) <P b_k, P b_l>             noise of the rate, of pieces k and l
+//!         + s^2 sum_j t_j^2 (|P db_j/dx|^2 + |P db_j/dy|^2)          noise of the places
+//! ```
+//!
+//! c_kj is the derivative of b_j by eta_k. The TIF acts in six ways (`Kernels`): as it is, displaced along x and y,
+//! wider, elliptical, rotated; what an error of one number does at a place and a time is a combination of them.
+//! C is the covariance of the Ornstein-Uhlenbeck process between pieces of the motion. Each is a sum of squares, so
+//! Q is positive semidefinite, and it is never made: a product with it takes a pass over the columns.
+//!
+//! Q is that of one motion: where the tool is and when is taken from it, and so are the times at which the rate has
+//! drifted. m is what the `fixed` errors of the process change in its removal, simulated: they are known, and a plan
+//! can make up for them.
+//!
+//! Errors that add the same whatever the dwell times are no part of Q: the jitter and the tick, which are times of
+//! their own; the map's; and a lag that scatters, because the time that the tool takes for a millimetre times its
+//! velocity is one. Play that scatters is left out, too: it acts at the places where an axis turns back, which no
+//! derivative by a time moves.
+//!
+//! | symbol | variable | unit |
+//! |---|---|---|
+//! | t | `time_s` | s |
+//! | c_kj | `Column::value` | nm/s per size |
+//! | m | `Quadratic::bias_nm` | nm |
+//! | s_k^2 | `Sources::scalars` | size^2 |
+
+use std::ops::Range;
+
+use ndarray::Array2;
+use planish_dwell::residual::tif_width_mm;
+use planish_numerics::{keys, polynomial::evaluate, quadrature::gauss_legendre};
+use planish_simulate::{Plan, Settings as Simulation};
+use planish_types::{Grid, Invalid, Surface, Tif, Trajectory, budget};
+use rayon::prelude::*;
+
+use crate::{
+    deviation::Deviation,
+    field::{Field, cells_of_tif, field, reached},
+    inner::Inner,
+    lines::STEP,
+    motion::{Motion, Piece},
+    noise::Mean,
+    process::{Distribution, Effect, Noise, Process, Scalar},
+    settings::Free,
+    tool::smooth,
+};
+
+/// Ways in which the TIF acts.
+const KERNELS: usize = 6;
+const AS_IT_IS: usize = 0;
+const ALONG_X: usize = 1;
+const ALONG_Y: usize = 2;
+const WIDER: usize = 3;
+const ELLIPTICAL: usize = 4;
+const ROTATED: usize = 5;
+
+/// Gauss points of a piece, over which the tool goes half the width of the TIF at most: of a Gaussian the integral
+/// errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4.
+const POINTS: usize = 2;
+
+/// The errors of a process that matter to the dwell times, on one mirror.
+pub struct Sources {
+    inner: Inner,
+    tif: Tif,
+    width_mm: f64,
+    kernels: Kernels,
+    /// One number each, and its variance.
+    scalars: Vec<(Scalar, f64)>,
+    /// Variance of the place of every dwell point along each axis, mm^2.
+    place_mm2: f64,
+    /// Correlation time, s, and variance of every noise of the rate.
+    rates: Vec<(f64, f64)>,
+    /// All that is fixed, where anything is.
+    fixed: Option<Deviation>,
+    /// Kinds of the errors that are in Q or in m, in the order of the process.
+    pub included: Vec<String>,
+    /// Kinds of the errors that are in neither.
+    pub left_out: Vec<String>,
+}
+
+impl Sources {
+    /// Of `process` on the map `desired` with `tif`; errors of size zero are none.
+    pub fn new(
+        desired: &Surface,
+        tif: &Tif,
+        process: &Process,
+        free: Free,
+    ) -> Result<Self, Invalid> {
+        let width = tif_width_mm(tif);
+        let moved = smooth(tif, width)?;
+        let mut sources = Self {
+            inner: Inner::new(desired, free, width),
+            kernels: Kernels::new(&moved)?,
+            tif: moved,
+            width_mm: width,
+            scalars: Vec::new(),
+            place_mm2: 0.0,
+            rates: Vec::new(),
+            fixed: None,
+            included: Vec::new(),
+            left_out: Vec::new(),
+        };
+        for e in process.errors.iter().filter(|e| e.size != 0.0) {
+            let square = e.size * e.size;
+            let variance = match e.stated.distribution {
+                Distribution::Normal => square,
+                Distribution::Uniform => square / 3.0,
+                Distribution::Fixed => 0.0,
+            };
+            let included = match e.effect {
+                Effect::Scalar(effect) if e.stated.distribution == Distribution::Fixed => {
+                    sources.fixed.get_or_insert_default().add(effect, e.size);
+                    true
+                }
+                Effect::Scalar(effect) if combination(effect).is_some() => {
+                    match sources.scalars.iter_mut().find(|(other, _)| *other == effect) {
+                        Some((_, sum)) => *sum += variance,
+                        None => sources.scalars.push((effect, variance)),
+                    }
+                    true
+                }
+                Effect::Noise(Noise::Position) => {
+                    sources.place_mm2 += variance;
+                    true
+                }
+                Effect::Noise(Noise::Rate { correlation_s }) => {
+                    sources.rates.push((correlation_s, variance));
+                    true
+                }
+                _ => false,
+            };
+            let list = if included { &mut sources.included } else { &mut sources.left_out };
+            list.push(e.stated.kind.name());
+        }
+        Ok(sources)
+    }
+
+    /// Whether the dwell times decide anything of what the process adds.
+    pub fn is_empty(&self) -> bool {
+        self.included.is_empty()
+    }
+
+    /// m and Q of a motion that serves `points` dwell points.
+    pub fn of(&self, trajectory: &Trajectory, points: usize) -> Result<Quadratic<'_>, Invalid> {
+        let motion = Motion::new(trajectory, 0.5 * self.width_mm)?;
+        let bias_nm = self.fixed.as_ref().map(|fixed| self.change(fixed, &motion)).transpose()?;
+        let pieces = if self.rates.is_empty() { 0 } else { motion.pieces.len() };
+        let fields = (points * self.combined().len() + pieces) as f64;
+        let remedy = "give fewer errors, or crop and bin the map and the TIF";
+        let cells = cells_of_tif(&self.inner, &self.tif);
+        budget::affordable("errors", fields * cells as f64, 8, remedy)?;
+
+        let mut of_point: Vec<Vec<usize>> = vec![Vec::new(); points];
+        for (i, piece) in motion.pieces.iter().enumerate().filter(|(_, p)| p.tool_on) {
+            if let Some(own) = motion.point_of_stay[piece.stay].and_then(|j| of_point.get_mut(j)) {
+                own.push(i);
+            }
+        }
+        let time = |own: &Vec<usize>| own.iter().map(|i| motion.pieces[*i].duration_s).sum();
+        let served_s: Vec<f64> = of_point.iter().map(time).collect();
+        // g of the pieces, for the errors that act on the rate
+        let rate_of_piece = |(effect, _): &(Scalar, f64)| -> Vec<f64> {
+            let mut run = Deviation::default();
+            run.add(*effect, 1.0);
+            motion.pieces.iter().map(|p| run.rate_at(p, motion.total_s)).collect()
+        };
+        let rates: Vec<Vec<f64>> = self.combined().iter().map(rate_of_piece).collect();
+        let mut columns: Vec<Column> = (0..points)
+            .into_par_iter()
+            .map(|j| self.column(&motion, &of_point[j], &rates, served_s[j]))
+            .collect();
+        let place = match self.place_mm2 > 0.0 {
+            true => columns.par_iter_mut().map(|c| self.displaced(c)).collect(),
+            false => vec![0.0; points],
+        };
+        let carried = |(j, i): (usize, usize)| {
+            let piece = &motion.pieces[i];
+            let field = field(piece, &self.inner, &self.tif, Tif::rate_at);
+            let free = self.inner.cells.free.iter().map(|q| self.dot(q, &field)).collect();
+            let (start_s, duration_s) = (piece.start_s, piece.duration_s);
+            Carried { point: j, part: 1.0 / served_s[j], start_s, duration_s, field, free }
+        };
+        let pieces = match self.rates.is_empty() {
+            true => Vec::new(),
+            false => {
+                let each = of_point.iter().enumerate();
+                let mut all: Vec<_> =
+                    each.flat_map(|(j, own)| own.iter().map(move |i| (j, *i))).collect();
+                all.sort_unstable_by_key(|(_, i)| *i);
+                all.into_par_iter().map(carried).collect()
+            }
+        };
+        Ok(Quadratic { sources: self, bias_nm, columns, place, pieces, total_s: motion.total_s })
+    }
+
+    /// The scalars, and the displacements where the places are noisy, at no variance of their own.
+    fn combined(&self) -> Vec<(Scalar, f64)> {
+        let mut all = self.scalars.clone();
+        for axis in [Scalar::OffsetX, Scalar::OffsetY] {
+            if self.place_mm2 > 0.0 && !all.iter().any(|(effect, _)| *effect == axis) {
+                all.push((axis, 0.0));
+            }
+        }
+        all
+    }
+
+    /// What a run with these errors removes more than one without, nm.
+    fn change(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
+        let grid = &self.inner.grid;
+        let removal = |run: &Deviation| -> Result<Array2<f64>, Invalid> {
+            let other = run.tif(&self.tif)?;
+            let plan = Plan::new(other.as_ref().unwrap_or(&self.tif), grid, Simulation::Gridded)?;
+            Ok(plan.removal_nm(&run.trajectory(motion, grid)?)?.0)
+        };
+        Ok(removal(run)? - removal(&Deviation::default())?)
+    }
+
+    /// c_kj of a dwell point, which these pieces serve.
+    fn column(&self, motion: &Motion, own: &[usize], rates: &[Vec<f64>], served_s: f64) -> Column {
+        let grid = &self.inner.grid;
+        let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
+        let errors = self.combined();
+        let mut points = Vec::with_capacity(POINTS * own.len());
+        for i in own {
+            let piece: &Piece = &motion.pieces[*i];
+            for (node, weight) in gauss_legendre::<POINTS>() {
+                let u = node * piece.duration_s;
+                let place = [0, 1].map(|a| evaluate(&piece.coefficient_mm[a], u));
+                let from_middle = [place[0] - middle[0], place[1] - middle[1]];
+                let part = weight * piece.duration_s / served_s;
+                let acts: Vec<[f64; KERNELS]> = errors
+                    .iter()
+                    .zip(rates)
+                    .map(|((effect, _), rate)| {
+                        let of = combination(*effect).expect("others are left out");
+                        of(from_middle, rate[*i]).map(|c| c * part)
+                    })
+                    .collect();
+                points.push((place, acts));
+            }
+        }
+        let cells = &self.inner.cells;
+        let (rows, columns) = reached(points.iter().map(|(p, _)| *p), &self.inner, &self.tif);
+        if points.is_empty() || rows.is_empty() || columns.is_empty() || errors.is_empty() {
+            return Column::default();
+        }
+        let size = rows.len() * columns.len();
+        let mut value = vec![0.0; errors.len() * size];
+        for (r, row) in rows.clone().enumerate() {
+            for (c, column) in columns.clone().enumerate() {
+                let cell = row * cells.shape.1 + column;
+                if cells.weight[cell] == 0.0 {
+                    continue;
+                }
+                let [x, y] = cells.centre_mm[cell];
+                for ([px, py], acts) in &points {
+                    let Some(kernel) = self.kernels.at(x - px, y - py) else { continue };
+                    for (k, act) in acts.iter().enumerate() {
+                        let sum: f64 = act.iter().zip(&kernel).map(|(a, v)| a * v).sum();
+                        value[k * size + r * columns.len() + c] += sum;
+                    }
+                }
+            }
+        }
+        Column { rows, columns, value }
+    }
+
+    /// |P db/dx|^2 + |P db/dy|^2; takes away what only this needs.
+    fn displaced(&self, column: &mut Column) -> f64 {
+        let size = column.rows.len() * column.columns.len();
+        let along = |axis: Scalar| -> f64 {
+            let all = self.combined();
+            let k = all.iter().position(|(effect, _)| *effect == axis).expect("both are there");
+            let value = column.value.get(k * size..(k + 1) * size).unwrap_or(&[]).to_vec();
+            let (rows, columns) = (column.rows.clone(), column.columns.clone());
+            self.square(&Field { rows, columns, value })
+        };
+        let sum = along(Scalar::OffsetX) + along(Scalar::OffsetY);
+        column.value.truncate(self.scalars.len() * size);
+        sum
+    }
+
+    /// <q, f> of a field on all cells and one on some.
+    fn dot(&self, q: &[f64], f: &Field) -> f64 {
+        let cells = &self.inner.cells;
+        let line = |(first, line): (usize, &[f64])| -> f64 {
+            let here = first..first + line.len();
+            let each = line.iter().zip(&cells.weight[here.clone()]).zip(&q[here]);
+            each.map(|((v, w), q)| v * w * q).sum()
+        };
+        f.lines(cells.shape.1).map(line).sum::<f64>() / self.inner.count
+    }
+
+    /// |P f|^2
+    fn square(&self, f: &Field) -> f64 {
+        let cells = &self.inner.cells;
+        let line = |(first, line): (usize, &[f64])| -> f64 {
+            line.iter().zip(&cells.weight[first..]).map(|(v, w)| v * v * w).sum()
+        };
+        let all = f.lines(cells.shape.1).map(line).sum::<f64>() / self.inner.count;
+        let free: f64 = cells.free.iter().map(|q| self.dot(q, f).powi(2)).sum();
+        (all - free).max(0.0)
+    }
+}
+
+/// How much of every kernel an error has of size one, `[x, y]` mm from the middle of the map, where the rate has g of
+/// it; none where this does not depend on the place and the time alone.
+type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
+
+fn combination(effect: Scalar) -> Option<Combination> {
+    fn one(kernel: usize, value: f64) -> [f64; KERNELS] {
+        let mut all = [0.0; KERNELS];
+        all[kernel] = value;
+        all
+    }
+    fn displaced(x: f64, y: f64) -> [f64; KERNELS] {
+        let mut all = one(ALONG_X, x);
+        all[ALONG_Y] = y;
+        all
+    }
+    Some(match effect {
+        Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => {
+            |_, g| one(AS_IT_IS, g)
+        }
+        Scalar::OffsetX => |_, _| displaced(1.0, 0.0),
+        Scalar::OffsetY => |_, _| displaced(0.0, 1.0),
+        Scalar::Rotation => |[x, y], _| displaced(-y, x),
+        Scalar::Magnification => |[x, y], _| displaced(x, y),
+        Scalar::Shear => |[_, y], _| displaced(y, 0.0),
+        Scalar::TifWidth => |_, _| one(WIDER, 1.0),
+        Scalar::TifEllipticity => |_, _| one(ELLIPTICAL, 1.0),
+        Scalar::TifRotation => |_, _| one(ROTATED, 1.0),
+        Scalar::VelocityLag
+        | Scalar::ServoFirstOrder
+        | Scalar::ServoSecondOrder { .. }
+        | Scalar::Backlash => return None,
+    })
+}
+
+/// The TIF and its derivatives on its samples, with a ring of zeros around them; Keys' convolution between.
+struct Kernels {
+    grid: Grid,
+    value: Vec<[f64; KERNELS]>,
+}
+
+impl Kernels {
+    fn new(tif: &Tif) -> Result<Self, Invalid> {
+        let grid = *tif.grid();
+        let (ny, nx) = grid.shape();
+        let half = [grid.x.step_mm(), grid.y.step_mm()].map(|step| 0.5 * step);
+        let derivative = |effect: Scalar| -> Result<Array2<f64>, Invalid> {
+            let side = |step: f64| {
+                let mut run = Deviation::default();
+                run.add(effect, step);
+                Ok(run
+                    .tif(tif)?
+                    .map_or_else(|| tif.rate_nm_per_s().clone(), |t| t.rate_nm_per_s().clone()))
+            };
+            Ok((side(STEP)? - side(-STEP)?) / (2.0 * STEP))
+        };
+        let wider = derivative(Scalar::TifWidth)?;
+        let elliptical = derivative(Scalar::TifEllipticity)?;
+        let rotated = derivative(Scalar::TifRotation)?;
+        let mut value = vec![[0.0; KERNELS]; (ny + 2) * (nx + 2)];
+        for r in 0..ny {
+            for c in 0..nx {
+                let (x, y) = (grid.x.at(c), grid.y.at(r));
+                // The tool moves, the place stays: the derivative is by minus the offset.
+                let along_x = tif.rate_at(x - half[0], y) - tif.rate_at(x + half[0], y);
+                let along_y = tif.rate_at(x, y - half[1]) - tif.rate_at(x, y + half[1]);
+                let at = &mut value[(r + 1) * (nx + 2) + c + 1];
+                at[AS_IT_IS] = tif.rate_nm_per_s()[[r, c]];
+                at[ALONG_X] = along_x / (2.0 * half[0]);
+                at[ALONG_Y] = along_y / (2.0 * half[1]);
+                at[WIDER] = wider[[r, c]];
+                at[ELLIPTICAL] = elliptical[[r, c]];
+                at[ROTATED] = rotated[[r, c]];
+            }
+        }
+        Ok(Self { grid, value })
+    }
+
+    /// All of them at the offset (place - tool), mm; none beyond the samples.
+    fn at(&self, x_mm: f64, y_mm: f64) -> Option<[f64; KERNELS]> {
+        let (x, y) = (&self.grid.x, &self.grid.y);
+        let node = |s: f64, n: usize| {
+            let (i, f) = keys::split(s);
+            (0..n as isize - 1).contains(&i).then(|| (i as usize, keys::weights(f)))
+        };
+        let (column, wx) = node((x_mm - x.start_mm()) / x.step_mm(), x.len())?;
+        let (row, wy) = node((y_mm - y.start_mm()) / y.step_mm(), y.len())?;
+        let mut sum = [0.0; KERNELS];
+        for (r, wy) in wy.iter().enumerate() {
+            let first = (row + r) * (x.len() + 2) + column;
+            for (sample, wx) in self.value[first..first + 4].iter().zip(&wx) {
+                let w = wx * wy;
+                sum.iter_mut().zip(sample).for_each(|(s, v)| *s += w * v);
+            }
+        }
+        Some(sum)
+    }
+}
+
+/// c_kj of a dwell point j for every error k, on a box of the cells: error by error, row by row.
+#[derive(Default)]
+struct Column {
+    rows: Range<usize>,
+    columns: Range<usize>,
+    value: Vec<f64>,
+}
+
+impl Column {
+    /// Index on the cells of each row's first value, and its values, of error k.
+    fn lines(&self, k: usize, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
+        let (size, width) = (self.rows.len() * self.columns.len(), self.columns.len().max(1));
+        let own = self.value.get(k * size..(k + 1) * size).unwrap_or(&[]);
+        let first = move |r: usize| (self.rows.start + r) * cells_per_row + self.columns.start;
+        own.chunks_exact(width).enumerate().map(move |(r, line)| (first(r), line))
+    }
+}
+
+/// A piece of the motion, for the noise of the rate.
+struct Carried {
+    point: usize,
+    /// 1 over the time of its dwell point, 1/s.
+    part: f64,
+    start_s: f64,
+    duration_s: f64,
+    /// What it removes at the rate of the plan.
+    field: Field,
+    /// Its inner products with the free terms.
+    free: Vec<f64>,
+}
+
+/// m and Q of one motion.
+pub struct Quadratic<'a> {
+    sources: &'a Sources,
+    /// m: what the fixed errors remove more, (ny, nx), nm; none where nothing is fixed.
+    pub bias_nm: Option<Array2<f64>>,
+    columns: Vec<Column>,
+    /// |P db/dx|^2 + |P db/dy|^2 of every dwell point, (nm/s/mm)^2.
+    place: Vec<f64>,
+    pieces: Vec<Carried>,
+    total_s: f64,
+}
+
+impl Quadratic<'_> {
+    /// Q t, nm^2/s: half the derivative of t'Q t.
+    pub fn product(&self, time_s: &[f64]) -> Vec<f64> {
+        let Sources { inner, scalars, place_mm2, rates, .. } = self.sources;
+        let mut product: Vec<f64> =
+            self.place.iter().zip(time_s).map(|(d, t)| place_mm2 * d * t).collect();
+        let per_row = inner.cells.shape.1;
+        let of_scalar = |(k, (_, variance)): (usize, &(Scalar, f64))| -> Vec<f64> {
+            // f = P sum_j t_j c_kj, and <c_kj, f>
+            let mut f = vec![0.0; inner.cells.weight.len()];
+            for (column, t) in self.columns.iter().zip(time_s) {
+                for (first, line) in column.lines(k, per_row) {
+                    let into = &mut f[first..first + line.len()];
+                    into.iter_mut().zip(line).for_each(|(f, c)| *f += t * c);
+                }
+            }
+            inner.project_on_cells(&mut f);
+            let each = f.iter_mut().zip(&inner.cells.weight);
+            each.for_each(|(f, w)| *f *= variance * w / inner.count);
+            let dot = |column: &Column| -> f64 {
+                let line = |(first, line): (usize, &[f64])| -> f64 {
+                    line.iter().zip(&f[first..]).map(|(c, f)| c * f).sum()
+                };
+                column.lines(k, per_row).map(line).sum()
+            };
+            self.columns.iter().map(dot).collect()
+        };
+        let of_rate = |(tau, variance): &(f64, f64)| -> Vec<f64> {
+            let mut sum = vec![0.0; time_s.len()];
+            for (piece, value) in self.pieces.iter().zip(self.correlated(*tau, time_s)) {
+                sum[piece.point] += variance * piece.part * value;
+            }
+            sum
+        };
+        let scalars: Vec<Vec<f64>> = scalars.par_iter().enumerate().map(of_scalar).collect();
+        let rates: Vec<Vec<f64>> = rates.par_iter().map(of_rate).collect();
+        for more in scalars.iter().chain(&rates) {
+            product.iter_mut().zip(more).for_each(|(p, m)| *p += m);
+        }
+        product
+    }
+
+    /// t'Q t, nm^2: what the errors that scatter add to the mean square on average.
+    pub fn variance_nm2(&self, time_s: &[f64]) -> f64 {
+        self.product(time_s).iter().zip(time_s).map(|(q, t)| q * t).sum()
+    }
+
+    /// sum_l C_kl x_l <P b_k, P b_l> of every piece k, x = t over the time of the plan.
+    fn correlated(&self, tau: f64, time_s: &[f64]) -> Vec<f64> {
+        let part = |p: &Carried| p.part * time_s[p.point];
+        let own = |p: &Carried| {
+            let mean = Mean::over(p.duration_s / tau);
+            mean.variance * part(p) * self.sources.square(&p.field)
+        };
+        let earlier = || {
+            let each = self.pieces.iter().map(|p| (p, p.start_s, part(p)));
+            self.carry(each, tau)
+        };
+        let later = || {
+            let begin = |p: &Carried| self.total_s - p.start_s - p.duration_s;
+            let each = self.pieces.iter().rev().map(|p| (p, begin(p), part(p)));
+            self.carry(each, tau)
+        };
+        let (earlier, later) = rayon::join(earlier, later);
+        let both = earlier.iter().zip(later.iter().rev());
+        self.pieces.iter().zip(both).map(|(p, (e, l))| own(p) + e + l).collect()
+    }
+
+    /// `a_k <P b_k, P s_k>` with `s_k = sum_l a_l x_l b_l exp(-gap / tau)` of the pieces before, each with the time at
+    /// which it begins and its x.
+    fn carry<'p>(
+        &self,
+        pieces: impl Iterator<Item = (&'p Carried, f64, f64)>,
+        tau: f64,
+    ) -> Vec<f64> {
+        let cells = &self.sources.inner.cells;
+        let count = self.sources.inner.count;
+        let (mut carried, mut until) =
+            (vec![0.0; cells.weight.len()], vec![0.0; cells.weight.len()]);
+        let (mut free, mut now) = (vec![0.0; cells.free.len()], 0.0);
+        pieces
+            .map(|(piece, begin, x)| {
+                let h = piece.duration_s;
+                let Mean { weight: a, .. } = Mean::over(h / tau);
+                let (end, decay) = (begin + h, (-h / tau).exp());
+                let mut sum = 0.0;
+                for (first, line) in piece.field.lines(cells.shape.1) {
+                    for (i, b) in (first..).zip(line) {
+                        let s = carried[i] * ((until[i] - begin) / tau).exp();
+                        sum += cells.weight[i] * b * s;
+                        carried[i] = s * decay + a * x * b;
+                        until[i] = end;
+                    }
+                }
+                sum /= count;
+                let gap = ((now - begin) / tau).exp();
+                for (s, q) in free.iter_mut().zip(&piece.free) {
+                    *s *= gap;
+                    sum -= q * *s;
+                    *s = *s * decay + a * x * q;
+                }
+                now = end;
+                a * sum
+            })
+            .collect()
+    }
+}
