@@ -133,6 +133,7 @@ pub fn feed_trade_off(
             rms_nm: rms.rms_nm,
             detilted_nm: rms.detilted_nm,
             merit_nm: rms.rms_nm,
+            expected_rms_nm: None,
             total_time_s: plan.trajectory.total_time_s(),
             stretched: 0,
             limits_respected: plan.refused.is_none(),
