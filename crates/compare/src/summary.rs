@@ -521,6 +521,7 @@ mod tests {
                 "slope_base_mm",
                 "reach",
                 "specification",
+                "process",
                 "ideal",
                 "methods",
                 "left_out",

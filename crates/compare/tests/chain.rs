@@ -531,8 +531,8 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
         }
         let numbers = lab.summary().to_string();
         // The two times that were not measured, the method `position`, the tool (it, and the part that it does not
-        // reach, before and after), three verdicts by a specification; slopes along y, before and after, and
-        // their base, which is as long as the map.
-        assert_eq!(numbers.matches("null").count(), 2 + 1 + 3 + 3 + 3, "{numbers}");
+        // reach, before and after), three verdicts by a specification, the process; slopes along y, before and
+        // after, and their base, which is as long as the map.
+        assert_eq!(numbers.matches("null").count(), 2 + 1 + 3 + 3 + 1 + 3, "{numbers}");
     }
 }
