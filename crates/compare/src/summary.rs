@@ -536,6 +536,7 @@ mod tests {
                 "reach",
                 "division",
                 "specification",
+                "process",
                 "ideal",
                 "methods",
                 "left_out",
