@@ -8,10 +8,7 @@ use planish_types::{Grid, Invalid, text::significant};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::report::{
-    map::{block_side, screen_map},
-    view::MAX_MAP_PIXELS,
-};
+use crate::report::map::{block_side, screen_map};
 
 /// What the process adds to one plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -125,14 +122,14 @@ impl Process {
         Ok(Self { method: method.into(), free, sentence, found, arrays })
     }
 
-    /// For the page: what the summary has, the distribution, and the map on the screen; the map is left out where no
-    /// pixel is valid.
-    pub fn for_page(&self) -> Value {
+    /// For the page: what the summary has, the distribution, and the map on the screen; the map of at most
+    /// `most_pixels` is left out where no pixel is valid.
+    pub fn for_page(&self, most_pixels: usize) -> Value {
         let ProcessArrays { part, rms_nm, deviation_nm, grid } = &self.arrays;
         let mut page = json!(self);
         page["distribution"] = json!({ "part": part, "rms_nm": rms_nm });
         if deviation_nm.iter().any(|v| !v.is_nan()) {
-            let every = block_side(grid, MAX_MAP_PIXELS);
+            let every = block_side(grid, most_pixels);
             page["deviation"] = json!(screen_map(deviation_nm.view(), grid, every));
         }
         page
@@ -214,7 +211,7 @@ mod tests {
         assert_eq!((&summary["name"], &summary["free"]), (&json!("beam"), &json!("plane")));
         assert_eq!(summary["errors"][1]["adds_rms_nm"], 0.12);
         assert!(summary.get("arrays").is_none() && summary["errors"][0].get("note").is_none());
-        let page = process.for_page();
+        let page = process.for_page(100);
         assert_eq!(page["distribution"]["rms_nm"], json!([0.1, 0.4]));
         assert_eq!(page["deviation"]["size"], json!([3, 3]));
     }
@@ -226,6 +223,6 @@ mod tests {
         let error = Process::new("pvt", &json!({}), &broken, arrays(0.1)).unwrap_err();
         assert!(error.to_string().contains("tolerance: has no usable outcome"), "{error}");
         let process = Process::new("pvt", &json!({}), &outcome(), arrays(f64::NAN)).unwrap();
-        assert!(process.for_page().get("deviation").is_none());
+        assert!(process.for_page(100).get("deviation").is_none());
     }
 }

@@ -14,7 +14,7 @@ pub mod pack;
 mod page;
 pub mod sparkline;
 pub mod spectrum;
-pub mod view;
+mod view;
 
 pub use page::page;
 pub use view::{Frames, Rounds, Run, RunMethod, View, views};

@@ -9,9 +9,9 @@ use super::{
     motion::{Dwell, QUANTITIES, Ranges},
     pack::{Rounding, base64, doubles, floats, pack, pack_between},
     spectrum::BAND_PERIOD_MM,
-    view::{FrameView, MethodView, View},
+    view::{FrameView, MAX_MAP_PIXELS, MethodView, View},
 };
-use crate::{answer::with_answer, process::Process};
+use crate::answer::with_answer;
 
 /// Skeleton and style of the page.
 const HTML: &str = include_str!("page.html");
@@ -109,7 +109,7 @@ fn run_json(view: &View) -> Value {
         "summary": with_answer(&view.summary),
         "desired": view.desired,
         "measured": view.measured,
-        "process": view.summary.process.as_ref().map(Process::for_page),
+        "process": view.summary.process.as_ref().map(|p| p.for_page(MAX_MAP_PIXELS)),
         "histogram": view.before.0,
         "spectrum": view.before.1,
         "methods": view.methods.iter().map(method_json).collect::<Vec<_>>(),
