@@ -30,6 +30,10 @@ pub const SHARPEST_TURN_RAD: f64 = 170.0 / 180.0 * PI;
 /// A turn below this is rounding of coordinates: the line goes on.
 const NO_TURN_RAD: f64 = 1e-9;
 
+/// Half of a corner is at least so long where there is room, mm, whatever its radius: the motion leaves shorter pieces
+/// out, and with them the turn.
+const LEAST_HALF_LENGTH_MM: f64 = 1e-2;
+
 /// Part of the deviation by which points may be moved; what is left is for the corners between them.
 const SMOOTHED_FRACTION: f64 = 0.75;
 
@@ -278,7 +282,8 @@ impl Blend {
         let by_deviation =
             if deviation > 0.0 { rounding.deviation_mm / deviation } else { f64::INFINITY };
         // r = L / phi
-        let half_length_mm = (room_mm / cut).min(by_deviation).min(rounding.radius_mm * turn_rad);
+        let by_radius = (rounding.radius_mm * turn_rad).max(LEAST_HALF_LENGTH_MM);
+        let half_length_mm = (room_mm / cut).min(by_deviation).min(by_radius);
         Self {
             cut_mm: cut * half_length_mm,
             half_length_mm,

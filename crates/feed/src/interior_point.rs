@@ -245,7 +245,7 @@ pub fn solve(
     let first = Progress { iteration: 0, complementarity: f64::INFINITY };
     let (f, mut settled) = objective(first, &start.density);
     let mut at = Iterate::new(program, start, f);
-    let mut best: Option<Executable> = None;
+    let (mut best, mut best_is_settled): (Option<Executable>, bool) = (None, false);
     // Of f alone, made when the certificate asks for it.
     let mut of_curvature: Option<Inverse<'_>> = None;
     let (mut values, mut iteration) = (Vec::new(), 0);
@@ -268,10 +268,13 @@ pub fn solve(
         if at.kept.is_none() {
             values.push(executable.value);
         }
-        if !settled || best.as_ref().is_none_or(|b| executable.value <= b.value) {
-            best = Some(executable);
+        let optimal = settled && relative_gap <= stop.relative_gap;
+        // Values at a price that is still being found cannot be compared.
+        let comparable = settled && best_is_settled && !optimal;
+        if !comparable || best.as_ref().is_none_or(|b| executable.value <= b.value) {
+            (best, best_is_settled) = (Some(executable), settled);
         }
-        if settled && relative_gap <= stop.relative_gap {
+        if optimal {
             break End::Optimal;
         }
         if iteration >= stop.max_iterations {

@@ -162,6 +162,22 @@ fn a_freer_problem_is_never_worse() {
 }
 
 #[test]
+fn turns_too_small_to_see_are_executed_without_a_step() {
+    // Along x, with turns to and fro from 1e-10 to 1e-2 rad.
+    let (mut points, mut y) = (vec![[-2.0, 5.0]], 5.0);
+    for k in 1..=18 {
+        let turn = 10f64.powf(-10.0 + 0.45 * f64::from(k));
+        y += if k % 2 == 0 { turn } else { -turn };
+        points.push([f64::from(k) - 2.0, y]);
+    }
+    let limits = machine(60.0, 300.0, None);
+    let plan = run(&through(points), &limits, &at_price(1e-3));
+    assert_eq!(plan.refused, None);
+    assert_eq!(plan.report.end, End::Optimal);
+    assert!(plan.report.relative_gap <= 1e-3, "{}", plan.report.relative_gap);
+}
+
+#[test]
 fn a_limit_on_jerk_is_kept_and_a_higher_one_is_never_worse() {
     let price = 1e-3;
     for path in [raster(), meander(), one_way()] {

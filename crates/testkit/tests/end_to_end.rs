@@ -199,12 +199,15 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     assert_eq!(
         keys(&summary),
         [
+            "answer",
             "pipeline",
             "fixture",
             "initial",
             "slope_base_mm",
             "reach",
+            "division",
             "specification",
+            "process",
             "ideal",
             "methods",
             "left_out",
