@@ -218,7 +218,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     assert_eq!([&summary["pipeline"], &summary["fixture"]], ["raster", "coupon"]);
     assert_eq!(
         keys(&summary["initial"]),
-        ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm"]
+        ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm", "zone_rms"]
     );
     assert_eq!(keys(&summary["ideal"]), ["rms_nm", "total_time_s"]);
     let methods = &summary["methods"];
@@ -238,9 +238,11 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "max_velocity_step_mm_per_s",
                 "max_acceleration_step_mm_per_s2",
                 "limits_respected",
+                "machine",
                 "schedule_wall_s",
                 "simulate_wall_s",
                 "execution",
+                "places",
                 "plan",
                 "specification",
                 "remarks",
