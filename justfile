@@ -235,9 +235,9 @@ surface-pictures: build
     surface tif --tif $tool --centre centroid --pitch-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
-# Print the table of docs/paths.md: every path on the reference mirror (PLANISH_REFERENCE)
-paths-table: build
-    @sh docs/paths/table.sh
+# Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
+paths-table machine="fixtures/machines/ion-beam.json": build
+    @sh docs/paths/table.sh {{ quote(machine) }}
 
 [private]
 python:

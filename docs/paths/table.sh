@@ -1,10 +1,12 @@
 #!/bin/sh
 # Every path on the reference mirror at about the published number of dwell points (2678), least
-# dwell time 0.1 s, unrefined and refined: the table of docs/paths.md. `just paths-table` runs it.
+# dwell time 0.1 s, unrefined and refined, and with motion and times as one problem: the tables of docs/paths.md and
+# docs/schedulers.md. `just paths-table [MACHINE]` runs it.
 set -e
+machine=$1
 : "${PLANISH_REFERENCE:?names the folder that holds nsls2-mirror/}"
 mirror=$PLANISH_REFERENCE/nsls2-mirror
-out=out/paths-table
+out=out/paths-table/$(basename "$machine" .json)
 mkdir -p "$out/map" "$out/tif"
 cp "$mirror/height_nm.npy" "$mirror/x_mm.npy" "$mirror/y_mm.npy" "$out/map/"
 cp "$mirror/tif_nm_per_s.npy" "$out/tif/rate_nm_per_s.npy"
@@ -14,7 +16,7 @@ cp "$mirror/tif_y_mm.npy" "$out/tif/y_mm.npy"
 # Name, pipeline and its settings; the paths share 5 mm of overscan.
 while read -r name pipeline settings; do
     eval "set -- $settings"
-    just run "$pipeline" surface="$out/map" tif="$out/tif" overscan_mm=5 refine=yes \
+    just run "$pipeline" surface="$out/map" tif="$out/tif" overscan_mm=5 plan_feed=yes machine="$machine" \
         out="$out/$name" "$@" >"$out/$name.log" 2>&1 </dev/null || { cat "$out/$name.log"; exit 1; }
 done <<PATHS
 raster raster
@@ -36,7 +38,7 @@ for name in raster raster-angle raster-one-direction raster-bi-step raster-rando
     points=$(jq .outcome.points "$out/$name/tool_path/manifest.json")
     jq -r --arg name "$name" --arg points "$points" '
         def shown($n): . * $n | round / $n;
-        .methods as $m | ("pvt", "pvt+refined") as $k | $m[$k] | "| \($name) | \($points) | \($k)"
+        .methods as $m | ("pvt", "pvt+refined", "feed") as $k | $m[$k] | "| \($name) | \($points) | \($k)"
         + " | \(.rms_nm | shown(1e4)) | \(.total_time_s | shown(10))"
         + " | \(.max_acceleration_mm_per_s2 | map(shown(1)) | join(", ")) |"
     ' "$out/$name/report/summary.json"

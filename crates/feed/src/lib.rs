@@ -11,15 +11,16 @@
 //! | [`mesh`] | its nodes: what they remove, and how the tool moves between them |
 //! | [`limits`] | what the machine allows of that motion |
 //! | [`merit`] | what is minimised: residual and price of time |
-//! | [`interior_point`] | the least objective under the rows, with its certificate |
+//! | [`interior_point`] | the least objective under the rows |
+//! | [`certificate`] | how far it is above the least, proven |
 //! | [`mod@motion`] | the cubic pieces in time |
 //! | [`jerk`] | its average in time, where the machine limits jerk |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
-mod certificate;
+pub mod certificate;
 pub mod curve;
 pub mod interior_point;
-mod jerk;
+pub mod jerk;
 pub mod limits;
 pub mod merit;
 pub mod mesh;
