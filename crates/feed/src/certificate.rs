@@ -37,9 +37,12 @@ pub fn by_alpha(r: &[f64], room: &[f64], alpha: f64) -> f64 {
 }
 
 /// An upper bound of `1/2 r' F^-1 r` by (3), for `r = f' - J' z - y`; `product` is F x, `precondition` nearly F^-1 x.
+///
+/// The first two terms of (3) are a lower bound, so the steps also end where it exceeds what is `of_use`.
 pub fn by_curvature(
     r: &[f64],
     alpha: f64,
+    of_use: f64,
     mut product: impl FnMut(&[f64]) -> Vec<f64>,
     precondition: impl Fn(&[f64]) -> Vec<f64>,
 ) -> f64 {
@@ -50,7 +53,7 @@ pub fn by_curvature(
     let mut towards = precondition(&e);
     let mut e_m_e = dot(&e, &towards);
     for _ in 0..MAX_STEPS {
-        if rest <= REST * known || e_m_e <= 0.0 {
+        if rest <= REST * known || 0.5 * known > of_use || e_m_e <= 0.0 {
             break;
         }
         let f_towards = product(&towards);
@@ -94,12 +97,20 @@ mod tests {
         // A preconditioner that is up to a third off, and none.
         let off = |k: usize| f(k) * (1.0 + 0.3 * (k as f64).sin());
         let near = |x: &[f64]| of_spectrum(|k| 1.0 / off(k), x);
-        let found = by_curvature(&r, ALPHA, |x| of_spectrum(f, x), near);
+        let found = by_curvature(&r, ALPHA, f64::INFINITY, |x| of_spectrum(f, x), near);
         // The steps end where the rest is a tenth; rounding through a condition number of 1e5.
         assert!(found >= exact * (1.0 - 1e-9) && found <= 1.11 * exact, "{found} {exact}");
-        let poor = by_curvature(&r, ALPHA, |x| of_spectrum(f, x), <[f64]>::to_vec);
+        let poor = by_curvature(&r, ALPHA, f64::INFINITY, |x| of_spectrum(f, x), <[f64]>::to_vec);
         assert!(poor >= exact * (1.0 - 1e-9), "{poor} {exact}");
         assert!(poor <= 0.5 * dot(&r, &r) / ALPHA);
+        // What cannot be of use is seen after a step or two, and is a bound all the same.
+        let mut steps = 0;
+        let product = |x: &[f64]| {
+            steps += 1;
+            of_spectrum(f, x)
+        };
+        let early = by_curvature(&r, ALPHA, 0.1 * exact, product, near);
+        assert!(early >= exact && steps <= 2, "{early} {exact} {steps}");
     }
 
     #[test]
@@ -111,7 +122,14 @@ mod tests {
             let bound = by_alpha(&[g], &[room], a);
             assert!(bound >= fall, "{bound} {fall}");
             let of_y = |y: f64| {
-                y * room + by_curvature(&[g - y], a, |x| vec![a * x[0]], |x| vec![x[0] / a])
+                y * room
+                    + by_curvature(
+                        &[g - y],
+                        a,
+                        f64::INFINITY,
+                        |x| vec![a * x[0]],
+                        |x| vec![x[0] / a],
+                    )
             };
             let best = (0..=400).map(|k| of_y(f64::from(k) * 1e-3)).fold(f64::INFINITY, f64::min);
             // Duality is strong: the best of the bounds is the fall, to the square of the step of y, 2.5e-7 / a.

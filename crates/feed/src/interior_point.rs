@@ -262,7 +262,8 @@ pub fn solve(
         if near && of_curvature.is_none() {
             of_curvature = Some(program.inverse(&row_of, program.chain, Vec::new())?);
         }
-        let gap = at.gap(of_curvature.as_ref().filter(|_| near), |to| objective(there, to).0);
+        let closely = of_curvature.as_ref().filter(|_| near);
+        let gap = at.gap(closely, stop.relative_gap, |to| objective(there, to).0);
         let executable = at.executable(gap);
         let relative_gap = executable.relative_gap;
         if at.kept.is_none() {
@@ -406,10 +407,11 @@ impl<'a> Iterate<'a> {
     }
 
     /// How far f is at most above its least value under the tangents, nm^2; with the inverse of its curvature
-    /// a closer bound is tried.
+    /// a closer bound is tried, as far as it matters for the relative gap that is wanted.
     fn gap(
         &self,
         inverse: Option<&Inverse<'_>>,
+        relative_gap: f64,
         mut objective: impl FnMut(&[f64]) -> Objective,
     ) -> f64 {
         let alpha = self.program.alpha;
@@ -420,9 +422,20 @@ impl<'a> Iterate<'a> {
         let simple = of_tangents + certificate::by_alpha(&r, &self.room, alpha);
         let Some(inverse) = inverse else { return simple };
         r.iter_mut().zip(&self.y).for_each(|(r, y)| *r -= y);
+        let products = of_tangents + dot(&self.room, &self.y);
+        // To prove that the iterate whose tangents they are is good enough, or that their program is solved.
+        let wanted = match &self.kept {
+            None => relative_gap * self.f.value,
+            Some(kept) => (relative_gap * kept.value - (kept.value - self.f.value))
+                .max(PROGRAM_SOLVED * relative_gap * self.f.value),
+        };
+        if products > wanted {
+            return simple;
+        }
+        let of_use = wanted - products;
         let product = |d: &[f64]| self.curvature(d, &mut objective);
-        let square = certificate::by_curvature(&r, alpha, product, |e| inverse.solve(e));
-        simple.min(of_tangents + dot(&self.room, &self.y) + square)
+        let square = certificate::by_curvature(&r, alpha, of_use, product, |e| inverse.solve(e));
+        simple.min(products + square)
     }
 
     /// The iterate whose rows the tangents are, and how far it is above their least value, with the `gap` from here.
