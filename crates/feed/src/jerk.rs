@@ -21,6 +21,7 @@
 //! less than all of A: with the fraction f of it, (4) is proportional to f^3. Averaging a motion in time to bound its jerk is
 //! common in controllers: S. Tajima and B. Sencer, Int. J. Mach. Tools Manuf. 112 (2017) 1, among others.
 
+use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder, budget};
 use rayon::prelude::*;
 
@@ -117,7 +118,7 @@ impl Average {
                 let ends_here = ends_s < h - least_s;
                 let to_s = if ends_here { ends_s.max(from_s) } else { h };
                 if to_s - from_s >= least_s {
-                    let part = cubic.map(|c| shifted(c, from_s));
+                    let part = cubic.map(|c| polynomial::shifted(&c, from_s));
                     builder.push(to_s - from_s, part, tool_on, dwell_index);
                     from_s = to_s;
                 }
@@ -203,15 +204,9 @@ fn of_b_spline([a, b, c, d]: [f64; 4], h: f64) -> [f64; 4] {
     ]
 }
 
-/// The same cubic from `u` on.
-fn shifted([a, b, c, d]: [f64; 4], u: f64) -> [f64; 4] {
-    [a + u * (b + u * (c + u * d)), b + u * (2.0 * c + u * 3.0 * d), c + 3.0 * u * d, d]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_numerics::polynomial;
     use planish_types::MachineFileAxis;
     use planish_verify::{VerifySettings, verify};
 

@@ -14,6 +14,17 @@ pub fn derivative(c: &[f64; 4]) -> [f64; 4] {
     [c[1], 2.0 * c[2], 3.0 * c[3], 0.0]
 }
 
+/// The same polynomial from `d` on, q(u) = p(u + d): `q_k = p^(k)(d) / k!`; itself to the last bit where d is zero.
+pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
+    if d == 0.0 {
+        return *p;
+    }
+    let v = derivative(p);
+    let a = derivative(&v);
+    let j = derivative(&a);
+    [evaluate(p, d), evaluate(&v, d), evaluate(&a, d) / 2.0, evaluate(&j, d) / 6.0]
+}
+
 /// Real roots of `a + b u + c u^2` in the open interval (0, `end`), ascending.
 ///
 /// Uses the citardauq pair `q = -(b + sign(b) sqrt(b^2 - 4ac)) / 2`, `u = q / c`, `u = a / q`,
@@ -109,6 +120,16 @@ pub fn monotone_crossing(c: &[f64; 4], level: f64, mut lo: f64, mut hi: f64) -> 
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn a_shifted_polynomial_is_the_same_motion() {
+        let p = [1.0, -2.0, 0.5, 0.25];
+        let q = shifted(&p, 1.75);
+        for u in [0.0, 0.5, 3.0] {
+            assert!((evaluate(&q, u) - evaluate(&p, u + 1.75)).abs() < 1e-13);
+        }
+        assert_eq!(shifted(&[0.1, 0.3, -0.7, 1.1], 0.0), [0.1, 0.3, -0.7, 1.1]);
+    }
 
     #[test]
     fn range_of_a_known_cubic() {

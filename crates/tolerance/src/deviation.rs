@@ -9,11 +9,11 @@
 //! there.
 
 use ndarray::Array2;
-use planish_numerics::polynomial::{derivative, evaluate, quadratic_roots};
+use planish_numerics::polynomial::{derivative, evaluate, quadratic_roots, shifted};
 use planish_types::{Grid, Invalid, Tif, Trajectory};
 
 use crate::{
-    motion::{Motion, Piece, shifted},
+    motion::{Motion, Piece},
     process::Scalar,
     servo::Servo,
 };

@@ -1,6 +1,6 @@
 //! The motion in pieces that are short enough to have one place and one rate.
 
-use planish_numerics::polynomial::{derivative, evaluate};
+use planish_numerics::polynomial::{derivative, evaluate, shifted};
 use planish_types::{Invalid, Segment, Trajectory, budget};
 
 /// Most parts of the run of equal time in which the rate may be taken as constant: the error of a linear
@@ -92,15 +92,4 @@ impl Motion {
 fn travel_mm(c: &[[f64; 4]; 2], duration_s: f64) -> f64 {
     let at = |k: i32| [0, 1].map(|a| evaluate(&c[a], duration_s * f64::from(k) / 8.0));
     (0..8).map(|k| (at(k), at(k + 1))).map(|(p, q)| (q[0] - p[0]).hypot(q[1] - p[1])).sum()
-}
-
-/// q(u) = p(u + d): q_k = p^(k)(d) / k!
-pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
-    if d == 0.0 {
-        return *p;
-    }
-    let v = derivative(p);
-    let a = derivative(&v);
-    let j = derivative(&a);
-    [evaluate(p, d), evaluate(&v, d), evaluate(&a, d) / 2.0, evaluate(&j, d) / 6.0]
 }

@@ -169,7 +169,7 @@ fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::shifted;
+    use planish_numerics::polynomial::shifted;
 
     /// A command that runs, brakes and turns, in three pieces.
     fn command() -> Vec<Piece> {
