@@ -20,7 +20,7 @@ draw() {
     cp "out/gallery/figures/$3/overview.png" "$pictures/$3.png"
 }
 
-made run raster raster plan_feed=yes
+made run raster raster
 made run raster-angle raster scan=30
 made run maze maze
 made run random-adaptive random-adaptive

@@ -121,6 +121,10 @@ NUMBERS = """0 -0 -1 1 2 0.5 nan inf -inf 1e-300 1e-9 1e-3 1e3 1e6 1e9 1e300 -1e
 # What flags take that count something.
 COUNTS = "0 1 2 3 7 20 100 10000 1000000 4294967295 18446744073709551615".split()
 
+# A flag that asks for so many whole simulations: 10 000 are half a minute of work that was asked for, and more are
+# refused.
+WORK = {"--simulated-runs": ("10000", "1000")}
+
 
 def main():
     # This program damages devices and pipes into its cases; it must not read one itself.
@@ -237,6 +241,8 @@ class Case:
                 at = words.index(flag)
                 del words[at:at + 1 + count]
             given = [self.random.choice(self.random.choice([NUMBERS, COUNTS])) for _ in range(count)]
+            if flag in WORK:
+                given = [WORK[flag][1] if value == WORK[flag][0] else value for value in given]
             # With `=` a value that starts with a hyphen is a value.
             words = [*words, f"{flag}={given[0]}"] if count == 1 else [*words, flag, *given]
         return words

@@ -119,14 +119,32 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
     let rivals = summary.methods.iter().filter(|(other, m)| other != name && m.is_candidate());
     let next = rivals.clone().min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm));
     let choice = match next {
-        Some((next, other)) => format!(
-            "{name}, because it leaves the least RMS of the {} plans that keep the limits; the next is {next} with \
-             {} nm in {}.",
-            rivals.count() + 1,
-            significant(other.rms_nm, DIGITS),
-            duration(other.total_time_s)
-        ),
         None => format!("{name}, because it is the only plan here that keeps the limits."),
+        Some((next, other)) => {
+            let plans = rivals.count() + 1;
+            let theirs = format!(
+                "{next} with {} nm in {}",
+                significant(other.rms_nm, DIGITS),
+                duration(other.total_time_s)
+            );
+            let keeps = |m: &Method| m.specification.as_ref().is_some_and(|judged| judged.passed);
+            if m.rms_nm <= other.rms_nm {
+                format!(
+                    "{name}, because it leaves the least RMS of the {plans} plans that keep the limits; the next is \
+                     {theirs}."
+                )
+            } else if keeps(m) && !keeps(other) {
+                format!("{name}, because it keeps the specification, which {theirs} does not.")
+            } else {
+                let more_percent = 100.0 * (m.rms_nm / other.rms_nm - 1.0);
+                format!(
+                    "{name}, because it takes {} and leaves {} % more than the least RMS of the {plans} plans that keep \
+                     the limits, {theirs}.",
+                    duration(m.total_time_s),
+                    significant(more_percent, 2)
+                )
+            }
+        }
     };
     format!("{choice} Its plan is {}: {}.{}", m.plan.word, m.plan.text, exceeding(summary))
 }

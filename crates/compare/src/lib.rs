@@ -12,6 +12,7 @@
 //! * [`process`]: what the errors of a process add to a plan.
 //! * [`reach`]: what of a residual no dwell time can change.
 //! * [`places`]: where something remains, and where the time goes.
+//! * [`recommended`]: which plan is to be executed;
 //! * [`specification`]: what the runs keep of a specification.
 //! * [`diff`]: how far two arrays are apart.
 
@@ -24,6 +25,7 @@ pub mod places;
 pub mod plan;
 pub mod process;
 pub mod reach;
+pub mod recommended;
 pub mod report;
 pub mod specification;
 pub mod summary;

@@ -28,6 +28,7 @@ use crate::{
     plan::{IDEAL, PROGRAM, Plan, State},
     process::Process,
     reach::{Reach, ReachReport},
+    recommended::recommended,
     specification::{Around, Judged},
 };
 
@@ -333,12 +334,7 @@ impl Summary {
             .find(|(name, _)| name == IDEAL)
             .map(|(_, m)| Ideal { rms_nm: m.rms_nm, total_time_s: m.total_time_s });
         let statistics = desired.statistics();
-        // The smallest RMS among those that keep the limits; the first of equals.
-        let best = methods
-            .iter()
-            .filter(|(_, m)| m.is_candidate())
-            .min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm))
-            .map(|(name, _)| name.clone());
+        let best = recommended(&methods).map(|(name, _)| name.clone());
         Self {
             pipeline: pipeline.into(),
             fixture: fixture.into(),
@@ -602,6 +598,29 @@ mod tests {
         let summary = summary_of(methods);
         assert_eq!(summary.best.as_deref(), Some("constant-acceleration"));
         assert!(summary.reserves().is_empty());
+        // Time counts among plans within 5 % of the least RMS: 2 % of RMS are 4 % of its square, which 8 % of time are
+        // worth; beyond 5 % it does not count, however short it is.
+        let timed = |rms_nm, total_time_s| Method { total_time_s, ..with(rms_nm, true) };
+        for (rms_nm, total_time_s, expected) in
+            [(0.204, 91.0, "feed"), (0.204, 94.0, "pvt"), (0.211, 1.0, "pvt"), (0.2, 99.0, "feed")]
+        {
+            let other = ("feed".to_string(), timed(rms_nm, total_time_s));
+            let summary = summary_of(vec![("pvt".to_string(), timed(0.2, 100.0)), other]);
+            assert_eq!(summary.best.as_deref(), Some(expected), "{rms_nm} {total_time_s}");
+        }
+        // A plan that keeps the specification comes before one that leaves less.
+        let judged = |passed| Judged { name: "strict".into(), passed, limits: vec![] };
+        let specified =
+            |rms_nm, passed| Method { specification: Some(judged(passed)), ..with(rms_nm, true) };
+        let of = |first, second| {
+            let methods = [("pvt", 0.1, first), ("feed", 0.2, second)];
+            let of = |(name, rms_nm, passed): (&str, f64, bool)| {
+                (name.to_string(), specified(rms_nm, passed))
+            };
+            summary_of(methods.map(of).to_vec()).best
+        };
+        assert_eq!(of(false, true).as_deref(), Some("feed"));
+        assert_eq!(of(false, false).as_deref(), Some("pvt"));
         let none = summary_of(vec![("pvt".into(), with(0.1, false))]);
         assert_eq!((none.best.as_deref(), none.reserves().len()), (None, 1));
         // The ideal of a path on which it happens to keep the limits is still no plan.

@@ -68,7 +68,7 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     text += &align(&rows, if named { 2 } else { 1 });
     text.push('\n');
     if runs.iter().any(|(_, summary)| summary.best.is_some()) {
-        text += "* smallest RMS among the methods that keep the limits of the machine\n";
+        text += "* recommended: within 5 % of the smallest RMS of those that keep the limits, and its time is worth it\n";
     } else {
         text += "no method keeps the limits of the machine\n";
     }
@@ -373,7 +373,7 @@ mod tests {
             certified 0.123 - \
             pvt 0.2000 0.1000 0.1500 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 yes \
             certified 0.123 - * \
-            * smallest RMS among the methods that keep the limits of the machine \
+            * recommended: within 5 % of the smallest RMS of those that keep the limits, and its time is worth it \
             position, pvt: certified: near";
         let found = table(&summary());
         let words = |t: &str| t.split_whitespace().map(String::from).collect::<Vec<_>>();

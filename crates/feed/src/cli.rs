@@ -42,7 +42,8 @@ pub struct Feed {
     /// Largest radius to which corners are rounded, mm [default: the TIF's width]
     #[arg(long, value_name = "R")]
     corner_radius_mm: Option<f64>,
-    /// Largest distance of the nodes of the density, mm [default: 0.6 of the TIF's width]
+    /// Largest distance of the nodes of the density, mm [default: 0.6 of the TIF's width, and more where
+    /// so many would take minutes]
     #[arg(long, value_name = "L")]
     node_spacing_mm: Option<f64>,
     /// End where the objective is proven to be within this fraction of the least one
@@ -115,6 +116,13 @@ impl Feed {
         });
         output.write(&plan.dwell, outcome.clone(), &status)?;
         output.write(&plan.trajectory, outcome, &status)?;
+        if let Some(widened) = r.widened {
+            say(format!(
+                "feed: nodes {:.3} mm apart in the place of {:.3}, because the solver would take minutes with as many; \
+                 closer ones (--node-spacing-mm) leave less",
+                widened.to_mm, widened.from_mm
+            ));
+        }
         say(format!(
             "feed: {} after {} steps, proven within {:.1e} of the least objective; {:.4} nm in {:.2} s at {:.3e} \
              nm^2/s; {} nodes, points moved by at most {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",

@@ -30,6 +30,9 @@ pub const SHARPEST_TURN_RAD: f64 = 170.0 / 180.0 * PI;
 /// A turn below this is rounding of coordinates: the line goes on.
 const NO_TURN_RAD: f64 = 1e-9;
 
+/// A shorter segment has no direction: no machine resolves a picometre, and its curvature would be beyond numbers.
+const LEAST_SEGMENT_MM: f64 = 1e-9;
+
 /// Half of a corner is at least so long where there is room, mm, whatever its radius: the motion leaves shorter pieces
 /// out, and with them the turn.
 const LEAST_HALF_LENGTH_MM: f64 = 1e-2;
@@ -233,14 +236,14 @@ impl Chord {
     }
 }
 
-/// The straight lines between points (segments + 1); segments without length are left out.
+/// The straight lines between points (segments + 1); segments shorter than a picometre are left out.
 fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     let mut chords: Vec<Chord> = Vec::new();
     for (segment, tool_on) in tool_on.iter().copied().enumerate() {
         let (from, to) = (point_mm[segment], point_mm[segment + 1]);
         let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
         let length = dx.hypot(dy);
-        if length == 0.0 {
+        if length < LEAST_SEGMENT_MM {
             continue;
         }
         let tangent = [dx / length, dy / length];
@@ -292,7 +295,7 @@ impl Blend {
     }
 }
 
-/// The curves of a path, each from rest to rest; segments without length are left out.
+/// The curves of a path, each from rest to rest; segments shorter than a picometre are left out.
 ///
 /// Along the path itself, or through points that are moved a little if that leaves less bend: the machine's least time
 /// in its bends is proportional to the integral of the square root of the curvature.
@@ -487,6 +490,17 @@ mod tests {
     }
 
     const WIDE: Rounding = Rounding { deviation_mm: 10.0, radius_mm: 100.0 };
+
+    #[test]
+    fn points_that_no_machine_tells_apart_are_one() {
+        let points = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0]];
+        let twice = [[0.0, 0.0], [3.0, 0.0], [3.0 + 1e-12, 3e-319], [3.0, 2.0]];
+        let length_mm = |points| rounded(points, &WIDE)[0].length_mm();
+        assert!((length_mm(&points) / length_mm(&twice) - 1.0).abs() < 1e-11);
+        // All of a path, as bytes in the wrong order give it.
+        let tiny: Vec<[f64; 2]> = (0..9).map(|i| [3e-319 * f64::from(i % 2), 9.5e-322]).collect();
+        assert!(curves(&path(&tiny), &WIDE).curves.is_empty());
+    }
 
     #[test]
     fn pieces_join_in_position_and_heading_and_curvature() {

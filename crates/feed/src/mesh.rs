@@ -16,7 +16,7 @@
 //! `s = l u^2` the removal is an integral over u of constant weight.
 
 use planish_numerics::quadrature::gauss_legendre;
-use planish_types::{Invalid, ToolPath, budget};
+use planish_types::{Axis, Invalid, Tif, ToolPath, budget};
 
 use crate::curve::Curve;
 
@@ -305,6 +305,30 @@ impl Mesh {
         columns
     }
 
+    /// Multiplications of one factorisation of the normal matrix: the sum of b^2, where b of the nodes before a node
+    /// are within reach of a TIF of it, in the order along that axis in which the sum is less.
+    pub fn work(&self, tif: &Tif) -> f64 {
+        let columns = self.columns();
+        let along = |axis: usize, own: &Axis| -> f64 {
+            let reach_mm = own.end_mm() - own.start_mm();
+            let place = |points: &Vec<(usize, f64)>| {
+                let sum: f64 = points.iter().map(|(i, _)| self.points_mm[*i][axis]).sum();
+                sum / points.len() as f64
+            };
+            let mut places: Vec<f64> =
+                columns.iter().filter(|points| !points.is_empty()).map(place).collect();
+            places.sort_by(f64::total_cmp);
+            let mut first = 0;
+            let mut sum = 0.0;
+            for (i, place) in places.iter().enumerate() {
+                first += places[first..].iter().take_while(|p| **p < place - reach_mm).count();
+                sum += ((i - first) as f64).powi(2);
+            }
+            sum
+        };
+        along(0, &tif.grid().x).min(along(1, &tif.grid().y))
+    }
+
     /// Length of the path for which every node stands: the derivatives of the total time (nodes), mm.
     pub fn lengths_mm(&self) -> Vec<f64> {
         let mut lengths = vec![0.0; self.nodes];
@@ -371,7 +395,7 @@ mod tests {
     use crate::curve::{Rounding, curves};
     use ndarray::Array2;
     use planish_dwell::residual::{Free, Residual};
-    use planish_types::{Axis, Grid, Surface, Tif};
+    use planish_types::{Grid, Surface};
 
     #[test]
     fn the_motion_of_a_span_has_its_times_and_feeds_and_derivatives() {

@@ -44,6 +44,17 @@ const MAX_CORRECTIONS: usize = 3;
 /// Least spacing over the width of the TIF; what is smaller is a mistake in the units.
 const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 
+/// Multiplications of one factorisation of the solver from which on the nodes are set further apart, where the user
+/// does not say how far they are: some 30 of them are a plan.
+const MOST_WORK: f64 = 5e10;
+
+/// By what the spacing grows until the work is affordable.
+const WIDENED_BY: f64 = 1.1;
+
+/// Largest spacing over the width of the TIF that is taken for the sake of the work: with a wider one the density
+/// could no longer follow what the TIF removes.
+const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
+
 /// By what the first densities are above every bound.
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
@@ -118,6 +129,9 @@ pub struct Report {
     pub nodes: usize,
     /// Largest distance of neighbouring nodes, mm.
     pub node_spacing_mm: f64,
+    /// Where the nodes are further apart than they are elsewhere by default, because the solver would take too long.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub widened: Option<Widened>,
     /// Price of a second, nm^2/s.
     pub price_nm2_per_s: f64,
     /// How the solver ended: `optimal` or `iteration-limit`.
@@ -137,6 +151,15 @@ pub struct Report {
     pub average: Option<Averaged>,
     /// Rounds of the solver, with corners asked for less in all but the first.
     pub rounds: usize,
+}
+
+/// Spacing of the nodes where the default would take too long.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Widened {
+    /// By default, mm.
+    pub from_mm: f64,
+    /// Here, mm.
+    pub to_mm: f64,
 }
 
 /// Of a motion that keeps a limit on jerk.
@@ -202,7 +225,16 @@ pub fn plan(
         let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
         return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
     }
-    let mesh = Mesh::new(&curves, path, spacing_mm)?;
+    let (mesh, widened) = match settings.node_spacing_mm {
+        Some(_) => (Mesh::new(&curves, path, spacing_mm)?, None),
+        None => {
+            let widest_mm = WIDEST_SPACING_OVER_TIF_WIDTH * tif_width_mm;
+            let (mesh, taken_mm) =
+                affordable(&curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
+            let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
+            (mesh, (taken_mm > spacing_mm).then_some(widened))
+        }
+    };
     let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
     let case = Case { desired, tif, path, curves: &curves, mesh: &mesh, limits, average };
     let mut best = case.executed(desired, &simulation, settings)?;
@@ -233,6 +265,7 @@ pub fn plan(
         length_mm: curves.iter().map(Curve::length_mm).sum(),
         nodes: mesh.nodes,
         node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
+        widened,
         price_nm2_per_s: price,
         end: solution.end,
         relative_gap: solution.relative_gap,
@@ -332,6 +365,24 @@ fn scales(tif_width_mm: f64, settings: &Settings) -> Result<(Rounding, f64), Inv
         radius_mm: of(settings.corner_radius_mm, RADIUS_OVER_TIF_WIDTH),
     };
     Ok((rounding, spacing_mm))
+}
+
+/// Nodes that are `spacing_mm[0]` apart, or further, up to `spacing_mm[1]`, where the solver would need more than
+/// `most_work` multiplications for a factorisation; and how far they are.
+fn affordable(
+    curves: &[Curve],
+    path: &ToolPath,
+    tif: &Tif,
+    [mut spacing_mm, widest_mm]: [f64; 2],
+    most_work: f64,
+) -> Result<(Mesh, f64), Invalid> {
+    loop {
+        let mesh = Mesh::new(curves, path, spacing_mm)?;
+        if spacing_mm >= widest_mm || mesh.work(tif) <= most_work {
+            return Ok((mesh, spacing_mm));
+        }
+        spacing_mm = (WIDENED_BY * spacing_mm).min(widest_mm);
+    }
 }
 
 /// The densities, and the motion that they are.
@@ -434,4 +485,40 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array2;
+    use planish_types::{Axis, Grid};
+
+    #[test]
+    fn nodes_are_further_apart_where_as_many_would_take_too_long() {
+        let own = Axis::new(-2.0, 0.5, 9).unwrap();
+        let tif = Tif::new(Grid { x: own, y: own }, Array2::ones((9, 9))).unwrap();
+        // Ten lines of 30 mm, 1 mm apart.
+        let ends = (0..10).flat_map(|i| {
+            let (y, there) = (f64::from(i), [0.0, 30.0]);
+            let [from, to] = if i % 2 == 0 { there } else { [there[1], there[0]] };
+            [[from, y], [to, y]]
+        });
+        let points: Vec<[f64; 2]> = ends.collect();
+        let path = ToolPath::through(points, vec![true; 19], vec![0; 19]).unwrap();
+        let rounding = Rounding { deviation_mm: 0.1, radius_mm: 0.3 };
+        let curves = curve::curves(&path, &rounding).curves;
+        let work = |spacing_mm: f64| Mesh::new(&curves, &path, spacing_mm).unwrap().work(&tif);
+        // Along x ten lines of nodes are within 4 mm of each other, along y five with 30 mm each: the former is less,
+        // and it is the cube of the density of the nodes but for those of the corners.
+        let nodes = Mesh::new(&curves, &path, 0.25).unwrap().nodes as f64;
+        let expected = nodes * (nodes * 4.0 / 30.0).powi(2);
+        assert!((work(0.25) / expected - 1.0).abs() < 0.15, "{} {expected}", work(0.25));
+        let taken =
+            |most_work: f64| affordable(&curves, &path, &tif, [0.25, 0.8], most_work).unwrap();
+        assert_eq!(taken(work(0.25)).1, 0.25);
+        let (mesh, spacing_mm) = taken(work(0.25) / 8.0);
+        assert!((0.4..0.75).contains(&spacing_mm), "{spacing_mm}");
+        assert!(mesh.work(&tif) <= work(0.25) / 8.0);
+        assert_eq!(taken(1.0).1, 0.8);
+    }
 }

@@ -178,6 +178,8 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
     let spectra = piece.spectra();
     let mut notes = piece.notes.clone();
     notes.extend(notes_on_slopes(base_mm, &slope_x, slope_y.as_ref()));
+    let after = after_shapes(subject, settings);
+    notes.extend(note_on_ellipse(&after));
     if let Some(s) = strehl.filter(|s| s.phase_rms_rad > LARGEST_PHASE_RAD) {
         notes.push(format!(
             "the phase of {} rad RMS is beyond Marechal's formula, which is for less than 1 rad",
@@ -212,7 +214,7 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
         },
         slope_x,
         slope_y: slope_y.and_then(Result::ok),
-        after: after_shapes(subject, settings),
+        after,
         bands,
         centre_line,
         autocorrelation_length_x_mm: length(Direction::X),
@@ -254,6 +256,22 @@ fn notes_on_slopes(
         notes.push(format!("no slopes along y: {}", e.problem));
     }
     notes
+}
+
+/// A remark on an ellipse that leaves more than a plane, as values of the opposite sign do.
+fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
+    let rms_nm =
+        |shape: Shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm);
+    let (plane, ellipse) = (rms_nm(Shape::Plane)?, rms_nm(Shape::Ellipse)?);
+    (ellipse > plane).then(|| {
+        format!(
+            "the ellipse leaves more than a plane ({} against {} nm RMS): a mirror that focuses is concave, its slope \
+             rises with the position; are the values of the opposite sign, of another unit, or without the ellipse \
+             already?",
+            significant(ellipse, 4),
+            significant(plane, 4)
+        )
+    })
 }
 
 /// What remains after each shape; shapes that the points do not determine are left out.

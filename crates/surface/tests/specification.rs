@@ -355,8 +355,12 @@ fn an_elliptical_mirror_with_an_error_of_known_slope_is_judged_by_that_error() {
     let design = Ellipse::new(30_000.0, 400.0, 3e-3).unwrap();
     let x: Vec<f64> = (0..401).map(|i| -100.0 + 0.5 * f64::from(i)).collect();
     let error = |x: f64| 2.0 * PI / 20.0 * (2.0 * PI * x / 20.0).cos();
-    let slopes = x.iter().map(|x| 1e9 * design.slope(*x) + 1e3 * error(*x) + 700.0).collect();
-    let subject = Subject::Profile(Profile::new(x, Values::SlopeNrad(slopes)).unwrap());
+    let slopes: Vec<f64> =
+        x.iter().map(|x| 1e9 * design.slope(*x) + 1e3 * error(*x) + 700.0).collect();
+    let turned = slopes.iter().map(|s| -s).collect();
+    let profile =
+        |slopes| Subject::Profile(Profile::new(x.clone(), Values::SlopeNrad(slopes)).unwrap());
+    let (subject, turned) = (profile(slopes), profile(turned));
     let want = 1e3 * 2.0 * PI / 20.0 / 2.0_f64.sqrt();
     let free = vec![EllipseParameter::P, EllipseParameter::Q, EllipseParameter::Theta];
     for (free, fraction) in [(vec![], 2e-3), (free, 0.02)] {
@@ -367,6 +371,11 @@ fn an_elliptical_mirror_with_an_error_of_known_slope_is_judged_by_that_error() {
         assert!((found.slope_x.rms_nrad / want - 1.0).abs() < fraction, "{found:?}");
         assert!((found.height.rms_nm * 2.0_f64.sqrt() - 1.0).abs() < 0.02, "{:?}", found.height);
         assert_eq!(found.after.last().unwrap().shape.shape, Shape::Ellipse);
+        // Instruments differ in the sign of a slope: the other one is no better without the ellipse than with it.
+        let says_so = |found: &Quality| found.notes.iter().any(|n| n.contains("opposite sign"));
+        assert!(!says_so(&found), "{:?}", found.notes);
+        let other = quality(&turned, &settings).unwrap();
+        assert!(says_so(&other), "{:?} {:?}", other.notes, other.after);
     }
 }
 

@@ -333,6 +333,14 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
     ended_with(&run(dir.path(), &refined), 0);
     let dwell = dir.path().join("o/methods/pvt+refined/dwell/dwell_s.npy");
     let kept = fs::read(&dwell).unwrap();
+    // Motion and times as one problem are what is to be run; a program is written of the times of the closed loop.
+    let summary = fs::read(dir.path().join("o/report/summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
+    assert_eq!(summary["best"], "feed", "{}", summary["answer"]);
+    let program = ["run", "raster", "fixture=coupon", "frames=0", "export=galil", "out=g"];
+    let text = ended_with(&run(dir.path(), &program), 0);
+    assert!(text.contains("--plan='methods/pvt+refined+galil'"), "{text}");
+    assert!(!dir.path().join("g/methods/feed").exists());
     ended_with(&run(dir.path(), &[&refined[..], &["refine=no"]].concat()), 0);
     assert_eq!(fs::read(&dwell).unwrap(), kept);
     let text = ended_with(&run(dir.path(), &[&own[..], &["out=o"]].concat()), 2);

@@ -29,7 +29,7 @@ pub struct Figures {
     /// Resolution of a PNG [default: 300, 2126 pixels a line]
     #[arg(long, value_name = "PIXELS_PER_INCH")]
     dpi: Option<f64>,
-    /// Method that is drawn [default: the plan that is to be run, that of the least RMS within the limits]
+    /// Method that is drawn [default: the plan that is recommended]
     #[arg(long, value_name = "NAME")]
     method: Option<String>,
     #[command(flatten)]
