@@ -28,7 +28,7 @@ use crate::{
     plan::{IDEAL, PROGRAM, Plan, State},
     process::Process,
     reach::{Reach, ReachReport},
-    recommended::recommended,
+    recommended::{Candidate, recommended},
     specification::{Around, Judged},
 };
 
@@ -223,6 +223,15 @@ impl Method {
         self.limits_respected && self.plan.state != State::Ideal
     }
 
+    fn candidate(&self) -> Candidate {
+        let judged = self.specification.as_ref();
+        Candidate {
+            rms_nm: self.rms_nm,
+            total_time_s: self.total_time_s,
+            keeps_specification: judged.is_none_or(|judged| judged.passed),
+        }
+    }
+
     /// The numbers of one method; refuses a removal of another surface, a verdict on another
     /// trajectory and dwell times of another path.
     pub fn new(
@@ -334,7 +343,12 @@ impl Summary {
             .find(|(name, _)| name == IDEAL)
             .map(|(_, m)| Ideal { rms_nm: m.rms_nm, total_time_s: m.total_time_s });
         let statistics = desired.statistics();
-        let best = recommended(&methods).map(|(name, _)| name.clone());
+        let candidates: Vec<(&str, Candidate)> = methods
+            .iter()
+            .filter(|(_, m)| m.is_candidate())
+            .map(|(name, m)| (name.as_str(), m.candidate()))
+            .collect();
+        let best = recommended(&candidates).map(String::from);
         Self {
             pipeline: pipeline.into(),
             fixture: fixture.into(),

@@ -418,7 +418,7 @@ fn a_prediction_that_does_not_keep_the_specification_ends_the_run_with_1() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
-    // The coupon has 52 nm PV; what remains of it has 3 nm.
+    // The coupon has 52 nm PV; what remains of it has 1 nm.
     for (nm, code) in [(10.0, 0), (0.1, 1)] {
         let limits = format!(
             r#"{{ "name": "flat", "limits": [ {{ "quantity": "height_pv", "at_most_nm": {nm} }} ] }}"#
@@ -428,7 +428,7 @@ fn a_prediction_that_does_not_keep_the_specification_ends_the_run_with_1() {
         let said = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), code);
         assert!(said.contains("PV height after plane (nm)"), "{said}");
         assert_eq!(
-            said.contains("out/specified/pvt/specification (planish-surface): 1 of 1"),
+            said.contains("out/specified/feed/specification (planish-surface): 1 of 1"),
             code == 1
         );
         let before = manifest(&dir.path().join("out/specified/before/specification"));
