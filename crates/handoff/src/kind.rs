@@ -51,6 +51,9 @@ pub struct ArrayDef {
     pub nan_allowed: bool,
     /// Value that stands for a missing file in a directory without a manifest.
     pub default: Option<u8>,
+    /// Version of the kind in which the array came, where an artifact may lack it: one that does has the
+    /// version before, and `default` stands for it.
+    pub optional_since: Option<u32>,
     /// One sentence.
     pub doc: &'static str,
 }
@@ -73,6 +76,13 @@ pub struct Kind {
 }
 
 impl Kind {
+    /// The version of a layout with the first `arrays` arrays: optional ones may be absent at the end.
+    pub(crate) fn version_of(&self, arrays: usize) -> u32 {
+        let lacking = &self.arrays[arrays..];
+        let oldest = lacking.iter().map(|a| a.optional_since.expect("only optional ones may be absent"));
+        oldest.min().map_or(self.version, |since| since - 1)
+    }
+
     /// Names of all files that a directory of this kind may hold.
     pub(crate) fn file_names(&self) -> impl Iterator<Item = String> {
         let arrays = self.arrays.iter().map(|a| format!("{}.npy", a.name));
@@ -95,7 +105,8 @@ const fn array(
     unit: &'static str,
     doc: &'static str,
 ) -> ArrayDef {
-    ArrayDef { name, dtype, shape, axes, unit, nan_allowed: false, default: None, doc }
+    let (nan_allowed, default, optional_since) = (false, None, None);
+    ArrayDef { name, dtype, shape, axes, unit, nan_allowed, default, optional_since, doc }
 }
 
 const fn or_nan(def: ArrayDef) -> ArrayDef {
@@ -104,6 +115,10 @@ const fn or_nan(def: ArrayDef) -> ArrayDef {
 
 const fn or_default(def: ArrayDef, value: u8) -> ArrayDef {
     ArrayDef { default: Some(value), ..def }
+}
+
+const fn optional(def: ArrayDef, value: u8, since: u32) -> ArrayDef {
+    ArrayDef { default: Some(value), optional_since: Some(since), ..def }
 }
 
 const X: ArrayDef = array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Pixel centres along x.");
@@ -253,7 +268,7 @@ pub const DWELL_DENSITY: Kind = Kind {
 /// Motion.
 pub const TRAJECTORY: Kind = Kind {
     name: "trajectory",
-    version: 1,
+    version: 2,
     doc: "A motion: k cubic polynomials per axis in segment-local time, p(u) = c0 + c1 u + c2 u^2 + c3 u^3, u = t - break_time_s[i].",
     frame: PATH_FRAME,
     arrays: &[
@@ -291,6 +306,18 @@ pub const TRAJECTORY: Kind = Kind {
             &["segment"],
             "1",
             "Dwell point that the segment serves; -1 when none.",
+        ),
+        optional(
+            array(
+                "rate_factor",
+                Dtype::F64,
+                &["k"],
+                &["segment"],
+                "1",
+                "Removal rate of the tool relative to its TIF, from a log with the beam current; >= 0.",
+            ),
+            1,
+            2,
         ),
     ],
     files: &[],

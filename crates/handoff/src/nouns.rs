@@ -146,14 +146,16 @@ impl Artifact for Trajectory {
     fn to_arrays(&self) -> Vec<ArrayData> {
         let coefficients = self.coefficient_mm();
         let c = Array3::from_shape_fn((self.len(), 2, 4), |(i, a, o)| coefficients[i][a][o]);
-        vec![
+        let mut arrays = vec![
             floats(self.break_time_s()),
             ArrayData::F64(c.into_dyn()),
             flags(self.tool_on()),
             integers(
                 &self.dwell_index().iter().copied().map(stored_dwell_index).collect::<Vec<_>>(),
             ),
-        ]
+        ];
+        arrays.extend(self.rate_factor().map(floats));
+        arrays
     }
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
@@ -164,7 +166,8 @@ impl Artifact for Trajectory {
             (0..c.shape()[0]).map(segment).collect(),
             arrays.take_bool("tool_on"),
             dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
-        )
+        )?
+        .with_rate_factor(take_vec(arrays.take_f64("rate_factor")))
     }
 }
 

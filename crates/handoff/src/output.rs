@@ -317,7 +317,7 @@ impl Writer {
             |(name, bytes): &(&str, Vec<u8>)| (name.to_string(), blake3::hash(bytes).to_string());
         let manifest = Manifest {
             kind: kind.name.into(),
-            version: kind.version,
+            version: kind.version_of(arrays.len()),
             frame: kind.frame.into(),
             outcome: with_status(outcome, status),
             arrays: records,

@@ -32,7 +32,7 @@ pub use aperture::ClearAperture;
 pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
-pub use grid::{Axis, Grid};
+pub use grid::{Axis, Grid, is_plausible_mm};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::Tif;
