@@ -15,14 +15,26 @@
 //! dz/ds = -g,    dz/dtheta = g_x d_y - g_y d_x
 //! ```
 //!
-//! b between its pixels is Keys' cubic convolution. Noise of maps is correlated (air, camera, interpolation), so
-//! the standard errors are not from the number of pixels: with the sums of the scores J'r over blocks of the
-//! map, C = N^-1 (sum over blocks of (J'r)(J'r)') N^-1 (the sandwich of H. White, Econometrica 48 (1980) 817, by
+//! b between its pixels is Keys' cubic convolution. It smooths the noise of b, most in the middle between pixels,
+//! so that least squares are drawn there, by tenths of a pixel where the noise is a tenth of the features. The
+//! equations are therefore not those of least squares but have the gradient h of z in the place of g (an
+//! instrumental variable, J. D. Sargan, Econometrica 26 (1958) 393): with H and G the rows of h and of g, and of
+//! the free terms,
+//!
+//! ```text
+//! sum H' r = 0,    step = (H'G)^-1 H' r
+//! ```
+//!
+//! h is by central differences, which do not correlate with the noise of z at their own pixel, and knows nothing
+//! of the noise of b. Noise of maps is correlated (air, camera, interpolation), so the standard errors are not from
+//! the number of pixels: with the sums of H'r over blocks of the map,
+//! C = (H'G)^-1 (sum over blocks of (H'r)(H'r)') (G'H)^-1 (the sandwich of H. White, Econometrica 48 (1980) 817, by
 //! clusters), which holds where the blocks are larger than the correlation length.
 //!
-//! Whether the features determine a direction is asked of the features that the maps have *in common*: the sum
-//! over the map of (derivative of z)(derivative of b) along it, with the standard error of that sum from the
-//! blocks. The derivative of noise is not common, however large it is.
+//! Whether the features determine a direction is asked of the features that the maps have *in common*: the
+//! correlation of the derivative of z with that of b along it, where the maps lie, against the same correlation at
+//! many places where they do not. The derivative of noise correlates nowhere, however large it is, and features
+//! that repeat correlate elsewhere too.
 
 mod field;
 mod search;
@@ -30,6 +42,7 @@ mod search;
 use nalgebra::{DMatrix, DVector};
 use planish_numerics::orthogonal::legendre;
 use planish_types::{Invalid, Surface, Transform, text::significant};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::fit::Estimate;
@@ -66,7 +79,8 @@ pub struct MapReport {
     pub shift_y_mm: Estimate,
     /// Rotation of the later map, x towards y, degree.
     pub rotation_deg: Estimate,
-    /// Common features along x, y and around the middle, in standard errors of their sum.
+    /// Correlation of the derivatives along x, y and around the middle, over what it is where the maps do not
+    /// lie.
     pub features: [f64; 3],
     /// Correlation of the maps where they lie, without the free terms.
     pub correlation: f64,
@@ -81,13 +95,20 @@ pub struct MapReport {
 /// Highest order of free terms: beyond it they take the features.
 const MOST_ORDER: usize = 8;
 
-/// Common features must stand out of their standard error by this factor. The search chooses the best of some
-/// 1e5 places, where chance alone reaches 4.5.
-const LEAST_FEATURES: f64 = 6.0;
+/// Common features must stand out of chance by this factor. Within the limits of the search some hundred places
+/// are independent of each other, and of so many chance takes the best to 2.5.
+const LEAST_FEATURES: f64 = 3.0;
 
 /// Largest standard error of a shift, and of the rotation at the corner of the map, in pixels: what is not known
 /// to within half a pixel is not known better than by looking.
 const MOST_ERROR_PIXELS: f64 = 0.5;
+
+/// Wrong places for the comparison: displacements by multiples of a tenth of the map, up to this many along each
+/// side.
+const WRONG_PLACES: i64 = 3;
+
+/// A correlation that is closer to one is counted as this.
+const CLOSEST_TO_ONE: f64 = 1.0 - 1e-9;
 
 /// Blocks of the map, along each side.
 const BLOCKS: usize = 8;
@@ -96,9 +117,10 @@ const BLOCKS: usize = 8;
 const LEAST_BLOCKS: usize = 16;
 const LEAST_PIXELS: usize = 200;
 
-/// Steps of Gauss and Newton, and the step in pixels at which they end.
+/// Steps of Gauss and Newton, and the step in pixels at which they end: pixels that come and go at the border of
+/// the common area keep them from ending closer.
 const MOST_STEPS: usize = 50;
-const SETTLED_PIXELS: f64 = 1e-6;
+const SETTLED_PIXELS: f64 = 5e-3;
 
 /// Shift [x, y] in mm and rotation in rad.
 pub(crate) type Pose = [f64; 3];
@@ -117,28 +139,12 @@ pub fn register(
     let (before, after) = (Field::new(before?), Field::new(after?));
     let problem = Problem::new(&before, &after, settings.free_order)?;
     let limits = [settings.most_shift_mm, settings.most_rotation_deg.to_radians()];
-    let mut pose = search::best(&problem.detrended(), &after, &before, problem.centre_mm, limits);
-    let mut steps = 0;
-    let equations = loop {
-        let equations = problem.equations(pose)?;
-        let step = equations.step(&problem)?;
-        for (p, d) in pose.iter_mut().zip(step) {
-            *p += d;
-        }
-        problem.refuse_beyond(pose, limits)?;
-        steps += 1;
-        let pixels = (step[0].hypot(step[1]) + problem.half_diagonal_mm * step[2].abs())
-            / problem.pixel_mm;
-        if pixels < SETTLED_PIXELS {
-            break problem.equations(pose)?;
-        }
-        if steps == MOST_STEPS {
-            let what = format!("has not settled after {steps} steps, the last of {pixels:.2e} pixels");
-            let remedy = "the maps have too little in common: give `shorter_than_mm`, or fiducials";
-            return Err(Invalid::whole("after", what, remedy));
-        }
-    };
-    problem.result(pose, &equations, steps)
+    let start = search::best(&problem.detrended(), &after, &before, problem.centre_mm, limits);
+    match problem.settled(start, limits) {
+        Ok((pose, equations, steps)) => problem.result(pose, &equations, steps),
+        // Where the features are too few, this is why.
+        Err(e) => problem.check_features(start).and(Err(e)),
+    }
 }
 
 fn check(settings: &MapSettings) -> Result<(), Invalid> {
@@ -177,12 +183,14 @@ struct Problem<'a> {
 
 /// The normal equations at a place: first the pose, then the free terms.
 struct Equations {
+    /// H'G.
     normal: DMatrix<f64>,
+    /// Sums of the squares of the columns of H and of G.
+    sizes: [DVector<f64>; 2],
+    /// H'r.
     right: DVector<f64>,
-    /// J'r of every block that has pixels.
+    /// H'r of every block that has pixels, without what the free terms take.
     scores: Vec<DVector<f64>>,
-    /// Sums over the blocks of the common derivatives along x, y and around the middle.
-    common: Vec<[f64; 3]>,
     pixels: usize,
     squares: f64,
     correlation: f64,
@@ -203,6 +211,24 @@ impl<'a> Problem<'a> {
             half_diagonal_mm: half_mm[0].hypot(half_mm[1]),
             pixel_mm: steps[0].max(steps[1]),
         })
+    }
+
+    /// Gauss and Newton from `pose`: where they end, the equations there, and the number of steps.
+    fn settled(&self, mut pose: Pose, limits: [f64; 2]) -> Result<(Pose, Equations, usize), Invalid> {
+        let mut pixels = f64::INFINITY;
+        for steps in 1..=MOST_STEPS {
+            let step = self.equations(pose)?.step(self)?;
+            pose.iter_mut().zip(step).for_each(|(p, d)| *p += d);
+            self.refuse_beyond(pose, limits)?;
+            let turned_mm = self.half_diagonal_mm * step[2].abs();
+            pixels = (step[0].hypot(step[1]) + turned_mm) / self.pixel_mm;
+            if pixels < SETTLED_PIXELS {
+                return Ok((pose, self.equations(pose)?, steps));
+            }
+        }
+        let what = format!("has not settled after {MOST_STEPS} steps, the last of {pixels:.2e} pixels");
+        let remedy = "the maps have too little in common: give `shorter_than_mm`, or fiducials";
+        Err(Invalid::whole("after", what, remedy))
     }
 
     /// Number of free terms.
@@ -229,8 +255,8 @@ impl<'a> Problem<'a> {
     fn detrended(&self) -> [Vec<f64>; 2] {
         [self.after, self.before].map(|field| {
             let terms = self.terms();
-            let mut normal = DMatrix::zeros(terms, terms);
-            let mut right = DVector::zeros(terms);
+            let mut normal = DMatrix::<f64>::zeros(terms, terms);
+            let mut right = DVector::<f64>::zeros(terms);
             let mut q = vec![0.0; terms];
             for (x, z) in field.valid() {
                 self.low_order(x, &mut q);
@@ -257,10 +283,11 @@ impl<'a> Problem<'a> {
     fn equations(&self, pose: Pose) -> Result<Equations, Invalid> {
         let m = 3 + self.terms();
         let (sin, cos) = pose[2].sin_cos();
-        let mut normal = DMatrix::zeros(m, m);
-        let mut right = DVector::zeros(m);
+        let mut normal = DMatrix::<f64>::zeros(m, m);
+        let mut sizes = [DVector::<f64>::zeros(m), DVector::zeros(m)];
+        let mut right = DVector::<f64>::zeros(m);
         let mut samples: Vec<(usize, Vec<f64>, f64, f64)> = Vec::new();
-        let mut common = vec![[0.0; 3]; BLOCKS * BLOCKS];
+        let (mut of_h, mut of_g) = (vec![0.0; m], vec![0.0; m]);
         for (index, x, z) in self.after.valid_indexed() {
             let d = [0, 1].map(|a| x[a] - self.centre_mm[a] - pose[a]);
             // p = c + R(-theta) d
@@ -269,41 +296,38 @@ impl<'a> Problem<'a> {
                 self.centre_mm[1] - sin * d[0] + cos * d[1],
             ];
             let Some((b, g)) = self.before.at(p) else { continue };
+            let Some(h) = self.after.gradient(index) else { continue };
             // The gradient of b, turned into the frame of the later map.
             let g = [cos * g[0] - sin * g[1], sin * g[0] + cos * g[1]];
-            let mut row = vec![0.0; m];
-            row[0] = -g[0];
-            row[1] = -g[1];
-            row[2] = (g[0] * d[1] - g[1] * d[0]) / self.half_diagonal_mm;
-            self.low_order(x, &mut row[3..]);
-            let block = self.block(index);
-            if let Some(h) = self.after.gradient(index) {
-                let around = [g, h].map(|g| g[1] * d[0] - g[0] * d[1]);
-                let both = [g[0] * h[0], g[1] * h[1], around[0] * around[1]];
-                common[block].iter_mut().zip(both).for_each(|(c, b)| *c += b);
+            for (row, g) in [(&mut of_h, h), (&mut of_g, g)] {
+                row[0] = -g[0];
+                row[1] = -g[1];
+                row[2] = (g[0] * d[1] - g[1] * d[0]) / self.half_diagonal_mm;
+                self.low_order(x, &mut row[3..]);
             }
             for i in 0..m {
-                right[i] += row[i] * (z - b);
-                for j in 0..=i {
-                    normal[(i, j)] += row[i] * row[j];
+                right[i] += of_h[i] * (z - b);
+                sizes[0][i] += of_h[i] * of_h[i];
+                sizes[1][i] += of_g[i] * of_g[i];
+                for j in 0..m {
+                    normal[(i, j)] += of_h[i] * of_g[j];
                 }
             }
-            samples.push((block, row, z - b, z));
+            samples.push((self.block(index), of_h.clone(), z - b, z));
         }
-        normal.fill_upper_triangle_with_lower_triangle();
         if samples.len() < LEAST_PIXELS.max(4 * m) {
             let problem = format!("has {} valid pixels in common with the map before", samples.len());
             return Err(Invalid::whole("after", problem, "give maps of the same area"));
         }
-        self.assembled(normal, right, &samples, common)
+        self.assembled(normal, sizes, right, &samples)
     }
 
     fn assembled(
         &self,
         normal: DMatrix<f64>,
+        sizes: [DVector<f64>; 2],
         right: DVector<f64>,
         samples: &[(usize, Vec<f64>, f64, f64)],
-        common: Vec<[f64; 3]>,
     ) -> Result<Equations, Invalid> {
         let m = right.len();
         // What remains with the free terms alone, at this place; and z itself without them.
@@ -338,9 +362,9 @@ impl<'a> Problem<'a> {
         let keep = |k: &usize| filled[*k];
         Ok(Equations {
             normal,
+            sizes,
             right,
             scores: (0..BLOCKS * BLOCKS).filter(keep).map(|k| scores[k].clone()).collect(),
-            common: (0..BLOCKS * BLOCKS).filter(keep).map(|k| common[k]).collect(),
             pixels: samples.len(),
             squares,
             correlation: zb / (zz * bb).sqrt().max(f64::MIN_POSITIVE),
@@ -350,6 +374,53 @@ impl<'a> Problem<'a> {
     fn block(&self, [r, c]: [usize; 2]) -> usize {
         let (ny, nx) = self.after.grid().shape();
         (r * BLOCKS / ny) * BLOCKS + c * BLOCKS / nx
+    }
+
+    /// Correlation of the derivatives along x, y and around the middle at a place, the map before displaced by
+    /// `by_mm`.
+    fn common(&self, pose: Pose, by_mm: [f64; 2]) -> [f64; 3] {
+        let (sin, cos) = pose[2].sin_cos();
+        let mut sums = [[0.0; 3]; 3];
+        for (index, x, _) in self.after.valid_indexed() {
+            let Some(h) = self.after.gradient(index) else { continue };
+            let d = [0, 1].map(|a| x[a] - self.centre_mm[a] - pose[a]);
+            let p = [
+                self.centre_mm[0] + cos * d[0] + sin * d[1] + by_mm[0],
+                self.centre_mm[1] - sin * d[0] + cos * d[1] + by_mm[1],
+            ];
+            let Some(g) = self.before.nearest(p).and_then(|at| self.before.gradient(at)) else {
+                continue;
+            };
+            let g = [cos * g[0] - sin * g[1], sin * g[0] + cos * g[1]];
+            let around = [g, h].map(|g| g[1] * d[0] - g[0] * d[1]);
+            let pairs = [[g[0], h[0]], [g[1], h[1]], around];
+            for (s, [g, h]) in sums.iter_mut().zip(pairs) {
+                *s = [s[0] + g * h, s[1] + g * g, s[2] + h * h];
+            }
+        }
+        sums.map(|[gh, gg, hh]| if gg * hh > 0.0 { gh / (gg * hh).sqrt() } else { 0.0 })
+    }
+
+    /// The correlations where the maps lie over the RMS of those where they do not.
+    fn features(&self, pose: Pose) -> [f64; 3] {
+        // Fisher's atanh makes a correlation near one as far from chance as it is.
+        let fisher = |c: [f64; 3]| c.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh());
+        let here = fisher(self.common(pose, [0.0; 2]));
+        let range = -WRONG_PLACES..=WRONG_PLACES;
+        let wrong: Vec<[i64; 2]> = range
+            .clone()
+            .flat_map(|j| range.clone().map(move |i| [i, j]))
+            .filter(|by| *by != [0, 0])
+            .collect();
+        let elsewhere: Vec<[f64; 3]> = wrong
+            .par_iter()
+            .map(|by| fisher(self.common(pose, [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a]))))
+            .collect();
+        [0, 1, 2].map(|k| {
+            let squares = elsewhere.iter().map(|c| c[k] * c[k]).sum::<f64>() / wrong.len() as f64;
+            // Without noise the derivatives elsewhere may be exactly zero; then here decides.
+            if here[k] == 0.0 { 0.0 } else { here[k] / squares.sqrt() }
+        })
     }
 
     fn refuse_beyond(&self, pose: Pose, [shift_mm, rotation]: [f64; 2]) -> Result<(), Invalid> {
@@ -368,20 +439,7 @@ impl<'a> Problem<'a> {
     }
 
     fn result(&self, pose: Pose, e: &Equations, steps: usize) -> Result<MapRegistration, Invalid> {
-        let features = e.features()?;
-        let names = ["along x", "along y", "around the middle"];
-        for (name, found) in names.iter().zip(features) {
-            if found.is_nan() || found < LEAST_FEATURES {
-                let problem = format!(
-                    "has too few features {name} in common with the map before: they stand out of chance by {} \
-                     standard errors, {LEAST_FEATURES} are needed (correlation {})",
-                    significant(found, 2),
-                    significant(e.correlation, 3)
-                );
-                let remedy = "give `shorter_than_mm`, so that what was removed does not hide them, or fiducials";
-                return Err(Invalid::whole("after", problem, remedy));
-            }
-        }
+        let features = self.check_features(pose)?;
         let covariance = e.covariance(self)?;
         let error = [0, 1, 2].map(|i| covariance[(i, i)].sqrt());
         let pixels = [error[0], error[1], error[2] * self.half_diagonal_mm].map(|v| v / self.pixel_mm);
@@ -412,6 +470,25 @@ impl<'a> Problem<'a> {
                 steps,
             },
         })
+    }
+
+    /// The common features at a place; refuses too few of them.
+    fn check_features(&self, pose: Pose) -> Result<[f64; 3], Invalid> {
+        let features = self.features(pose);
+        let names = ["along x", "along y", "around the middle"];
+        let few = |k: &usize| features[*k].is_nan() || features[*k] < LEAST_FEATURES;
+        let too_few: Vec<usize> = (0..3).filter(few).collect();
+        if !too_few.is_empty() {
+            let problem = format!(
+                "has too few features {} in common with the map before: they stand out of chance by a factor of {}, \
+                 {LEAST_FEATURES} is needed",
+                too_few.iter().map(|k| names[*k]).collect::<Vec<_>>().join(", "),
+                too_few.iter().map(|k| significant(features[*k], 2)).collect::<Vec<_>>().join(", ")
+            );
+            let remedy = "give `shorter_than_mm`, so that what was removed does not hide them, or fiducials";
+            return Err(Invalid::whole("after", problem, remedy));
+        }
+        Ok(features)
     }
 
     /// q = R(theta) (p - c) + c + s.
@@ -449,25 +526,28 @@ impl Equations {
     }
 
     fn inverse(&self) -> Result<DMatrix<f64>, Invalid> {
-        // Scaled to ones on the diagonal, so that the size of the smallest eigenvalue means something.
-        const LEAST_EIGENVALUE: f64 = 1e-9;
+        // Scaled by the sizes of the columns, so that the smallest singular value means something.
+        const LEAST_SINGULAR_VALUE: f64 = 1e-6;
         let m = self.right.len();
-        let scale = DVector::from_fn(m, |i, _| 1.0 / self.normal[(i, i)].sqrt());
-        let scaled = DMatrix::from_fn(m, m, |i, j| scale[i] * self.normal[(i, j)] * scale[j]);
-        let finite = scaled.iter().all(|v| v.is_finite());
-        let least = if finite { scaled.clone().symmetric_eigenvalues().min() } else { 0.0 };
-        let inverse = scaled.cholesky().filter(|_| least > LEAST_EIGENVALUE).map(|c| c.inverse());
+        let [h, g] = self.sizes.each_ref().map(|s| s.map(f64::sqrt));
+        let flat: Vec<&str> =
+            (0..3).filter(|i| h[*i] * g[*i] == 0.0).map(|i| ["x", "y", "rotation"][i]).collect();
+        let remedy = "give fewer free terms, or fiducials";
+        if !flat.is_empty() {
+            let problem = format!("has nothing that changes with {}", flat.join(" or "));
+            return Err(Invalid::whole("after", problem, remedy));
+        }
+        let scaled = DMatrix::from_fn(m, m, |i, j| self.normal[(i, j)] / (h[i] * g[j]));
+        let least = match scaled.iter().all(|v| v.is_finite()) {
+            true => scaled.clone().singular_values().min(),
+            false => 0.0,
+        };
+        let inverse = scaled.try_inverse().filter(|_| least > LEAST_SINGULAR_VALUE);
         let inverse = inverse.ok_or_else(|| {
-            let flat = (0..3).filter(|i| !scale[*i].is_finite());
-            let flat: Vec<&str> = flat.map(|i| ["x", "y", "rotation"][i]).collect();
-            let problem = match flat.is_empty() {
-                true => "does not determine shift and rotation beside the free terms".to_string(),
-                false => format!("has nothing that changes with {}", flat.join(" or ")),
-            };
-            let remedy = "give fewer free terms, or fiducials";
+            let problem = "does not determine shift and rotation beside the free terms";
             Invalid::whole("after", problem, remedy)
         })?;
-        Ok(DMatrix::from_fn(m, m, |i, j| scale[i] * inverse[(i, j)] * scale[j]))
+        Ok(DMatrix::from_fn(m, m, |i, j| inverse[(i, j)] / (g[i] * h[j])))
     }
 
     /// Covariance of the pose: the sandwich by blocks.
@@ -485,20 +565,11 @@ impl Equations {
         }
         // Blocks are few: the usual correction of their number.
         let correction = blocks as f64 / (blocks as f64 - 3.0);
-        let all = &inverse * middle * &inverse * correction;
+        let all = &inverse * middle * inverse.transpose() * correction;
         let unit = [1.0, 1.0, problem.half_diagonal_mm];
         Ok(DMatrix::from_fn(3, 3, |i, j| all[(i, j)] / (unit[i] * unit[j])))
     }
 
-    /// Common features over the standard error of their sum.
-    fn features(&self) -> Result<[f64; 3], Invalid> {
-        let n = self.common.len() as f64;
-        Ok([0, 1, 2].map(|k| {
-            let mean = self.common.iter().map(|c| c[k]).sum::<f64>() / n;
-            let variance = self.common.iter().map(|c| (c[k] - mean).powi(2)).sum::<f64>() / (n - 1.0);
-            if variance > 0.0 { mean / (variance / n).sqrt() } else { 0.0 }
-        }))
-    }
 }
 
 #[cfg(test)]

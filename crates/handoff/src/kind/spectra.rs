@@ -1,6 +1,6 @@
 //! Kinds with spectra: what a mirror is made of, and what it is bought by.
 
-use super::{ArrayDef, Dtype, Kind, MAP_FRAME, PATH_FRAME, array, or_nan};
+use super::{Dtype, Kind, array, or_nan};
 
 /// Power spectral densities of a map.
 pub const PSD: Kind = Kind {

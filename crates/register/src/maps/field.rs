@@ -67,6 +67,16 @@ impl Field {
         (height.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((height, gradient))
     }
 
+    /// The pixel whose middle is nearest to a point.
+    pub fn nearest(&self, p: [f64; 2]) -> Option<[usize; 2]> {
+        let grid = self.grid();
+        let index = |v: f64, axis: &planish_types::Axis| {
+            let i = ((v - axis.start_mm()) / axis.step_mm()).round();
+            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
+        };
+        Some([index(p[1], &grid.y)?, index(p[0], &grid.x)?])
+    }
+
     /// Central differences at a pixel, nm/mm.
     pub fn gradient(&self, [r, c]: [usize; 2]) -> Option<[f64; 2]> {
         let (grid, z) = (self.grid(), self.map.height_nm());

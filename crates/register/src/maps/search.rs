@@ -1,6 +1,5 @@
 //! The best place by whole pixels, where Gauss and Newton begin.
 
-use planish_types::Grid;
 use rayon::prelude::*;
 
 use super::{Pose, field::Field};
@@ -55,7 +54,11 @@ pub(super) fn best(
                     let d = [d[0] - x, d[1] - y];
                     [centre_mm[0] + cos * d[0] + sin * d[1], centre_mm[1] - sin * d[0] + cos * d[1]]
                 };
-                let pairs = points.iter().filter_map(|(d, z)| Some((*z, nearest(b, from, place(*d))?)));
+                let of_before = |p| {
+                    let [r, c] = before.nearest(p)?;
+                    Some(b[r * from.x.len() + c]).filter(|v| v.is_finite())
+                };
+                let pairs = points.iter().filter_map(|(d, z)| Some((*z, of_before(place(*d))?)));
                 let found = correlation(pairs);
                 if found > best.0 {
                     best = (found, [*x, *y, *angle]);
@@ -74,16 +77,6 @@ fn places(limit: f64, step: f64) -> Vec<f64> {
     let half = ((limit / step).floor() as usize).min(MOST_PLACES / 2);
     let step = if half == MOST_PLACES / 2 { limit / half as f64 } else { step };
     (0..=2 * half).map(|k| (k as f64 - half as f64) * step).collect()
-}
-
-fn nearest(values: &[f64], grid: &Grid, p: [f64; 2]) -> Option<f64> {
-    let index = |v: f64, start: f64, step: f64, len: usize| {
-        let i = ((v - start) / step).round();
-        (i >= 0.0 && i < len as f64).then_some(i as usize)
-    };
-    let c = index(p[0], grid.x.start_mm(), grid.x.step_mm(), grid.x.len())?;
-    let r = index(p[1], grid.y.start_mm(), grid.y.step_mm(), grid.y.len())?;
-    Some(values[r * grid.x.len() + c]).filter(|v| v.is_finite())
 }
 
 /// Correlation coefficient of pairs; none where they are few.

