@@ -121,7 +121,9 @@ fn log(bytes: &[u8]) {
             (settings.unit, settings.time_unit) = (None, None);
             read = trace::read(format, bytes, &settings);
         }
-        match read.and_then(|log| Ok((log.motion(Between::Cubic)?, log.setpoint(Between::Cubic)?, log))) {
+        match read
+            .and_then(|log| Ok((log.motion(Between::Cubic)?, log.setpoint(Between::Cubic)?, log)))
+        {
             Ok((motion, setpoint, log)) => {
                 assert!(motion.total_time_s().is_finite());
                 let setpoint = setpoint.as_ref().unwrap_or(&motion);

@@ -83,7 +83,8 @@ impl Kind {
     /// The version of a layout with the first `arrays` arrays: optional ones may be absent at the end.
     pub(crate) fn version_of(&self, arrays: usize) -> u32 {
         let lacking = &self.arrays[arrays..];
-        let oldest = lacking.iter().map(|a| a.optional_since.expect("only optional ones may be absent"));
+        let oldest =
+            lacking.iter().map(|a| a.optional_since.expect("only optional ones may be absent"));
         oldest.min().map_or(self.version, |since| since - 1)
     }
 
@@ -342,7 +343,14 @@ pub const TRANSFORM: Kind = Kind {
             "1",
             "Rotation, with a scale, or any matrix that does not mirror.",
         ),
-        array("centre_mm", Dtype::F64, &["2"], &["x|y"], "mm", "Point of the part about which it turns."),
+        array(
+            "centre_mm",
+            Dtype::F64,
+            &["2"],
+            &["x|y"],
+            "mm",
+            "Point of the part about which it turns.",
+        ),
         array("image_mm", Dtype::F64, &["2"], &["x|y"], "mm", "Where that point goes."),
         array(
             "covariance",

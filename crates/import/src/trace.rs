@@ -248,10 +248,8 @@ fn scale(
     for column in columns.iter().filter(|c| c.role.is_position()) {
         match (column.position_unit, stated) {
             (Some(unit), Some((other, name))) if unit != other => {
-                let problem = format!(
-                    "has \"{name}\" in {other:?} and \"{}\" in {unit:?}",
-                    column.name
-                );
+                let problem =
+                    format!("has \"{name}\" in {other:?} and \"{}\" in {unit:?}", column.name);
                 return Err(Invalid::whole(NAME, problem, "give all positions the same unit"));
             }
             (Some(unit), None) => stated = Some((unit, &column.name)),
@@ -304,7 +302,8 @@ fn rate_factor(
     warnings: &mut Vec<String>,
 ) -> Result<Vec<f64>, Invalid> {
     let nominal = nominal.ok_or_else(|| {
-        let remedy = "give `nominal_current`, at which the TIF was measured, in the unit of the log";
+        let remedy =
+            "give `nominal_current`, at which the TIF was measured, in the unit of the log";
         Invalid::whole("nominal_current", "is not in a log", remedy)
     })?;
     let mut below = 0;

@@ -159,7 +159,9 @@ impl Centred {
         let weights = || sigma_mm.iter().map(|s| 1.0 / (s * s));
         let sum_w: f64 = weights().sum();
         let mean = |of: fn(&Fiducial) -> [f64; 2]| {
-            [0, 1].map(|a| fiducials.iter().zip(weights()).map(|(f, w)| w * of(f)[a]).sum::<f64>() / sum_w)
+            [0, 1].map(|a| {
+                fiducials.iter().zip(weights()).map(|(f, w)| w * of(f)[a]).sum::<f64>() / sum_w
+            })
         };
         let mean = [mean(|f| f.map_mm), mean(|f| f.machine_mm)];
         let about = |p: [f64; 2], m: [f64; 2]| [p[0] - m[0], p[1] - m[1]];
@@ -232,7 +234,8 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
     refuse_coincident(fiducials, &sigma_mm, given)?;
     let degrees_of_freedom = 2 * n - model.parameters();
     if !given && degrees_of_freedom == 0 {
-        let problem = format!("is one of {n}, without uncertainties: nothing is left to estimate them from");
+        let problem =
+            format!("is one of {n}, without uncertainties: nothing is left to estimate them from");
         return Err(Invalid::whole("fiducial", problem, "give uncertainty_mm, or measure more"));
     }
     let centred = Centred::new(fiducials, &sigma_mm);
@@ -246,7 +249,11 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
             significant(along_mm, 3),
             significant(across_mm, 3)
         );
-        return Err(Invalid::whole("fiducial", problem, "give one beside the line, or a rigid model"));
+        return Err(Invalid::whole(
+            "fiducial",
+            problem,
+            "give one beside the line, or a rigid model",
+        ));
     }
     let matrix = match model {
         Model::Rigid => rotation(&centred, false, false),
@@ -282,15 +289,12 @@ pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid
             significant(scale.standard_error, 2)
         ));
     }
-    let report = report(fiducials, &sigma_mm, &transform, Numbers {
-        model,
-        degrees_of_freedom,
-        given,
-        chi_square,
-        variance,
-        scale,
-        warnings,
-    });
+    let report = report(
+        fiducials,
+        &sigma_mm,
+        &transform,
+        Numbers { model, degrees_of_freedom, given, chi_square, variance, scale, warnings },
+    );
     Ok(Registration { transform, report })
 }
 
@@ -312,11 +316,7 @@ fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
     Ok((each.collect::<Result<_, _>>()?, true))
 }
 
-fn refuse_coincident(
-    fiducials: &[Fiducial],
-    sigma_mm: &[f64],
-    given: bool,
-) -> Result<(), Invalid> {
+fn refuse_coincident(fiducials: &[Fiducial], sigma_mm: &[f64], given: bool) -> Result<(), Invalid> {
     // Of many fiducials neighbours along x are compared: enough for the same point twice.
     let mut order: Vec<usize> = (0..fiducials.len()).collect();
     for (name, of) in [
@@ -485,7 +485,8 @@ fn report(
         standard_error_mm: transform.standard_error_mm(transform.centre_mm()),
         largest_standard_error_mm: errors.fold(0.0, f64::max),
         rms_mm: (squares / (2 * fiducials.len()) as f64).sqrt(),
-        chi_square: numbers.chi_square / if numbers.given { 1.0 } else { numbers.variance.max(f64::MIN_POSITIVE) },
+        chi_square: numbers.chi_square
+            / if numbers.given { 1.0 } else { numbers.variance.max(f64::MIN_POSITIVE) },
         probability,
         residuals,
         warnings: numbers.warnings,

@@ -111,7 +111,7 @@ const WRONG_PLACES: i64 = 3;
 const CLOSEST_TO_ONE: f64 = 1.0 - 1e-9;
 
 /// Blocks of the map, along each side.
-const BLOCKS: usize = 8;
+const BLOCKS: usize = 6;
 
 /// Fewest blocks with pixels, and pixels in common.
 const LEAST_BLOCKS: usize = 16;
@@ -214,7 +214,11 @@ impl<'a> Problem<'a> {
     }
 
     /// Gauss and Newton from `pose`: where they end, the equations there, and the number of steps.
-    fn settled(&self, mut pose: Pose, limits: [f64; 2]) -> Result<(Pose, Equations, usize), Invalid> {
+    fn settled(
+        &self,
+        mut pose: Pose,
+        limits: [f64; 2],
+    ) -> Result<(Pose, Equations, usize), Invalid> {
         let mut pixels = f64::INFINITY;
         for steps in 1..=MOST_STEPS {
             let step = self.equations(pose)?.step(self)?;
@@ -226,7 +230,8 @@ impl<'a> Problem<'a> {
                 return Ok((pose, self.equations(pose)?, steps));
             }
         }
-        let what = format!("has not settled after {MOST_STEPS} steps, the last of {pixels:.2e} pixels");
+        let what =
+            format!("has not settled after {MOST_STEPS} steps, the last of {pixels:.2e} pixels");
         let remedy = "the maps have too little in common: give `shorter_than_mm`, or fiducials";
         Err(Invalid::whole("after", what, remedy))
     }
@@ -316,7 +321,8 @@ impl<'a> Problem<'a> {
             samples.push((self.block(index), of_h.clone(), z - b, z));
         }
         if samples.len() < LEAST_PIXELS.max(4 * m) {
-            let problem = format!("has {} valid pixels in common with the map before", samples.len());
+            let problem =
+                format!("has {} valid pixels in common with the map before", samples.len());
             return Err(Invalid::whole("after", problem, "give maps of the same area"));
         }
         self.assembled(normal, sizes, right, &samples)
@@ -348,7 +354,8 @@ impl<'a> Problem<'a> {
         let mut filled = [false; BLOCKS * BLOCKS];
         let (mut squares, mut zz, mut bb, mut zb) = (0.0, 0.0, 0.0, 0.0);
         for (block, row, rest, z) in samples {
-            let low = |a: &DVector<f64>| row[3..].iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>();
+            let low =
+                |a: &DVector<f64>| row[3..].iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>();
             let r = rest - low(&a);
             let z = z - low(&a_of_z);
             let b = z - r;
@@ -414,7 +421,9 @@ impl<'a> Problem<'a> {
             .collect();
         let elsewhere: Vec<[f64; 3]> = wrong
             .par_iter()
-            .map(|by| fisher(self.common(pose, [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a]))))
+            .map(|by| {
+                fisher(self.common(pose, [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a])))
+            })
             .collect();
         [0, 1, 2].map(|k| {
             let squares = elsewhere.iter().map(|c| c[k] * c[k]).sum::<f64>() / wrong.len() as f64;
@@ -442,14 +451,16 @@ impl<'a> Problem<'a> {
         let features = self.check_features(pose)?;
         let covariance = e.covariance(self)?;
         let error = [0, 1, 2].map(|i| covariance[(i, i)].sqrt());
-        let pixels = [error[0], error[1], error[2] * self.half_diagonal_mm].map(|v| v / self.pixel_mm);
+        let pixels =
+            [error[0], error[1], error[2] * self.half_diagonal_mm].map(|v| v / self.pixel_mm);
         for (name, error) in ["shift along x", "shift along y", "rotation"].iter().zip(pixels) {
             if error.is_nan() || error > MOST_ERROR_PIXELS {
                 let problem = format!(
                     "leaves the {name} uncertain by {} pixels (standard error)",
                     significant(error, 3)
                 );
-                let remedy = "the common features do not determine it: give `shorter_than_mm`, or fiducials";
+                let remedy =
+                    "the common features do not determine it: give `shorter_than_mm`, or fiducials";
                 return Err(Invalid::whole("after", problem, remedy));
             }
         }
@@ -485,7 +496,8 @@ impl<'a> Problem<'a> {
                 too_few.iter().map(|k| names[*k]).collect::<Vec<_>>().join(", "),
                 too_few.iter().map(|k| significant(features[*k], 2)).collect::<Vec<_>>().join(", ")
             );
-            let remedy = "give `shorter_than_mm`, so that what was removed does not hide them, or fiducials";
+            let remedy =
+                "give `shorter_than_mm`, so that what was removed does not hide them, or fiducials";
             return Err(Invalid::whole("after", problem, remedy));
         }
         Ok(features)
@@ -505,7 +517,9 @@ impl<'a> Problem<'a> {
         for (i, j) in (0..6).flat_map(|i| (0..6).map(move |j| (i, j))) {
             for (k, l) in (0..3).flat_map(|k| (0..3).map(move |l| (k, l))) {
                 // The two halves of a product in one order, so that the matrix is symmetric to the last bit.
-                six[i.max(j)][i.min(j)] += by[k][i.max(j)] * covariance[(k.max(l), k.min(l))] * by[l][i.min(j)]
+                six[i.max(j)][i.min(j)] += by[k][i.max(j)]
+                    * covariance[(k.max(l), k.min(l))]
+                    * by[l][i.min(j)]
                     * if i == j { 1.0 } else { 0.5 };
             }
         }
@@ -569,7 +583,6 @@ impl Equations {
         let unit = [1.0, 1.0, problem.half_diagonal_mm];
         Ok(DMatrix::from_fn(3, 3, |i, j| all[(i, j)] / (unit[i] * unit[j])))
     }
-
 }
 
 #[cfg(test)]

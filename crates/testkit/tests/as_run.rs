@@ -50,7 +50,10 @@ fn apart_nm(dir: &Path, one: &str, other: &str) -> f64 {
     let removal = |name: &str| -> Array2<f64> {
         let out = format!("{name}-removal");
         if !dir.join(&out).exists() {
-            run(dir, &format!("simulate --trajectory {name} --tif tif --surface surface --out {out}"));
+            run(
+                dir,
+                &format!("simulate --trajectory {name} --tif tif --surface surface --out {out}"),
+            );
         }
         artifact::read::<Removal>(&dir.join(out)).unwrap().value.removal_nm().clone()
     };
@@ -65,7 +68,13 @@ fn as_run(desired: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> [
     let dir = tmp.path();
     write(dir, "surface", desired);
     write(dir, "tif", tif);
-    let plan = pvt::schedule(path, dwell, &ion_beam(), &pvt::Settings { mode: Mode::Smooth, stretch: true }).unwrap();
+    let plan = pvt::schedule(
+        path,
+        dwell,
+        &ion_beam(),
+        &pvt::Settings { mode: Mode::Smooth, stretch: true },
+    )
+    .unwrap();
     write(dir, "plan", &plan.trajectory);
     fs::write(dir.join("log.csv"), log_of(&plan.trajectory, 1e3, 1e-3)).unwrap();
     let said = run(dir, "import trace log.csv --planned plan --tool-from-plan --out run");
@@ -80,7 +89,10 @@ fn as_run(desired: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> [
     }
     fs::write(dir.join("slow.csv"), log_of(&plan.trajectory, 20.0, 0.0)).unwrap();
     run(dir, "import trace slow.csv --planned plan --tool-from-plan --out slow-cubic");
-    run(dir, "import trace slow.csv --planned plan --tool-from-plan --between linear --out slow-linear");
+    run(
+        dir,
+        "import trace slow.csv --planned plan --tool-from-plan --between linear --out slow-linear",
+    );
     let apart = [
         apart_nm(dir, "run", "plan"),
         apart_nm(dir, "slow-cubic", "plan"),

@@ -329,7 +329,10 @@ mod tests {
         assert_eq!(plan().with_rate_factor(vec![1.0; 4]).unwrap(), plan());
         assert!(plan().check_rate_is_constant().is_ok() && plan().segment(2).rate_factor == 1.0);
         let run = plan().with_rate_factor(vec![1.0, 0.0, 1.25, 1.0]).unwrap();
-        assert_eq!(run.segments().map(|s| s.rate_factor).collect::<Vec<_>>(), [1.0, 0.0, 1.25, 1.0]);
+        assert_eq!(
+            run.segments().map(|s| s.rate_factor).collect::<Vec<_>>(),
+            [1.0, 0.0, 1.25, 1.0]
+        );
         assert_eq!(run.rate_factor(), Some(&[1.0, 0.0, 1.25, 1.0][..]));
         let message = run.check_rate_is_constant().unwrap_err().to_string();
         assert!(message.contains("rate_factor[1]: is 0"), "{message}");

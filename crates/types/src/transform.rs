@@ -234,7 +234,10 @@ mod tests {
         for u in [0.0, 0.7, 2.0] {
             let (found, expected) =
                 (moved.segment(0).position_mm(u), t.point(motion.segment(0).position_mm(u)));
-            assert!((0..2).all(|a| (found[a] - expected[a]).abs() < 1e-13), "{found:?} {expected:?}");
+            assert!(
+                (0..2).all(|a| (found[a] - expected[a]).abs() < 1e-13),
+                "{found:?} {expected:?}"
+            );
         }
         let s = moved.segment(0);
         assert_eq!((s.tool_on, s.dwell_index, s.rate_factor), (false, Some(3), 0.5));

@@ -153,8 +153,8 @@ impl TraceArgs {
         };
         let motion = trace.motion(self.between).map_err(failed)?;
         let setpoint = trace.setpoint(self.between).map_err(failed)?;
-        let beside_setpoint = setpoint
-            .map(|s| following::beside_setpoint(&trace.time_s, &trace.actual_mm, &s));
+        let beside_setpoint =
+            setpoint.map(|s| following::beside_setpoint(&trace.time_s, &trace.actual_mm, &s));
         let outcome = outcome(&trace, &motion, beside_setpoint.as_ref(), beside_plan.as_ref());
         output.write(&motion, outcome, &Status::Done)?;
         self.report(&trace, &motion);
@@ -194,11 +194,7 @@ impl TraceArgs {
             columns.join(", "),
             trace.statement.unit_from
         ));
-        say(format!(
-            "planish-import: {} segments -> {}",
-            motion.len(),
-            self.output.out.display()
-        ));
+        say(format!("planish-import: {} segments -> {}", motion.len(), self.output.out.display()));
     }
 }
 

@@ -92,7 +92,8 @@ impl Timing<'_> {
             stamps.values[..self.samples].iter().map(|t| (t - first) * unit_s).collect();
         if let Some(i) = (1..time_s.len()).find(|&i| time_s[i] <= time_s[i - 1]) {
             let problem = format!("is {} after {}", stamps.values[i], stamps.values[i - 1]);
-            let remedy = "time stamps ascend: drop repeated samples, or give `rate_hz` instead of `time`";
+            let remedy =
+                "time stamps ascend: drop repeated samples, or give `rate_hz` instead of `time`";
             return Err(Invalid::at("time", i, problem, remedy));
         }
         let (step_s, rate_from) = match self.rate_hz {
@@ -309,7 +310,12 @@ mod tests {
         };
         assert!(said(vec![0.0, 1.0, 1.0, 2.0]).contains("time[2]: is 1 after 1"));
         let long = said(vec![0.0, 1.0, 2.0, 103.0, 104.0]);
-        assert!(long.contains("time[2]: 0.002 s after the first sample: nothing is known for 0.101 s, some 100"), "{long}");
+        assert!(
+            long.contains(
+                "time[2]: 0.002 s after the first sample: nothing is known for 0.101 s, some 100"
+            ),
+            "{long}"
+        );
         let none = timing(None, 5).clock().unwrap_err().to_string();
         assert!(none.contains("rate_hz: is not in a log without time stamps"), "{none}");
         let stamps = column(vec![0.0, 1.0]);

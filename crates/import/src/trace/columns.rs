@@ -137,7 +137,11 @@ pub fn places(
     let has = |role: Role| found.iter().any(|p| p.role == role);
     for role in [Role::X, Role::Y] {
         if !has(role) {
-            let problem = format!("has no column that is known as {}: {}", role.setting(), listed(names, count));
+            let problem = format!(
+                "has no column that is known as {}: {}",
+                role.setting(),
+                listed(names, count)
+            );
             let remedy = format!("give `{}`, a name or a number counted from 1", role.setting());
             return Err(Invalid::whole(NAME, problem, remedy));
         }
@@ -173,15 +177,15 @@ pub(super) fn short(name: &str) -> String {
 }
 
 /// The column that the user named.
-fn named(
-    role: Role,
-    name: &str,
-    names: Option<&[String]>,
-    count: usize,
-) -> Result<usize, Invalid> {
+fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Result<usize, Invalid> {
     let same = |n: &String| n.trim().eq_ignore_ascii_case(name.trim());
-    let matching: Vec<usize> =
-        names.unwrap_or_default().iter().enumerate().filter(|(_, n)| same(n)).map(|n| n.0).collect();
+    let matching: Vec<usize> = names
+        .unwrap_or_default()
+        .iter()
+        .enumerate()
+        .filter(|(_, n)| same(n))
+        .map(|n| n.0)
+        .collect();
     match (&matching[..], name.trim().parse::<usize>()) {
         ([only], _) => Ok(*only),
         ([], Ok(number)) if (1..=count).contains(&number) => Ok(number - 1),
@@ -358,9 +362,19 @@ mod tests {
     fn the_names_that_controllers_give() {
         use Role::*;
         let four = |t: usize| vec![(X, t + 1), (Y, t + 3), (SetpointX, t), (SetpointY, t + 2)];
-        let xps = ["G.X.SetpointPosition", "G.X.CurrentPosition", "G.Y.SetpointPosition", "G.Y.CurrentPosition"];
+        let xps = [
+            "G.X.SetpointPosition",
+            "G.X.CurrentPosition",
+            "G.Y.SetpointPosition",
+            "G.Y.CurrentPosition",
+        ];
         assert_eq!(found(LogFormat::Xps, &xps), four(0));
-        let xps = ["A.Pos.SetpointPosition", "A.Pos.CurrentPosition", "B.Pos.SetpointPosition", "B.Pos.CurrentPosition"];
+        let xps = [
+            "A.Pos.SetpointPosition",
+            "A.Pos.CurrentPosition",
+            "B.Pos.SetpointPosition",
+            "B.Pos.CurrentPosition",
+        ];
         assert_eq!(found(LogFormat::Xps, &xps), four(0));
         let aerotech = [
             "Time (ms)",
@@ -389,7 +403,11 @@ mod tests {
         assert!(refused(&["a", "b"], &none).contains("no column that is known as x"));
         assert!(refused(&["x", "y", "x setpoint"], &none).contains("setpoint of one axis"));
         let same = Columns { x: Some("2".into()), ..Columns::default() };
-        assert!(refused(&["x", "y"], &same).contains("column 2"), "{}", refused(&["x", "y"], &same));
+        assert!(
+            refused(&["x", "y"], &same).contains("column 2"),
+            "{}",
+            refused(&["x", "y"], &same)
+        );
         let far = Columns { x: Some("3".into()), ..Columns::default() };
         assert!(refused(&["x", "y"], &far).contains("x: is \"3\", the log has 2 columns"));
     }

@@ -22,7 +22,9 @@ pub fn read(bytes: &[u8], asked: &Columns) -> Result<Vec<Column>, Invalid> {
             if matches!(role, Role::X | Role::Y) {
                 let setting = role.setting();
                 let problem = format!("has no dataset that is known as {setting}");
-                let remedy = format!("give `{setting}`, the path of a dataset, or PATH:K for column K of one");
+                let remedy = format!(
+                    "give `{setting}`, the path of a dataset, or PATH:K for column K of one"
+                );
                 return Err(Invalid::whole(NAME, problem, remedy));
             }
             continue;

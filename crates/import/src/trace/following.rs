@@ -197,11 +197,7 @@ impl Pair<'_> {
 }
 
 /// The following error of a log whose setpoint was recorded with it, at the same times.
-pub fn beside_setpoint(
-    time_s: &[f64],
-    actual_mm: &[[f64; 2]],
-    setpoint: &Trajectory,
-) -> Following {
+pub fn beside_setpoint(time_s: &[f64], actual_mm: &[[f64; 2]], setpoint: &Trajectory) -> Following {
     let begin_s = time_s[0];
     Pair { reference: setpoint, time_s, actual_mm }.errors(begin_s)
 }
@@ -298,10 +294,8 @@ mod tests {
         let plan = plan();
         for begin_s in [-0.777, 0.0, 2.345] {
             let time_s: Vec<f64> = (0..22_000).map(|i| f64::from(i) * 1e-3).collect();
-            let actual: Vec<_> = time_s
-                .iter()
-                .map(|t| at((t - begin_s).clamp(0.0, 20.0)))
-                .collect();
+            let actual: Vec<_> =
+                time_s.iter().map(|t| at((t - begin_s).clamp(0.0, 20.0))).collect();
             let found = beside_plan(&time_s, &actual, &plan, 5.0).unwrap();
             assert!((found.reference_begins_s - begin_s).abs() < 1e-6, "{begin_s}: {found:?}");
             assert!(found.axes.iter().all(|a| a.rms_mm < 1e-5), "{found:?}");

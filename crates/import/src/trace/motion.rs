@@ -129,7 +129,8 @@ mod tests {
         assert!(error(parabola, &uneven(20), Between::Cubic) < 1e-13);
         assert!(error(parabola, &[0.0, 1.0], Between::Cubic) > 0.5);
         let sine = |t: f64| (5.0 * t).sin();
-        let ratio = |between| error(sine, &uneven(50), between) / error(sine, &uneven(100), between);
+        let ratio =
+            |between| error(sine, &uneven(50), between) / error(sine, &uneven(100), between);
         // Third order halves to 8, at the ends where the parabolas are one-sided; second to 4.
         assert!((6.0..20.0).contains(&ratio(Between::Cubic)), "{}", ratio(Between::Cubic));
         assert!((3.0..5.5).contains(&ratio(Between::Linear)), "{}", ratio(Between::Linear));

@@ -127,11 +127,21 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Colu
         match row(line, i + 1, separator, &wanted, &mut values)? {
             Row::Whole => {
                 if let Some(empty) = ended {
-                    let problem = format!("has a sample in line {} after empty cells in line {empty}", i + 1);
-                    return Err(Invalid::whole(NAME, problem, "cut the log there, or fill the cells"));
+                    let problem =
+                        format!("has a sample in line {} after empty cells in line {empty}", i + 1);
+                    return Err(Invalid::whole(
+                        NAME,
+                        problem,
+                        "cut the log there, or fill the cells",
+                    ));
                 }
                 if values[0].len() > most {
-                    return Err(too_many(NAME, most, "samples", "cut it, or record at a lower rate"));
+                    return Err(too_many(
+                        NAME,
+                        most,
+                        "samples",
+                        "cut it, or record at a lower rate",
+                    ));
                 }
             }
             Row::Ended => ended = ended.or(Some(i + 1)),
@@ -197,8 +207,11 @@ fn row(
         next < wanted.len()
     });
     if let Some((i, field)) = bad {
-        let problem =
-            format!("has {} in line {number}, field {}, where a number should be", short(field), i + 1);
+        let problem = format!(
+            "has {} in line {number}, field {}, where a number should be",
+            short(field),
+            i + 1
+        );
         let remedy = "write finite numbers with a decimal point; cut the log where it is damaged";
         return Err(Invalid::whole(NAME, problem, remedy));
     }
@@ -209,8 +222,10 @@ fn row(
     let closed = matches!(separator, Separator::Character(c) if line.trim_end().ends_with(c));
     if !(empty || closed) {
         let found = separator.count(line);
-        let problem =
-            format!("has {found} fields in line {number}, {} are needed", wanted[wanted.len() - 1] + 1);
+        let problem = format!(
+            "has {found} fields in line {number}, {} are needed",
+            wanted[wanted.len() - 1] + 1
+        );
         return Err(Invalid::whole(NAME, problem, "was it cut off? delete that line"));
     }
     for column in &mut values[..next] {

@@ -58,7 +58,8 @@ impl ApplyArgs {
         transform: &Transform,
         moved: impl FnOnce(&Transform) -> Result<T, Failure>,
     ) -> Result<Status, Failure> {
-        let task = task!("apply", json!({ "inverse": self.inverse, "transform": words(transform) }));
+        let task =
+            task!("apply", json!({ "inverse": self.inverse, "transform": words(transform) }));
         let mut output = match Output::directory(&self.output, T::KIND).begin(&task, inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,

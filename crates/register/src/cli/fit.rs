@@ -39,9 +39,8 @@ impl FitArgs {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let about = |e: &dyn std::error::Error| {
-            Failure::new(format!("{}: {e}", self.file.display()))
-        };
+        let about =
+            |e: &dyn std::error::Error| Failure::new(format!("{}: {e}", self.file.display()));
         let text = String::from_utf8(bytes).map_err(|e| about(&e))?;
         let fiducials = fiducials::read(&text).map_err(|e| about(&e))?;
         let found = fit(&fiducials, self.model).map_err(|e| about(&e))?;

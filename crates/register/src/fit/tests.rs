@@ -55,7 +55,10 @@ fn without_noise_every_model_is_exact() {
             let q = found.transform.point(p);
             let expected =
                 [0, 1].map(|r| [-12.5, 340.0][r] + matrix[r][0] * p[0] + matrix[r][1] * p[1]);
-            assert!((0..2).all(|a| (q[a] - expected[a]).abs() < 1e-11), "{model:?}: {q:?} {expected:?}");
+            assert!(
+                (0..2).all(|a| (q[a] - expected[a]).abs() < 1e-11),
+                "{model:?}: {q:?} {expected:?}"
+            );
         }
         assert!(found.report.rms_mm < 1e-12, "{model:?}");
     }
@@ -67,7 +70,8 @@ fn without_noise_every_model_is_exact() {
 /// that the model has: by the images of points that determine them.
 fn distance(found: &Transform, truth: [[f64; 2]; 2], model: Model) -> f64 {
     let centre = found.centre_mm();
-    let image = [0, 1].map(|r| [-12.5, 340.0][r] + truth[r][0] * centre[0] + truth[r][1] * centre[1]);
+    let image =
+        [0, 1].map(|r| [-12.5, 340.0][r] + truth[r][0] * centre[0] + truth[r][1] * centre[1]);
     let (c, m) = (found.covariance(), found.matrix());
     let mut sum = (0..2).map(|a| (found.image_mm()[a] - image[a]).powi(2) / c[a][a]).sum::<f64>();
     match model {
@@ -85,7 +89,8 @@ fn distance(found: &Transform, truth: [[f64; 2]; 2], model: Model) -> f64 {
                 let d = [0, 1].map(|s| m[axis][s] - truth[axis][s]);
                 let block = [0, 1].map(|r| [0, 1].map(|s| c[2 + 2 * axis + r][2 + 2 * axis + s]));
                 let n = inverse(&block);
-                sum += d[0] * (n[0][0] * d[0] + n[0][1] * d[1]) + d[1] * (n[1][0] * d[0] + n[1][1] * d[1]);
+                sum += d[0] * (n[0][0] * d[0] + n[0][1] * d[1])
+                    + d[1] * (n[1][0] * d[0] + n[1][1] * d[1]);
             }
         }
     }
@@ -125,7 +130,9 @@ fn the_covariance_covers_the_truth_in_95_percent_of_the_draws() {
             let part = covered as f64 / 1000.0;
             assert!((0.928..=0.972).contains(&part), "{model:?} {given}: {part}");
             let [shift, angle] = [shift, angle].map(|s: f64| (s / 1000.0).sqrt());
-            println!("{model:?}, given {given}: {part} covered, {shift:.5} mm, {angle:.5} degree RMS");
+            println!(
+                "{model:?}, given {given}: {part} covered, {shift:.5} mm, {angle:.5} degree RMS"
+            );
             // 5 um sqrt(2) / sqrt(4) for the middle; 5 um / sqrt(4 * (50^2 + 30^2)) mm for the angle.
             assert!(shift < 5e-3 && angle < 0.01, "{model:?}: {shift} mm, {angle} degree");
         }
@@ -153,7 +160,8 @@ fn mirrored_correspondences_are_refused() {
 #[test]
 fn degenerate_fiducials_are_refused_with_numbers() {
     let said = |points: &[[f64; 2]], sigma: f64, given: bool, model| {
-        let fiducials = measured(points, turned(1.0, 1.0), sigma, given, &mut case_generator(17, 6, 0));
+        let fiducials =
+            measured(points, turned(1.0, 1.0), sigma, given, &mut case_generator(17, 6, 0));
         fit(&fiducials, model).unwrap_err().to_string()
     };
     let one = said(&CORNERS[..1], 1e-3, true, Model::Rigid);

@@ -33,15 +33,20 @@ impl Field {
     pub fn map_values(&self, mut of: impl FnMut([f64; 2], f64) -> f64) -> Vec<f64> {
         let grid = self.grid();
         let each = self.map.height_nm().indexed_iter();
-        each.map(|((r, c), z)| if z.is_finite() { of([grid.x.at(c), grid.y.at(r)], *z) } else { f64::NAN })
-            .collect()
+        each.map(
+            |((r, c), z)| {
+                if z.is_finite() { of([grid.x.at(c), grid.y.at(r)], *z) } else { f64::NAN }
+            },
+        )
+        .collect()
     }
 
     /// Height (nm) and gradient (nm/mm) at a point.
     pub fn at(&self, p: [f64; 2]) -> Option<(f64, [f64; 2])> {
         let (grid, z) = (self.grid(), self.map.height_nm());
         let (ny, nx) = grid.shape();
-        let split = |s: f64| if s.is_finite() && s.abs() < 1e9 { Some(keys::split(s)) } else { None };
+        let split =
+            |s: f64| if s.is_finite() && s.abs() < 1e9 { Some(keys::split(s)) } else { None };
         let (cx, fx) = split((p[0] - grid.x.start_mm()) / grid.x.step_mm())?;
         let (cy, fy) = split((p[1] - grid.y.start_mm()) / grid.y.step_mm())?;
         if cx < 1 || cy < 1 || cx + 2 >= nx as isize || cy + 2 >= ny as isize {
@@ -108,7 +113,10 @@ pub(super) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface,
     let grid = map.grid();
     let sigma_mm = wavelength_mm * (0.5 * std::f64::consts::LN_2).sqrt() / std::f64::consts::PI;
     let sigma = [grid.y.step_mm(), grid.x.step_mm()].map(|step| sigma_mm / step);
-    if sigma.iter().any(|s| *s < 0.5) || sigma[0] > grid.y.len() as f64 || sigma[1] > grid.x.len() as f64 {
+    if sigma.iter().any(|s| *s < 0.5)
+        || sigma[0] > grid.y.len() as f64
+        || sigma[1] > grid.x.len() as f64
+    {
         let problem = format!("is {wavelength_mm} mm");
         let remedy = "give some pixels at least, and less than five times the map";
         return Err(Invalid::whole("shorter_than_mm", problem, remedy));
@@ -127,9 +135,12 @@ pub(super) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface,
 /// Convolution with a Gaussian of `sigma` pixels along an axis, cut at four of them.
 fn blurred(map: &Array2<f64>, axis: usize, sigma: f64) -> Array2<f64> {
     let reach = (4.0 * sigma).ceil() as usize;
-    let weights: Vec<f64> = (0..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+    let weights: Vec<f64> =
+        (0..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
     let mut out = Array2::zeros(map.dim());
-    for (from, mut to) in map.lanes(ndarray::Axis(axis)).into_iter().zip(out.lanes_mut(ndarray::Axis(axis))) {
+    for (from, mut to) in
+        map.lanes(ndarray::Axis(axis)).into_iter().zip(out.lanes_mut(ndarray::Axis(axis)))
+    {
         for i in 0..from.len() {
             let range = i.saturating_sub(reach)..(i + reach + 1).min(from.len());
             to[i] = range.map(|j| weights[i.abs_diff(j)] * from[j]).sum();

@@ -53,7 +53,8 @@ fn map(
         true => white.slice(ndarray::s![r..r + 3, c..c + 3]).sum() / 3.0,
         false => white[[r, c]],
     };
-    let z = Array2::from_shape_fn((ny, nx), |at| of([g.x.at(at.1), g.y.at(at.0)]) + sigma * noise(at));
+    let z =
+        Array2::from_shape_fn((ny, nx), |at| of([g.x.at(at.1), g.y.at(at.0)]) + sigma * noise(at));
     Surface::new(g, z).unwrap()
 }
 
@@ -65,8 +66,12 @@ fn place(x: [f64; 2], pose: Pose) -> [f64; 2] {
     [c[0] + k * d[0] + s * d[1], c[1] - s * d[0] + k * d[1]]
 }
 
-const SETTINGS: MapSettings =
-    MapSettings { most_shift_mm: 1.0, most_rotation_deg: 1.0, free_order: 2, shorter_than_mm: None };
+const SETTINGS: MapSettings = MapSettings {
+    most_shift_mm: 1.0,
+    most_rotation_deg: 1.0,
+    free_order: 2,
+    shorter_than_mm: None,
+};
 
 fn low(x: [f64; 2]) -> f64 {
     5.0 - 0.4 * x[0] + 0.03 * x[0] * x[1] + 0.02 * x[1] * x[1]
@@ -91,13 +96,14 @@ fn a_moved_map_is_found_with_its_sign() {
     assert!((q[0] - x[0]).abs() < 2e-3 && (q[1] - x[1]).abs() < 2e-3, "{q:?}");
 }
 
-/// With noise, white or correlated, the truth is within two standard errors in 95 % of the cases; of 3 x 100
-/// numbers 2.5 standard deviations are 3 %, and blocks of 8 x 8 make the errors themselves uncertain.
+/// With white noise the truth is within two standard errors in 95 % of the cases; of 3 x 80 numbers 2.5 standard
+/// deviations are 3.5 %. Blocks of 17 x 10 pixels lose a seventh of the variance of noise that is correlated over
+/// three pixels, and 36 of them make the errors themselves uncertain: then it is some 90 %.
 #[test]
 fn standard_errors_cover_the_truth() {
-    for (stream, correlated) in [(2, false), (3, true)] {
+    for (stream, correlated, least) in [(2, false, 0.915), (3, true, 0.86)] {
         let (mut within, mut registered) = (0, 0);
-        for case in 0..100 {
+        for case in 0..80 {
             let random = &mut case_generator(23, stream, case);
             let features = Features::new(random);
             let before = map(|p| features.at(p), 0.3, correlated, random);
@@ -116,8 +122,8 @@ fn standard_errors_cover_the_truth() {
         }
         let part = f64::from(within) / f64::from(registered);
         println!("correlated {correlated}: {part} of {registered} within two standard errors");
-        assert!(registered >= 285, "{registered}");
-        assert!((0.90..=0.99).contains(&part), "{correlated}: {part}");
+        assert!(registered >= 225, "{registered}");
+        assert!((least..=0.99).contains(&part), "{correlated}: {part}");
     }
 }
 
@@ -138,12 +144,18 @@ fn what_the_features_do_not_determine_is_refused_by_name() {
     let before = map(stripes, 0.0, false, random);
     let after = map(|x| stripes(place(x, still)), 0.0, false, random);
     let flat = said(before, after);
-    assert!(flat.contains("after: has nothing that changes with y") || flat.contains("along y"), "{flat}");
+    assert!(
+        flat.contains("after: has nothing that changes with y") || flat.contains("along y"),
+        "{flat}"
+    );
     // Two maps of nothing but noise.
     let before = map(|_| 0.0, 1.0, true, random);
     let after = map(|_| 0.0, 1.0, true, random);
     let noise = said(before, after);
-    assert!(noise.contains("too little in common") || noise.contains("too few features"), "{noise}");
+    assert!(
+        noise.contains("too little in common") || noise.contains("too few features"),
+        "{noise}"
+    );
     let nothing = said(map(low, 0.0, false, random), map(low, 0.0, false, random));
     assert!(nothing.contains("after: "), "{nothing}");
 }
