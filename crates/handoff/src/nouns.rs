@@ -191,7 +191,7 @@ impl Artifact for Transform {
             [v[0], v[1]]
         };
         let (centre_mm, image_mm) = (point("centre_mm"), point("image_mm"));
-        let c = take_map(&mut arrays, "covariance");
+        let c = take_map(&mut arrays, "covariance_mm2");
         let covariance = std::array::from_fn(|i| std::array::from_fn(|j| c[[i, j]]));
         Self::new([matrix[0], matrix[1]], centre_mm, image_mm, covariance)
     }

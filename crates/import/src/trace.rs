@@ -372,7 +372,7 @@ impl Trace {
         Ok(self)
     }
 
-    /// What was done, as a motion whose time begins at the first sample.
+    /// What was done, as a motion whose time is that since the first sample of the log.
     pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;

@@ -12,12 +12,14 @@ use planish_testkit::{
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
 use rand::RngExt;
 
-/// Runs `planish-<command>` in `dir`; no argument contains a space.
+/// Runs `planish-<command>` in `dir`; no argument contains a space. The verdict on the residual does not matter
+/// here.
 fn run(dir: &Path, command: &str) -> String {
     let mut words = command.split_whitespace();
     let program = binaries().join(format!("planish-{}", words.next().unwrap()));
     let output = Command::new(program).args(words).current_dir(dir).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "planish-{command}: {}", text(&output.stderr));
+    let code = output.status.code();
+    assert!(matches!(code, Some(0 | 1)), "planish-{command}: {}", text(&output.stderr));
     text(&output.stdout)
 }
 
@@ -57,8 +59,8 @@ fn apart_nm(dir: &Path, one: &str, other: &str) -> f64 {
         }
         artifact::read::<Removal>(&dir.join(out)).unwrap().value.removal_nm().clone()
     };
-    let d = removal(one) - removal(other);
-    (d.mapv(|v| v * v).sum() / d.len() as f64).sqrt()
+    // As every RMS here: without the mean.
+    (removal(one) - removal(other)).std(0.0)
 }
 
 /// 1 kHz and 1 um of noise, and 20 Hz without, of the run of `dwell` along `path`; the RMS difference of

@@ -49,7 +49,12 @@ impl Transform {
                 let wide = (covariance[i][i] * covariance[j][j]).abs().sqrt();
                 if !v.is_finite() || (i == j && v < 0.0) || apart > 1e-9 * wide {
                     let problem = format!("is {v}");
-                    return Err(Invalid::at("covariance", (i, j), problem, "give a covariance"));
+                    return Err(Invalid::at(
+                        "covariance_mm2",
+                        (i, j),
+                        problem,
+                        "give a covariance",
+                    ));
                 }
             }
         }
@@ -255,6 +260,6 @@ mod tests {
         assert!(said([[1e3, 0.0], [0.0, 1e-3]], [[0.0; 6]; 6]).contains("matrix"));
         let mut c = [[0.0; 6]; 6];
         c[2][2] = -1.0;
-        assert!(said([[1.0, 0.0], [0.0, 1.0]], c).contains("covariance[2, 2]: is -1"));
+        assert!(said([[1.0, 0.0], [0.0, 1.0]], c).contains("covariance_mm2[2, 2]: is -1"));
     }
 }
