@@ -327,7 +327,7 @@ mod tests {
 
     #[test]
     fn scattered_stamps_are_named() {
-        let stamps = column((0..500).map(|i| (i * 10 + i % 3 * 2) as f64).collect());
+        let stamps = column((0..500).map(|i| f64::from(i * 10 + i % 3 * 2)).collect());
         let (_, clock) = timing(Some(&stamps), 500).clock().unwrap();
         // 0, 2, 4 ms in turn scatter by the root of 8/3 ms about their mean.
         assert!((clock.scatter_s - (8.0_f64 / 3.0).sqrt() * 1e-3).abs() < 1e-5, "{clock:?}");

@@ -22,6 +22,9 @@ const SEARCH_SAMPLES: usize = 1000;
 /// raster, which takes seconds.
 const SEARCH_STEP_S: f64 = 0.02;
 
+/// Longest search: some seconds of work.
+const LONGEST_SEARCH_S: f64 = 300.0;
+
 /// Steps of Gauss and Newton, and the delay at which they end, s.
 const MOST_STEPS: usize = 30;
 const SETTLED_S: f64 = 1e-10;
@@ -73,8 +76,10 @@ impl<'a> Walk<'a> {
     fn state(&mut self, t_s: f64) -> ([f64; 2], [f64; 2]) {
         let breaks = self.motion.break_time_s();
         let t = t_s + breaks[0];
-        while self.at + 1 < self.motion.len() && breaks[self.at + 1] <= t {
-            self.at += 1;
+        let k = self.motion.len();
+        if self.at + 1 < k && breaks[self.at + 1] <= t {
+            // Samples that are compared may be many segments apart.
+            self.at += breaks[self.at + 1..k].partition_point(|b| *b <= t);
         }
         let segment = self.motion.segment(self.at);
         let u = (t - segment.start_s).clamp(0.0, segment.duration_s);
@@ -210,9 +215,11 @@ pub fn beside_plan(
     plan: &Trajectory,
     most_offset_s: f64,
 ) -> Result<Following, Invalid> {
-    if !(most_offset_s.is_finite() && (0.0..=1e5).contains(&most_offset_s)) {
+    if !(0.0..=LONGEST_SEARCH_S).contains(&most_offset_s) {
         let problem = format!("is {most_offset_s}");
-        return Err(Invalid::whole("most_offset_s", problem, "give seconds from 0 to 1e5"));
+        let remedy =
+            format!("give seconds from 0 to {LONGEST_SEARCH_S}, and cut the log with `from_s`");
+        return Err(Invalid::whole("most_offset_s", problem, remedy));
     }
     let pair = Pair { reference: plan, time_s, actual_mm };
     let stride = pair.stride(SEARCH_SAMPLES);
