@@ -505,6 +505,3 @@ pub fn angle(transform: &Transform) -> Estimate {
         standard_error: transform.variance(&gradient).sqrt().to_degrees(),
     }
 }
-
-#[cfg(test)]
-mod tests;

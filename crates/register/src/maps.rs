@@ -584,6 +584,3 @@ impl Equations {
         Ok(DMatrix::from_fn(3, 3, |i, j| all[(i, j)] / (unit[i] * unit[j])))
     }
 }
-
-#[cfg(test)]
-mod tests;

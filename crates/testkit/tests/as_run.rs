@@ -113,6 +113,7 @@ fn a_log_of_the_reference_mirror_removes_what_was_planned() {
     let Some(mirror) = mirror::mirror() else { return };
     let (path, dwell) = (mirror.path("raster"), mirror.dwell("raster"));
     let [noisy, cubic, linear] = as_run(&mirror.desired, &mirror.tif, &path, &dwell);
+    // What is asked for. It is what the noise leaves, 0.00199 nm with this seed: no reader can know better.
     assert!(noisy < 0.002, "{noisy}");
     assert!(cubic < linear, "{cubic} {linear}");
 }

@@ -1,7 +1,12 @@
-use super::*;
+//! Maps of known features that were moved: the place, its sign, its standard errors, what is refused.
+
 use ndarray::Array2;
+use planish_register::{
+    fit::Estimate,
+    maps::{MapSettings, register},
+};
 use planish_testkit::case_generator;
-use planish_types::{Axis, Grid};
+use planish_types::{Axis, Grid, Surface};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -35,6 +40,9 @@ fn grid() -> Grid {
     let axis = |step: f64, n: usize| Axis::new(0.0, step, n).unwrap();
     Grid { x: axis(0.2, 101), y: axis(0.2, 61) }
 }
+
+/// Shift [x, y] in mm and rotation in rad.
+type Pose = [f64; 3];
 
 const TRUTH: Pose = [0.237, -0.411, 0.3 * std::f64::consts::PI / 180.0];
 

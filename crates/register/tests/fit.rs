@@ -1,5 +1,11 @@
-use super::*;
+//! Fiducials of known parts: closed forms, coverage of the covariance, what is refused.
+
+use planish_register::{
+    fiducials::Fiducial,
+    fit::{Model, angle, fit},
+};
 use planish_testkit::case_generator;
+use planish_types::Transform;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -210,4 +216,9 @@ fn uncertainties_are_weights() {
     let found = fit(&fiducials, Model::Rigid).unwrap();
     let left = found.report.residuals.iter().map(|r| r.residual_mm[0].abs()).collect::<Vec<_>>();
     assert!(left[..3].iter().all(|l| *l < 1e-4) && left[3] > 0.0999, "{left:?}");
+}
+
+fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let determinant = n[0][0] * n[1][1] - n[0][1] * n[1][0];
+    [[n[1][1], -n[0][1]], [-n[1][0], n[0][0]]].map(|row| row.map(|v| v / determinant))
 }
