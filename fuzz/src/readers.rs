@@ -8,6 +8,7 @@ use planish_import::{
     Format, Origin, Pick, Settings, Unit,
     program::{self, Configuration, Controller},
     read, surface, tif,
+    trace::{self, LogFormat, PositionUnit, TimeUnit, TraceSettings, following, motion::Between},
 };
 use planish_types::{MachineFile, budget};
 
@@ -21,7 +22,7 @@ const LONGEST_MESSAGE: usize = 1500;
 pub type Reader = (&'static str, fn(&[u8]));
 
 /// Every reader.
-pub const READERS: [Reader; 17] = [
+pub const READERS: [Reader; 18] = [
     ("metropro", |bytes| map(Format::Metropro, bytes)),
     ("datx", |bytes| map(Format::Datx, bytes)),
     ("xyz", |bytes| map(Format::Xyz, bytes)),
@@ -36,6 +37,7 @@ pub const READERS: [Reader; 17] = [
     ("pmac", |bytes| motion(Controller::Pmac, bytes)),
     ("gcode", |bytes| motion(Controller::Gcode, bytes)),
     ("motion-csv", |bytes| motion(Controller::Csv, bytes)),
+    ("trace", log),
     ("artifact-npy", artifact_npy),
     ("manifest", manifest),
     ("machine", machine),
@@ -89,6 +91,46 @@ fn motion(controller: Controller, bytes: &[u8]) {
     match program::read(controller, bytes, &configuration) {
         Ok(motion) => assert!(motion.total_time_s().is_finite()),
         Err(error) => readable(&error.to_string()),
+    }
+}
+
+/// A log in every format, with everything given that it may leave out.
+fn log(bytes: &[u8]) {
+    let formats = [LogFormat::Csv, LogFormat::Xps, LogFormat::Aerotech, LogFormat::Galil];
+    let formats = match LogFormat::of(bytes, None) {
+        Some(format) => vec![format],
+        None => formats.to_vec(),
+    };
+    for format in formats {
+        let mut settings = TraceSettings {
+            count_mm: Some([1e-3; 2]),
+            sample_s: Some(1e-3),
+            rate_hz: Some(1e3),
+            most_gap_s: 1.0,
+            nominal_current: Some(1.0),
+            unit: Some(PositionUnit::Mm),
+            time_unit: Some(TimeUnit::Ms),
+            ..TraceSettings::default()
+        };
+        if format == LogFormat::Hdf5 {
+            (settings.columns.x, settings.columns.y) = (Some("x".into()), Some("y".into()));
+        }
+        let mut read = trace::read(format, bytes, &settings);
+        if read.is_err() {
+            // Where the log states its units, others contradict it.
+            (settings.unit, settings.time_unit) = (None, None);
+            read = trace::read(format, bytes, &settings);
+        }
+        match read
+            .and_then(|log| Ok((log.motion(Between::Cubic)?, log.setpoint(Between::Cubic)?, log)))
+        {
+            Ok((motion, setpoint, log)) => {
+                assert!(motion.total_time_s().is_finite());
+                let setpoint = setpoint.as_ref().unwrap_or(&motion);
+                following::beside_setpoint(&log.time_s, &log.actual_mm, setpoint);
+            }
+            Err(error) => readable(&error.to_string()),
+        }
     }
 }
 

@@ -192,6 +192,7 @@ impl Job<'_> {
     /// The table in counts and ticks, within the abilities of the controller.
     fn quantised(&self, can: Abilities) -> Result<(Quantised, About), Invalid> {
         limits::check_plan(self.trajectory, self.machine)?;
+        self.trajectory.check_rate_is_constant()?;
         let mut warnings = Vec::new();
         let tool = match can.tool {
             Tool::Switched(how) => how,

@@ -29,7 +29,7 @@ const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
 pub trait Artifact: Sized {
     /// What the directory holds.
     const KIND: &'static Kind;
-    /// The arrays, in the order of the kind.
+    /// The arrays, in the order of the kind; optional ones may be absent at the end.
     fn to_arrays(&self) -> Vec<ArrayData>;
     /// Back from the arrays, whose dtypes, shapes and finiteness have been checked.
     fn from_arrays(arrays: Arrays) -> Result<Self, Invalid>;
@@ -219,12 +219,17 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     let manifest = read_manifest(dir, T::KIND)?;
     let mut arrays = Arrays::default();
     let mut sizes = BTreeMap::new();
-    let mut defaulted = Vec::new();
+    let (mut defaulted, mut absent) = (Vec::new(), Vec::new());
     let mut converted = Vec::new();
     let mut hasher = blake3::Hasher::new();
     for def in T::KIND.arrays {
         let path = dir.join(format!("{}.npy", def.name));
         if is_absent(&path) {
+            let listed = manifest.as_ref().is_some_and(|m| m.arrays.contains_key(def.name));
+            if def.optional_since.is_some() && !listed {
+                absent.push(def);
+                continue;
+            }
             if manifest.is_none() && def.default.is_some() {
                 defaulted.push(def);
                 continue;
@@ -248,7 +253,7 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
         hasher.update(def.name.as_bytes()).update(hash.as_bytes());
         arrays.0.insert(def.name, array);
     }
-    for def in &defaulted {
+    for def in defaulted.iter().chain(&absent) {
         arrays.0.insert(def.name, default_array(def, &sizes));
     }
     let warning = manifest.is_none().then(|| {
@@ -495,7 +500,8 @@ pub(crate) fn write_arrays(
     kind: &Kind,
     arrays: &[ArrayData],
 ) -> Result<BTreeMap<String, ArrayRecord>, HandoffError> {
-    assert_eq!(arrays.len(), kind.arrays.len(), "{}: arrays of the kind", kind.name);
+    let lacking = kind.arrays.get(arrays.len()..).expect("no more arrays than the kind has");
+    assert!(lacking.iter().all(|a| a.optional_since.is_some()), "{}: its arrays", kind.name);
     let each = || kind.arrays.iter().zip(arrays);
     let file = |def: &ArrayDef| format!("{}.npy", def.name);
     // Each by a thread of its own: what takes time is hashing and copying.

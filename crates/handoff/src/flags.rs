@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath, Trajectory};
 
-use crate::{HandoffError, Inputs, OutputFile};
+use crate::{Artifact, HandoffError, Inputs, OutputFile};
 
 /// The mirror: what is to be removed, and the tool that removes it.
 #[derive(Clone, Debug, Args)]
@@ -91,7 +91,16 @@ impl TrajectoryArgs {
         mirror: &MirrorArgs,
         inputs: &mut Inputs,
     ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
-        let (trajectory, manifest) = inputs.read_with_manifest("trajectory", &self.trajectory)?;
+        let (trajectory, manifest): (Trajectory, _) =
+            inputs.read_with_manifest("trajectory", &self.trajectory)?;
+        if let Some(other) = manifest.as_ref().filter(|m| m.frame != Trajectory::KIND.frame) {
+            let problem = format!(
+                "is in other coordinates than the map ({}); take it back to those of the part by planish-register \
+                 apply --inverse",
+                other.frame
+            );
+            return Err(HandoffError::new(&self.trajectory, problem));
+        }
         let (tif, surface) =
             (inputs.read("tif", &mirror.tif)?, inputs.read("surface", &mirror.surface)?);
         for other in ["tif", "surface"] {

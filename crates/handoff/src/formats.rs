@@ -36,7 +36,12 @@ pub fn formats_markdown() -> String {
             if a.nan_allowed {
                 doc += " NaN allowed.";
             }
-            if let Some(v) = a.default {
+            if let (Some(v), Some(since)) = (a.default, a.optional_since) {
+                doc += &format!(
+                    " Taken as {v} where it is absent: an artifact without it has version {}.",
+                    since - 1
+                );
+            } else if let Some(v) = a.default {
                 doc += &format!(" Taken as {v} where a directory without a manifest lacks it.");
             }
             page += &format!(

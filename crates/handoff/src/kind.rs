@@ -1,6 +1,10 @@
 //! What every artifact directory holds: the one table that readers, writers and
 //! `docs/formats.md` follow.
 
+mod spectra;
+
+pub use spectra::{PSD, SPECIFICATION};
+
 /// Name of the manifest in an artifact directory.
 pub const MANIFEST: &str = "manifest.json";
 
@@ -51,6 +55,9 @@ pub struct ArrayDef {
     pub nan_allowed: bool,
     /// Value that stands for a missing file in a directory without a manifest.
     pub default: Option<u8>,
+    /// Version of the kind in which the array came, where an artifact may lack it: one that does has the
+    /// version before, and `default` stands for it.
+    pub optional_since: Option<u32>,
     /// One sentence.
     pub doc: &'static str,
 }
@@ -73,6 +80,14 @@ pub struct Kind {
 }
 
 impl Kind {
+    /// The version of a layout with the first `arrays` arrays: optional ones may be absent at the end.
+    pub(crate) fn version_of(&self, arrays: usize) -> u32 {
+        let lacking = &self.arrays[arrays..];
+        let oldest =
+            lacking.iter().map(|a| a.optional_since.expect("only optional ones may be absent"));
+        oldest.min().map_or(self.version, |since| since - 1)
+    }
+
     /// Names of all files that a directory of this kind may hold.
     pub(crate) fn file_names(&self) -> impl Iterator<Item = String> {
         let arrays = self.arrays.iter().map(|a| format!("{}.npy", a.name));
@@ -95,7 +110,8 @@ const fn array(
     unit: &'static str,
     doc: &'static str,
 ) -> ArrayDef {
-    ArrayDef { name, dtype, shape, axes, unit, nan_allowed: false, default: None, doc }
+    let (nan_allowed, default, optional_since) = (false, None, None);
+    ArrayDef { name, dtype, shape, axes, unit, nan_allowed, default, optional_since, doc }
 }
 
 const fn or_nan(def: ArrayDef) -> ArrayDef {
@@ -104,6 +120,10 @@ const fn or_nan(def: ArrayDef) -> ArrayDef {
 
 const fn or_default(def: ArrayDef, value: u8) -> ArrayDef {
     ArrayDef { default: Some(value), ..def }
+}
+
+const fn optional(def: ArrayDef, value: u8, since: u32) -> ArrayDef {
+    ArrayDef { default: Some(value), optional_since: Some(since), ..def }
 }
 
 const X: ArrayDef = array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Pixel centres along x.");
@@ -253,7 +273,7 @@ pub const DWELL_DENSITY: Kind = Kind {
 /// Motion.
 pub const TRAJECTORY: Kind = Kind {
     name: "trajectory",
-    version: 1,
+    version: 2,
     doc: "A motion: k cubic polynomials per axis in segment-local time, p(u) = c0 + c1 u + c2 u^2 + c3 u^3, u = t - break_time_s[i].",
     frame: PATH_FRAME,
     arrays: &[
@@ -291,6 +311,54 @@ pub const TRAJECTORY: Kind = Kind {
             &["segment"],
             "1",
             "Dwell point that the segment serves; -1 when none.",
+        ),
+        optional(
+            array(
+                "rate_factor",
+                Dtype::F64,
+                &["k"],
+                &["segment"],
+                "1",
+                "Removal rate of the tool relative to its TIF, from a log with the beam current; >= 0.",
+            ),
+            1,
+            2,
+        ),
+    ],
+    files: &[],
+};
+
+/// Where a part lies on a machine.
+pub const TRANSFORM: Kind = Kind {
+    name: "transform",
+    version: 1,
+    doc: "Where a part lies: q = matrix (p - centre) + image takes a point p of the part to the point q of the machine, or of another map.",
+    frame: "from part coordinates to machine coordinates; the last axis is [x, y]",
+    arrays: &[
+        array(
+            "matrix",
+            Dtype::F64,
+            &["2", "2"],
+            &["x|y of q", "x|y of p"],
+            "1",
+            "Rotation, with a scale, or any matrix that does not mirror.",
+        ),
+        array(
+            "centre_mm",
+            Dtype::F64,
+            &["2"],
+            &["x|y"],
+            "mm",
+            "Point of the part about which it turns.",
+        ),
+        array("image_mm", Dtype::F64, &["2"], &["x|y"], "mm", "Where that point goes."),
+        array(
+            "covariance_mm2",
+            Dtype::F64,
+            &["6", "6"],
+            &["parameter", "parameter"],
+            "mm^2",
+            "Covariance of image x and y, and of matrix xx, xy, yx, yy times 1 mm.",
         ),
     ],
     files: &[],
@@ -394,100 +462,6 @@ pub const VERDICT: Kind = Kind {
     files: &[],
 };
 
-/// What a mirror is bought by.
-pub const SPECIFICATION: Kind = Kind {
-    name: "specification",
-    version: 1,
-    doc: "What a mirror is bought by: height and slope errors after the best shapes, in bands, along the centre line; and whether a specification is kept, limit by limit. The numbers are in the manifest's outcome. Of a profile the arrays along y and over rings are empty.",
-    frame: "part coordinates; frequencies ascend from 0",
-    arrays: &[
-        array(
-            "position_mm",
-            Dtype::F64,
-            &["n"],
-            &["x"],
-            "mm",
-            "Positions of the centre line, or of the profile.",
-        ),
-        or_nan(array(
-            "height_nm",
-            Dtype::F64,
-            &["n"],
-            &["x"],
-            "nm",
-            "Its heights after the shape that was taken off.",
-        )),
-        array(
-            "slope_position_mm",
-            Dtype::F64,
-            &["m"],
-            &["x"],
-            "mm",
-            "Middles of the bases of its slopes.",
-        ),
-        or_nan(array("slope_nrad", Dtype::F64, &["m"], &["x"], "nrad", "Its slopes.")),
-        array("frequency_x_per_mm", Dtype::F64, &["kx"], &["fx"], "1/mm", "Frequencies along x."),
-        array(
-            "psd_x_nm2_mm",
-            Dtype::F64,
-            &["kx"],
-            &["fx"],
-            "nm^2 mm",
-            "Density of the heights along x, one-sided, mean of the rows.",
-        ),
-        array(
-            "slope_psd_x_nrad2_mm",
-            Dtype::F64,
-            &["kx"],
-            &["fx"],
-            "nrad^2 mm",
-            "Density of the slopes along x.",
-        ),
-        array("frequency_y_per_mm", Dtype::F64, &["ky"], &["fy"], "1/mm", "Frequencies along y."),
-        array(
-            "psd_y_nm2_mm",
-            Dtype::F64,
-            &["ky"],
-            &["fy"],
-            "nm^2 mm",
-            "Density of the heights along y, one-sided, mean of the columns.",
-        ),
-        array(
-            "slope_psd_y_nrad2_mm",
-            Dtype::F64,
-            &["ky"],
-            &["fy"],
-            "nrad^2 mm",
-            "Density of the slopes along y.",
-        ),
-        array(
-            "frequency_radial_per_mm",
-            Dtype::F64,
-            &["kr"],
-            &["f"],
-            "1/mm",
-            "Middles of rings of frequencies.",
-        ),
-        array(
-            "psd_radial_nm2_mm2",
-            Dtype::F64,
-            &["kr"],
-            &["f"],
-            "nm^2 mm^2",
-            "Mean density of the heights over the rings, two-dimensional.",
-        ),
-        array(
-            "slope_psd_radial_nrad2_mm2",
-            Dtype::F64,
-            &["kr"],
-            &["f"],
-            "nrad^2 mm^2",
-            "Mean density of the slopes (both directions together) over the rings.",
-        ),
-    ],
-    files: &[],
-};
-
 /// What the errors of a process add.
 pub const TOLERANCE: Kind = Kind {
     name: "tolerance",
@@ -525,75 +499,6 @@ pub const TOLERANCE: Kind = Kind {
         Y,
     ],
     files: &[],
-};
-
-/// Power spectral densities of a map.
-pub const PSD: Kind = Kind {
-    name: "psd",
-    version: 1,
-    doc: "Power spectral densities of the largest rectangle of valid pixels of a map. The sum of a density times the steps of its frequencies is the mean square height; window, detrending and the RMS in bands are in the manifest.",
-    frame: "spatial frequency along x and y of the map; arrays are [y, x]; frequencies ascend",
-    arrays: &[
-        array(
-            "psd_2d_nm2_mm2",
-            Dtype::F64,
-            &["nfy", "nfx"],
-            &["fy", "fx"],
-            "nm^2 mm^2",
-            "Two-dimensional, for both signs of the frequencies.",
-        ),
-        array(
-            "frequency_2d_x_per_mm",
-            Dtype::F64,
-            &["nfx"],
-            &["fx"],
-            "1/mm",
-            "Frequencies along x of the two-dimensional density.",
-        ),
-        array(
-            "frequency_2d_y_per_mm",
-            Dtype::F64,
-            &["nfy"],
-            &["fy"],
-            "1/mm",
-            "Frequencies along y of the two-dimensional density.",
-        ),
-        array(
-            "psd_x_nm2_mm",
-            Dtype::F64,
-            &["kx"],
-            &["fx"],
-            "nm^2 mm",
-            "One-sided along x, mean of the rows.",
-        ),
-        array("frequency_x_per_mm", Dtype::F64, &["kx"], &["fx"], "1/mm", "Its frequencies."),
-        array(
-            "psd_y_nm2_mm",
-            Dtype::F64,
-            &["ky"],
-            &["fy"],
-            "nm^2 mm",
-            "One-sided along y, mean of the columns.",
-        ),
-        array("frequency_y_per_mm", Dtype::F64, &["ky"], &["fy"], "1/mm", "Its frequencies."),
-        array(
-            "psd_radial_nm2_mm2",
-            Dtype::F64,
-            &["kr"],
-            &["f"],
-            "nm^2 mm^2",
-            "Mean of the two-dimensional density over rings.",
-        ),
-        array(
-            "frequency_radial_per_mm",
-            Dtype::F64,
-            &["kr"],
-            &["f"],
-            "1/mm",
-            "Middles of the rings.",
-        ),
-    ],
-    files: &["psd.svg"],
 };
 
 /// Numbers for people and programs.
@@ -653,13 +558,14 @@ pub const FIGURES: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 15] = [
+pub const ALL: [&Kind; 16] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
     &DWELL,
     &DWELL_DENSITY,
     &TRAJECTORY,
+    &TRANSFORM,
     &REMOVAL,
     &FRAMES,
     &ITERATIONS,

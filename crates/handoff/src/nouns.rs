@@ -3,7 +3,7 @@
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
 use planish_types::{
     Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, Removal, RemovalMaps, Surface, Tif,
-    ToolPath, Trajectory, dwell_index_from_stored, stored_dwell_index,
+    ToolPath, Trajectory, Transform, dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -146,14 +146,16 @@ impl Artifact for Trajectory {
     fn to_arrays(&self) -> Vec<ArrayData> {
         let coefficients = self.coefficient_mm();
         let c = Array3::from_shape_fn((self.len(), 2, 4), |(i, a, o)| coefficients[i][a][o]);
-        vec![
+        let mut arrays = vec![
             floats(self.break_time_s()),
             ArrayData::F64(c.into_dyn()),
             flags(self.tool_on()),
             integers(
                 &self.dwell_index().iter().copied().map(stored_dwell_index).collect::<Vec<_>>(),
             ),
-        ]
+        ];
+        arrays.extend(self.rate_factor().map(floats));
+        arrays
     }
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
@@ -164,7 +166,34 @@ impl Artifact for Trajectory {
             (0..c.shape()[0]).map(segment).collect(),
             arrays.take_bool("tool_on"),
             dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
-        )
+        )?
+        .with_rate_factor(take_vec(arrays.take_f64("rate_factor")))
+    }
+}
+
+impl Artifact for Transform {
+    const KIND: &'static Kind = &kind::TRANSFORM;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        let rows = |rows: &[[f64; 6]]| ArrayData::F64(Array2::from(rows.to_vec()).into_dyn());
+        vec![
+            points(self.matrix()),
+            floats(&self.centre_mm()),
+            floats(&self.image_mm()),
+            rows(self.covariance()),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let matrix = take_points(&mut arrays, "matrix");
+        let mut point = |name| {
+            let v = take_vec(arrays.take_f64(name));
+            [v[0], v[1]]
+        };
+        let (centre_mm, image_mm) = (point("centre_mm"), point("image_mm"));
+        let c = take_map(&mut arrays, "covariance_mm2");
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| c[[i, j]]));
+        Self::new([matrix[0], matrix[1]], centre_mm, image_mm, covariance)
     }
 }
 

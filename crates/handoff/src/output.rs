@@ -256,6 +256,7 @@ impl Output {
             wall_time: self.args.wall_time,
             started: inputs.started,
             staged: Vec::new(),
+            frame: None,
             progress: spinner(format!("{} {}", task.tool, task.method)),
         }
     }
@@ -282,9 +283,17 @@ pub struct Writer {
     /// What is written and not shown yet.
     staged: Vec<Staged>,
     progress: ProgressBar,
+    /// What coordinates refer to, where this is not what the kind says.
+    frame: Option<&'static str>,
 }
 
 impl Writer {
+    /// What the coordinates of the artifacts of this run refer to, where it is not what their kind says: to a
+    /// machine, say.
+    pub fn set_frame(&mut self, frame: &'static str) {
+        self.frame = Some(frame);
+    }
+
     /// Writes `value` as the artifact of its kind.
     pub fn write<T: Artifact>(
         &mut self,
@@ -317,8 +326,8 @@ impl Writer {
             |(name, bytes): &(&str, Vec<u8>)| (name.to_string(), blake3::hash(bytes).to_string());
         let manifest = Manifest {
             kind: kind.name.into(),
-            version: kind.version,
-            frame: kind.frame.into(),
+            version: kind.version_of(arrays.len()),
+            frame: self.frame.unwrap_or(kind.frame).into(),
             outcome: with_status(outcome, status),
             arrays: records,
             files: beside.iter().map(hashed).collect(),

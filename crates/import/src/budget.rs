@@ -10,6 +10,7 @@
 //! |---|---|---|
 //! | [`MOST_FILE_BYTES`] | the file | what is read from the disk |
 //! | [`MOST_PIXELS`], `--memory-gib` | a map, or any array that is decoded | memory |
+//! | [`MOST_SAMPLES`], `--memory-gib` | a log | memory |
 //! | [`MOST_ARRAYS`] | groups, arrays and images that a file lists | time, memory |
 //! | [`MOST_HEADER_LINES`] | a header of text | memory |
 //! | [`MOST_TEXT_BYTES`] | names and words beside the numbers | memory |
@@ -30,6 +31,13 @@ pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
 /// What a line `x y z` costs: three numbers in a list that doubles as it grows, their coordinates in
 /// order, and the pixel.
 pub(crate) const BYTES_PER_POINT: usize = 3 * 3 * 8 + BYTES_PER_PIXEL;
+
+/// Most samples of a log: nine hours at 1 kHz.
+pub(crate) const MOST_SAMPLES: usize = MOST_PIXELS;
+
+/// What a sample of a log costs until it is written: seven columns in lists that double as they grow, times,
+/// positions, and a piece of the motion, for a moment twice.
+pub(crate) const BYTES_PER_SAMPLE: usize = 3 * 7 * 8 + 8 * 8 + 3 * 96;
 
 /// Most groups, arrays and images that are looked at in one file to find the map.
 pub(crate) const MOST_ARRAYS: usize = 10_000;

@@ -3,6 +3,7 @@
 mod program;
 mod surface;
 mod tif;
+mod trace;
 
 use std::path::{Path, PathBuf};
 
@@ -27,6 +28,8 @@ pub enum Method {
     Tif(tif::TifArgs),
     /// The program of a motion controller, back into the motion that it makes
     Program(program::ProgramArgs),
+    /// A log of what a machine did, as the motion that it made
+    Trace(trace::TraceArgs),
 }
 
 impl Method {
@@ -35,6 +38,7 @@ impl Method {
             Self::Surface(arguments) => arguments.run(),
             Self::Tif(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
+            Self::Trace(arguments) => arguments.run(),
         }
     }
 }

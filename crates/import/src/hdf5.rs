@@ -389,6 +389,14 @@ impl<'a> Attributes<'a> {
 }
 
 fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {
+    match unit_text(set)? {
+        Some(name) => Ok((Some(Unit::stated("unit", &name)?), Some(name))),
+        None => Ok((None, None)),
+    }
+}
+
+/// What a dataset calls its unit, where it does.
+pub(crate) fn unit_text(set: &Dataset) -> Result<Option<String>, Invalid> {
     let attributes = Attributes::of(set)?;
     let mut named = None;
     for name in ["unit", "units", "Unit", "Units"] {
@@ -397,9 +405,6 @@ fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {
             break;
         }
     }
-    let Some(attribute) = named else { return Ok((None, None)) };
-    match attribute.read_strings().map_err(broken)?.into_iter().next() {
-        Some(name) => Ok((Some(Unit::stated("unit", &name)?), Some(name))),
-        None => Ok((None, None)),
-    }
+    let Some(attribute) = named else { return Ok(None) };
+    Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
 }

@@ -1,5 +1,5 @@
-//! Other people's files in: measured maps, measured tool influence functions, and the programs of
-//! motion controllers.
+//! Other people's files in: measured maps, measured tool influence functions, the programs of motion
+//! controllers, and the logs of what they did.
 //!
 //! A reader turns the bytes of a file into a [`Reading`]: the numbers as they are stored, and what
 //! the file says about them. [`surface`] and [`tif`] turn a reading into a noun: one
@@ -18,6 +18,7 @@
 //! | [`csv`] | a matrix of numbers as text | - |
 //! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
 //! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV | see there |
+//! | [`trace`] | logs of what a machine did: CSV, HDF5, XPS, Aerotech, Galil | see there |
 //!
 //! What a file may cost is in `budget`. Only this crate and `planish-export` convert units.
 
@@ -37,6 +38,7 @@ mod reading;
 pub mod sdf;
 mod spot;
 mod text;
+pub mod trace;
 
 pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};

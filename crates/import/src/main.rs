@@ -12,7 +12,8 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
-    \x20 planish-import tif spot.mat --rate --unit m --coordinate-unit m --out out/tif";
+    \x20 planish-import tif spot.mat --rate --unit m --coordinate-unit m --out out/tif\n\
+    \x20 planish-import trace gathering.dat --format xps --unit mm --rate-hz 1000 --out out/run";
 
 /// Files of instruments and other programs in
 #[derive(Debug, Parser)]

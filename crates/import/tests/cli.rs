@@ -321,3 +321,79 @@ fn real_files_have_their_published_values() {
         read("xyz-1.txt", &["--format", "xyz", "--unit", "um", "--coordinate-unit", "mm"]);
     assert_eq!((map.height_nm().dim(), range(&map)), ((4, 4), (1000.0, 2000.0)));
 }
+
+/// 0.5 s at 1 kHz of a motion along x at 20 mm/s, as a gathering of an XPS whose axes come 2 ms late.
+fn gathering() -> String {
+    let at = |t: f64| 20.0 * t.max(0.0) + (9.0 * t).sin();
+    let line = |i: i32| {
+        let t = f64::from(i) * 1e-3;
+        let [set, is] = [at(t), at(t - 2e-3)];
+        format!("{set:.7};{is:.7};{:.7};{:.7};\n", -set / 2.0, -is / 2.0)
+    };
+    (0..=500).map(line).collect()
+}
+
+#[test]
+fn a_gathering_becomes_the_motion_that_was_made() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    fs::write(dir.join("Gathering.dat"), gathering()).unwrap();
+    let flags = ["trace", "Gathering.dat", "--format", "xps", "--unit", "mm", "--rate-hz", "1000"];
+    let (said, warned) = done(dir, &[&flags[..], &["--out", "run"]].concat());
+    assert!(said.contains("501 samples over 0.5000 s at 1000 Hz (asked for)"), "{said}");
+    assert!(said.contains("x beside the setpoint") && warned.is_empty(), "{said}{warned}");
+    let loaded = artifact::read::<Trajectory>(&dir.join("run")).unwrap();
+    assert_eq!((loaded.value.len(), loaded.value.rate_factor()), (500, None));
+    let manifest = loaded.manifest.unwrap();
+    // A plan and a log without a current are of the same version.
+    assert_eq!((manifest.version, manifest.arrays.len()), (1, 4));
+    let axes = &manifest.outcome["following_setpoint"]["axes"];
+    for axis in 0..2 {
+        let lag = axes[axis]["lag_ms"].as_f64().unwrap();
+        // The first two of 501 samples, where the setpoint is clamped at its beginning.
+        assert!((lag - 2.0).abs() < 0.02, "{axes}");
+    }
+    // Again: nothing to do.
+    assert!(done(dir, &[&flags[..], &["--out", "run"]].concat()).0.contains("unchanged"));
+
+    // Beside the plan, whose clock begins 0.1 s later than the log.
+    let late = ["--from-s", "0.1", "--planned", "run", "--tool-from-plan", "--out", "late"];
+    let (said, _) = done(dir, &[&flags[..], &late].concat());
+    assert!(said.contains("the plan begins -0.1"), "{said}");
+    let refusals: [(&[&str], &str); 5] = [
+        (&["trace", "Gathering.dat"], "give --format"),
+        (&["trace", "Gathering.dat", "--format", "xps", "--rate-hz", "1000"], "give --unit"),
+        (&["trace", "Gathering.dat", "--format", "xps", "--unit", "mm"], "give --rate-hz"),
+        (&["trace", "Gathering.dat", "--format", "csv", "--unit", "mm", "--x", "9"], "x: is \"9\""),
+        (&["trace", "Gathering.dat", "--format", "hdf5", "--unit", "mm"], "signature of HDF5"),
+    ];
+    for (arguments, expected) in refusals {
+        let said = refused(dir, arguments);
+        assert!(said.contains("Gathering.dat: ") && said.contains(expected), "{said}");
+    }
+}
+
+#[test]
+fn a_beam_current_is_a_rate_factor_of_version_2() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let line =
+        |i: i32| format!("{},{},0,{}\n", f64::from(i) * 0.01, i, if i < 50 { 2.0 } else { 1.0 });
+    let log: String =
+        ["t_s,x_um,y_um,current\n".to_string()].into_iter().chain((0..100).map(line)).collect();
+    fs::write(dir.join("log.csv"), log).unwrap();
+    let (said, _) = done(dir, &["trace", "log.csv", "--nominal-current", "2", "--out", "run"]);
+    assert!(said.contains("current \"current\""), "{said}");
+    let loaded = artifact::read::<Trajectory>(&dir.join("run")).unwrap();
+    let factor = loaded.value.rate_factor().unwrap();
+    assert_eq!((factor[0], factor[49], factor[98]), (1.0, 0.75, 0.5));
+    let manifest = loaded.manifest.unwrap();
+    assert_eq!((manifest.version, manifest.arrays.len()), (2, 5));
+    assert!((manifest.outcome["rate_factor"]["mean"].as_f64().unwrap() - 0.75).abs() < 1e-3);
+    // Without the file that the manifest lists the artifact is damaged, not one of version 1.
+    fs::remove_file(dir.join("run/rate_factor.npy")).unwrap();
+    let said = artifact::read::<Trajectory>(&dir.join("run")).unwrap_err().to_string();
+    assert!(said.contains("rate_factor.npy: is missing"), "{said}");
+    let said = refused(dir, &["trace", "log.csv"]);
+    assert!(said.contains("give --nominal-current"), "{said}");
+}

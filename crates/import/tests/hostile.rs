@@ -63,6 +63,7 @@ fn pipes_and_devices_are_refused() {
             [&["tif", path, "--rate"], &NM[..]].concat(),
             [&["tif", "a.csv", "--before", path], &dwell[..], &NM[..]].concat(),
             vec!["program", path, "--controller", "gcode"],
+            vec!["trace", path, "--format", "csv"],
             program.to_vec(),
         ] {
             let said = refused(dir, &arguments);
@@ -87,6 +88,10 @@ fn an_empty_file_is_called_empty() {
     }
     for format in ["metropro", "datx", "xyz", "mat5", "hdf5", "fits", "csv", "npy", "sdf"] {
         let said = refused(dir, &["tif", "a", "--rate", "--format", format]);
+        assert!(said.contains("a: is empty"), "{format}: {said}");
+    }
+    for format in ["csv", "hdf5", "xps", "aerotech", "galil"] {
+        let said = refused(dir, &["trace", "a", "--format", format]);
         assert!(said.contains("a: is empty"), "{format}: {said}");
     }
     for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
@@ -493,4 +498,42 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
     }
     assert!(failures.is_empty(), "{} failures:\n{}", failures.len(), failures.join("\n"));
     assert!(done > 10 && refused > 10, "{done} done, {refused} refused");
+}
+
+#[test]
+fn absurd_numbers_for_a_log_end_in_one_message() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let line = |i: i32| format!("{i},{},{},{},1\n", i * i, 3 * i, 2.0);
+    let log: String = ["t_ms,x_um,y_um,current,tool_on\n".to_string()]
+        .into_iter()
+        .chain((0..40).map(line))
+        .collect();
+    fs::write(dir.join("log.csv"), log).unwrap();
+    let base = ["trace", "log.csv", "--nominal-current", "2"];
+    done(dir, &base);
+    for value in ["0", "-1", "nan", "inf", "1e-300", "1e300", "1e9"] {
+        for flag in [
+            "--rate-hz",
+            "--sample-s",
+            "--most-gap-s",
+            "--count-mm",
+            "--from-s",
+            "--until-s",
+            "--most-offset-s",
+        ] {
+            let flag = format!("{flag}={value}");
+            let arguments = [&base[..], &[flag.as_str(), "--force", "--out", "out"]].concat();
+            let output = run(dir, &arguments);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            let errors = said.lines().filter(|l| l.starts_with("error: ")).count();
+            let code = output.status.code();
+            assert!(matches!(code, Some(0 | 2)) && !said.contains("internal"), "{flag}: {said}");
+            assert_eq!(errors, usize::from(code == Some(2)), "{flag}: {said}");
+            if code == Some(0) {
+                let manifest = fs::read_to_string(dir.join("out/manifest.json")).unwrap();
+                assert!(!manifest.split("\"outcome\"").nth(1).unwrap().contains("null"), "{flag}");
+            }
+        }
+    }
 }

@@ -15,7 +15,7 @@ use crate::Numerics;
 /// Most quadrature points (2.4 GB).
 const MAX_SAMPLES: usize = 100_000_000;
 
-/// The tool at `position_mm` for `time_s`.
+/// The tool at `position_mm` for `time_s`, counted at the rate of its TIF.
 struct Sample {
     position_mm: [f64; 2],
     time_s: f64,
@@ -81,7 +81,7 @@ fn samples(trajectory: &Trajectory, steps: usize) -> Vec<Sample> {
         let time_s = segment.duration_s / steps as f64;
         samples.extend((0..steps).map(|q| Sample {
             position_mm: segment.position_mm((q as f64 + 0.5) * time_s),
-            time_s,
+            time_s: segment.rate_factor * time_s,
         }));
     }
     samples

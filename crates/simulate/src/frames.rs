@@ -91,7 +91,7 @@ fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajector
     let breaks = t.break_time_s();
     let first = breaks.partition_point(|b| *b <= from_s).saturating_sub(1);
     let (mut times, mut coefficients) = (vec![], vec![]);
-    let (mut on, mut index) = (vec![], vec![]);
+    let (mut on, mut index, mut factor) = (vec![], vec![], vec![]);
     for i in first..t.len() {
         let segment = t.segment(i);
         let (start, end) = (breaks[i].max(from_s), breaks[i + 1].min(until_s));
@@ -103,10 +103,11 @@ fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajector
         times.push(start);
         on.push(segment.tool_on);
         index.push(segment.dwell_index);
+        factor.push(segment.rate_factor);
     }
     let Some(last) = times.len().checked_sub(1) else { return Ok(None) };
     times.push(breaks[first + last + 1].min(until_s));
-    Trajectory::new(times, coefficients, on, index).map(Some)
+    Trajectory::new(times, coefficients, on, index)?.with_rate_factor(factor).map(Some)
 }
 
 /// q(u) = p(u + d): q_k = p^(k)(d) / k!

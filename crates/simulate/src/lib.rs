@@ -1,11 +1,11 @@
 //! What a trajectory removes: the time integral of the TIF along the motion.
 //!
 //! ```text
-//! removal(x) = integral over the time the tool is on of  R(x - P(t)) dt
+//! removal(x) = integral over the time the tool is on of  w(t) R(x - P(t)) dt
 //! ```
 //!
-//! with the TIF `R` of [`planish_types::Tif`] and the position `P` of the trajectory, never of
-//! the dwell points. Source: the convolution model of computer-controlled optical surfacing
+//! with the TIF `R` of [`planish_types::Tif`], the position `P` of the trajectory, never of the dwell
+//! points, and its rate factor `w`, which is 1 but for logs that have a beam current. Source: the convolution model of computer-controlled optical surfacing
 //! (Jones, Appl. Opt. 16 (1977) 218), with the executed motion in place of the dwell map.
 //!
 //! Two methods, which share nothing but the definition of R:

@@ -13,7 +13,8 @@
 //! M[b][a] = integral over the piece of w_b(f_y(t)) w_a(f_x(t)) dt
 //! ```
 //!
-//! of Keys' weights, which sum to its duration.
+//! of Keys' weights, which sum to its duration, times the rate factor of the segment: a tool that
+//! removes at half its rate is one that stands for half the time.
 
 use std::ops::Range;
 
@@ -111,7 +112,7 @@ impl Cutter {
             if let Some(cell) = window.cell(at) {
                 let offset = at.map(|(_, f)| f);
                 let mut piece = Piece { cell, offset, seconds: [[0.0; 4]; 4], points: 1 };
-                piece.add(offset, segment.duration_s);
+                piece.add(offset, segment.rate_factor * segment.duration_s);
                 each(&piece);
             }
             return;
@@ -133,7 +134,7 @@ impl Cutter {
                 for (node, weight) in self.rule {
                     let u = start + node * duration;
                     let f = |axis: usize| polynomial::evaluate(&c[axis], u) - cell[axis] as f64;
-                    piece.add([f(0), f(1)], weight * duration);
+                    piece.add([f(0), f(1)], segment.rate_factor * weight * duration);
                 }
                 each(&piece);
             }

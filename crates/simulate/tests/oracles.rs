@@ -485,3 +485,30 @@ fn the_same_bytes_on_one_and_two_threads() {
         assert!(one.0.iter().any(|v| *v > 1.0));
     }
 }
+
+/// A rate factor is time: the tool at 0.4 of its rate for 5 s removes what it removes at its rate in 2 s, at
+/// rest and in motion, by both methods and in the frames.
+#[test]
+fn a_rate_factor_is_time() {
+    let tif = rough_tif([0.11, 0.13]);
+    let g = grid([-3.0, -3.0], [0.11, 0.13], [50, 45]);
+    let at = [[0.3, -0.2], [1.0, 0.4]];
+    let whole = resting(&at, &[2.0, 1.0]);
+    let slow = resting(&at, &[5.0, 1.0]).with_rate_factor(vec![0.4, 1.0]).unwrap();
+    let e = largest_difference(&gridded(&whole, &tif, &g), &gridded(&slow, &tif, &g));
+    assert!(e < 1e-10, "{e}");
+    // In motion, with the border of the TIF: one half of the rate is one half of the removal.
+    let run = pass([-2.0, -1.0], [2.0, 1.5], 3.0);
+    let half = run.clone().with_rate_factor(vec![0.5]).unwrap();
+    let e = largest_difference(&(gridded(&run, &tif, &g) * 0.5), &gridded(&half, &tif, &g));
+    assert!(e < 1e-12, "{e}");
+    let direct = |t: &Trajectory| direct::removal_nm(t, &tif, &g, 16).unwrap().0;
+    let e = largest_difference(&(direct(&run) * 0.5), &direct(&half));
+    assert!(e < 1e-12, "{e}");
+    let surface = Surface::new(g, Array2::ones(g.shape())).unwrap();
+    let found = frames(&half, &tif, &surface, Settings::Gridded, 3, |_| ()).unwrap();
+    let last = found.removal_nm.index_axis(ndarray::Axis(0), 2).to_owned();
+    // The frames cut the motion elsewhere than the lattice does: 1e-6 of the removal.
+    let e = largest_difference(&last, &gridded(&half, &tif, &g));
+    assert!(e < 1e-4 && largest_magnitude(last.iter().copied()) > 1.0, "{e}");
+}

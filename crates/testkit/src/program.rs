@@ -1,16 +1,44 @@
 //! What the tests of a program share: its inputs on disk, its run, what it said.
 
 use std::{
+    ffi::OsString,
     fs,
     io::{Read, Seek},
-    path::Path,
+    path::{Path, PathBuf},
     process::{Command, Output, Stdio},
+    sync::OnceLock,
     thread::sleep,
     time::{Duration, Instant},
 };
 
 use ndarray::{Array, Dimension};
 use planish_handoff::{Artifact, npy::ArrayData};
+
+use crate::workspace;
+
+/// The folder of the programs, built once in the profile of the test that asks.
+pub fn binaries() -> &'static Path {
+    static BINARIES: OnceLock<PathBuf> = OnceLock::new();
+    BINARIES.get_or_init(|| {
+        // This program is target/<profile>/deps/NAME-<hash>.
+        let program = std::env::current_exe().unwrap();
+        let profile_dir = program.parent().and_then(Path::parent).unwrap().to_path_buf();
+        let profile = match profile_dir.file_name().unwrap().to_str().unwrap() {
+            "debug" => "dev",
+            profile => profile,
+        };
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
+        let output = Command::new(cargo)
+            .args(["build", "--quiet", "--locked", "--workspace", "--bins", "--profile", profile])
+            .arg("--target-dir")
+            .arg(profile_dir.parent().unwrap())
+            .current_dir(workspace())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        profile_dir
+    })
+}
 
 /// Writes the artifact `name` in `dir`, without a history.
 pub fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {

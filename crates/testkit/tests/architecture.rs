@@ -41,7 +41,7 @@ const ROOMS: [Room; 9] = [
 ];
 
 /// Layer 3: the stages. None names another one; `handoff` is for their `main.rs`.
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 12] = [
     "fixture",
     "import",
     "surface",
@@ -53,10 +53,11 @@ const STAGES: [&str; 11] = [
     "verify",
     "export",
     "compare",
+    "register",
 ];
 const STAGE_MAY_NAME: [&str; 4] = ["numerics", "types", "draw", "handoff"];
 
-const ALL: [&str; 19] = [
+const ALL: [&str; 20] = [
     "numerics",
     "types",
     "draw",
@@ -76,6 +77,7 @@ const ALL: [&str; 19] = [
     "feed",
     "tolerance",
     "run",
+    "register",
 ];
 
 /// What the library of `testkit` may name: the tests of every stage use it.

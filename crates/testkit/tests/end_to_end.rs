@@ -2,16 +2,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    ffi::OsString,
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
-    sync::OnceLock,
 };
 
 use ndarray::{ArrayD, array};
 use planish_handoff::npy::ArrayData;
-use planish_testkit::workspace;
+use planish_testkit::{program::binaries, workspace};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -22,30 +20,6 @@ const METHODS: [(&str, &str); 4] = [
     ("pvt", "pvt --mode smooth"),
     ("pvt-monotone", "pvt --mode monotone"),
 ];
-
-/// The binaries, built once in the profile of this test.
-fn binaries() -> &'static Path {
-    static BINARIES: OnceLock<PathBuf> = OnceLock::new();
-    BINARIES.get_or_init(|| {
-        // This program is target/<profile>/deps/end_to_end-<hash>.
-        let program = std::env::current_exe().unwrap();
-        let profile_dir = program.parent().and_then(Path::parent).unwrap().to_path_buf();
-        let profile = match profile_dir.file_name().unwrap().to_str().unwrap() {
-            "debug" => "dev",
-            profile => profile,
-        };
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
-        let output = Command::new(cargo)
-            .args(["build", "--quiet", "--locked", "--workspace", "--bins", "--profile", profile])
-            .arg("--target-dir")
-            .arg(profile_dir.parent().unwrap())
-            .current_dir(workspace())
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        profile_dir
-    })
-}
 
 /// A directory in which the line is run by relative paths, so that two of them can be compared
 /// byte by byte.

@@ -66,3 +66,16 @@ slope_urad = at_mm / 2 + 0.2 * np.sin(2 * np.pi * at_mm / 8)
 np.savetxt("scan.csv", np.c_[at_mm, slope_urad], delimiter=",", header="position (mm), slope (urad)")
 curvature_per_mm = 3e-3 / 2 * (1 / 30000 + 1 / 400)
 np.save("scan.npy", np.c_[at_mm / 1e3, curvature_per_mm * at_mm])
+
+# Four fiducials at the corners of 92 x 16 mm, turned by 0.2 degree and moved, read to 5 um.
+angle = np.radians(0.2)
+corners_mm = np.array([[0, 0], [92, 0], [92, 16], [0, 16]])
+turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+read_mm = corners_mm @ turn.T + [150, 40] + 1e-3 * np.array([[3, -2], [-4, 1], [2, 5], [-1, -3]])
+np.savetxt(
+    "fiducials.csv",
+    np.c_[corners_mm, read_mm, np.full(4, 5e-3)],
+    delimiter=",",
+    comments="",
+    header="map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm",
+)

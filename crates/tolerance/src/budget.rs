@@ -37,6 +37,7 @@ pub fn tolerance(
     settings: &Settings,
 ) -> Result<Tolerance, Invalid> {
     settings.check()?;
+    trajectory.check_rate_is_constant()?;
     let (seed, width) = (settings.seed, tif_width_mm(tif));
     let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, width)? };
     let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;

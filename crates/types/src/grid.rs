@@ -14,7 +14,7 @@ const LARGEST_MM: f64 = 1e7;
 const SMALLEST_STEP_MM: f64 = 1e-9;
 
 /// Whether a coordinate can be one in mm.
-pub(crate) fn is_plausible_mm(mm: f64) -> bool {
+pub fn is_plausible_mm(mm: f64) -> bool {
     mm.abs() <= LARGEST_MM
 }
 

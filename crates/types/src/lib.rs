@@ -12,6 +12,7 @@
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | what the machine's axes can do | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
+//! | [`Transform`] | where a part lies on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
@@ -27,12 +28,13 @@ pub mod text;
 mod tif;
 mod tool_path;
 mod trajectory;
+mod transform;
 
 pub use aperture::ClearAperture;
 pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
-pub use grid::{Axis, Grid};
+pub use grid::{Axis, Grid, is_plausible_mm};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::Tif;
@@ -41,6 +43,7 @@ pub use trajectory::{
     Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,
     stored_dwell_index,
 };
+pub use transform::Transform;
 
 /// A value that cannot be what it claims to be.
 ///

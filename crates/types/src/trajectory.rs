@@ -14,6 +14,8 @@ pub struct Trajectory {
     coefficient_mm: Vec<[[f64; 4]; 2]>,
     tool_on: Vec<bool>,
     dwell_index: Vec<Option<usize>>,
+    /// `None` where every segment has 1, which is what plans have.
+    rate_factor: Option<Vec<f64>>,
 }
 
 /// One polynomial piece of a trajectory.
@@ -29,6 +31,8 @@ pub struct Segment<'a> {
     pub tool_on: bool,
     /// Dwell point that the segment serves, if any.
     pub dwell_index: Option<usize>,
+    /// Removal rate of the tool relative to that of its TIF; >= 0.
+    pub rate_factor: f64,
 }
 
 impl Segment<'_> {
@@ -90,7 +94,23 @@ impl Trajectory {
                 }
             }
         }
-        Ok(Self { break_time_s, coefficient_mm, tool_on, dwell_index })
+        Ok(Self { break_time_s, coefficient_mm, tool_on, dwell_index, rate_factor: None })
+    }
+
+    /// The same motion with a tool whose removal rate in segment i is `rate_factor[i]` (k) times that of
+    /// its TIF, as a measured beam current has it; refuses what is negative or not finite.
+    pub fn with_rate_factor(self, rate_factor: Vec<f64>) -> Result<Self, Invalid> {
+        let k = self.len();
+        if rate_factor.len() != k {
+            let problem = format!("has {} elements for {k} segments", rate_factor.len());
+            return Err(Invalid::whole("rate_factor", problem, format!("give {k}")));
+        }
+        if let Some(i) = rate_factor.iter().position(|f| !(f.is_finite() && *f >= 0.0)) {
+            let remedy = "give the rate relative to that of the TIF: 1 where they are equal";
+            return Err(Invalid::at("rate_factor", i, format!("is {}", rate_factor[i]), remedy));
+        }
+        let all_one = rate_factor.iter().all(|f| *f == 1.0);
+        Ok(Self { rate_factor: (!all_one).then_some(rate_factor), ..self })
     }
 
     /// Number of segments k.
@@ -119,6 +139,25 @@ impl Trajectory {
         &self.dwell_index
     }
 
+    /// Removal rate of every segment relative to that of the TIF (k); `None` where all of them are 1.
+    pub fn rate_factor(&self) -> Option<&[f64]> {
+        self.rate_factor.as_deref()
+    }
+
+    /// Refuses a motion whose rate is not that of the TIF throughout, for what plans with the TIF alone.
+    pub fn check_rate_is_constant(&self) -> Result<(), Invalid> {
+        let varies = |f: &[f64]| f.iter().position(|f| *f != 1.0).map(|i| (i, f[i]));
+        match self.rate_factor().and_then(varies) {
+            None => Ok(()),
+            Some((i, factor)) => Err(Invalid::at(
+                "rate_factor",
+                i,
+                format!("is {factor}: a log of what a machine did, with its rate"),
+                "give a plan, or a log that was read without its beam current",
+            )),
+        }
+    }
+
     /// Segment `i`.
     pub fn segment(&self, i: usize) -> Segment<'_> {
         Segment {
@@ -127,6 +166,7 @@ impl Trajectory {
             coefficient_mm: &self.coefficient_mm[i],
             tool_on: self.tool_on[i],
             dwell_index: self.dwell_index[i],
+            rate_factor: self.rate_factor.as_ref().map_or(1.0, |f| f[i]),
         }
     }
 
@@ -281,6 +321,25 @@ mod tests {
         .unwrap();
         assert_eq!(t.segment(1).position_mm(2.0), [5.0, 8.0]);
         assert_eq!(t.total_time_s(), 502.0);
+    }
+
+    #[test]
+    fn a_rate_factor_of_one_is_none() {
+        let plan = || served();
+        assert_eq!(plan().with_rate_factor(vec![1.0; 4]).unwrap(), plan());
+        assert!(plan().check_rate_is_constant().is_ok() && plan().segment(2).rate_factor == 1.0);
+        let run = plan().with_rate_factor(vec![1.0, 0.0, 1.25, 1.0]).unwrap();
+        assert_eq!(
+            run.segments().map(|s| s.rate_factor).collect::<Vec<_>>(),
+            [1.0, 0.0, 1.25, 1.0]
+        );
+        assert_eq!(run.rate_factor(), Some(&[1.0, 0.0, 1.25, 1.0][..]));
+        let message = run.check_rate_is_constant().unwrap_err().to_string();
+        assert!(message.contains("rate_factor[1]: is 0"), "{message}");
+        for bad in [vec![1.0; 3], vec![1.0, 1.0, -0.1, 1.0], vec![1.0, 1.0, f64::NAN, 1.0]] {
+            let message = plan().with_rate_factor(bad).unwrap_err().to_string();
+            assert!(message.contains("rate_factor"), "{message}");
+        }
     }
 
     #[test]

@@ -1,0 +1,253 @@
+//! `planish-import trace`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, pair, say, task, warn,
+    with_flags,
+};
+use planish_import::trace::{
+    self, LogFormat, PositionUnit, TimeUnit, Trace, TraceSettings,
+    columns::Columns,
+    following::{self, Following},
+    motion::Between,
+};
+use planish_types::{Trajectory, text::significant};
+use serde_json::{Value, json};
+
+use super::{about, foreign};
+
+#[derive(Debug, Args)]
+pub struct TraceArgs {
+    /// Log
+    file: PathBuf,
+    /// Whose log it is [default: hdf5 by the content, csv by the ending]
+    #[arg(long, value_enum)]
+    format: Option<LogFormat>,
+    /// Column of the time stamps: name, number counted from 1, path in HDF5 (PATH:K for its column K)
+    /// [default: the one that is called t or time]
+    #[arg(long, value_name = "COLUMN")]
+    time: Option<String>,
+    /// Column of the position of x [default: by its name]
+    #[arg(long, value_name = "COLUMN")]
+    x: Option<String>,
+    /// Column of the position of y [default: by its name]
+    #[arg(long, value_name = "COLUMN")]
+    y: Option<String>,
+    /// Column of the setpoint of x [default: by its name]
+    #[arg(long, value_name = "COLUMN")]
+    setpoint_x: Option<String>,
+    /// Column of the setpoint of y [default: by its name]
+    #[arg(long, value_name = "COLUMN")]
+    setpoint_y: Option<String>,
+    /// Column of the beam current, which the removal rate follows
+    #[arg(long, value_name = "COLUMN")]
+    current: Option<String>,
+    /// Beam current at which the TIF was measured, in the unit of the log
+    #[arg(long, value_name = "I", allow_negative_numbers = true)]
+    nominal_current: Option<f64>,
+    /// Column that is 1 where the tool removes and 0 where it does not
+    #[arg(long, value_name = "COLUMN")]
+    tool_on: Option<String>,
+    /// Unit of the positions, where the log does not state it
+    #[arg(long, value_enum)]
+    unit: Option<PositionUnit>,
+    /// Size of a count, mm: one number, or two for X,Y
+    #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
+    count_mm: Option<[f64; 2]>,
+    /// Unit of the time stamps, where the log does not state it
+    #[arg(long, value_enum)]
+    time_unit: Option<TimeUnit>,
+    /// Sample time of the controller, s, for time stamps in samples
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    sample_s: Option<f64>,
+    /// Samples per second, Hz: the time where there are no stamps, and what stamps are compared with
+    #[arg(long, value_name = "F", allow_negative_numbers = true)]
+    rate_hz: Option<f64>,
+    /// Longest gap in the time stamps that is bridged by a straight line, s
+    #[arg(long, value_name = "T", default_value_t = 0.1, allow_negative_numbers = true)]
+    most_gap_s: f64,
+    /// Begin so long after the first sample, s
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    from_s: Option<f64>,
+    /// End so long after the first sample, s
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    until_s: Option<f64>,
+    /// Motion between two samples
+    #[arg(long, value_enum, default_value = "cubic")]
+    between: Between,
+    /// Plan that was run, to compare with [trajectory artifact]
+    #[arg(long, value_name = "DIR")]
+    planned: Option<PathBuf>,
+    /// Longest time between the beginnings of the log and of the plan, s
+    #[arg(long, value_name = "T", default_value_t = 10.0, allow_negative_numbers = true)]
+    most_offset_s: f64,
+    /// The tool is on when the plan has it on: for logs that do not tell
+    #[arg(long, requires = "planned", conflicts_with = "tool_on")]
+    tool_from_plan: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl TraceArgs {
+    fn settings(&self) -> TraceSettings {
+        TraceSettings {
+            columns: Columns {
+                time: self.time.clone(),
+                x: self.x.clone(),
+                y: self.y.clone(),
+                setpoint_x: self.setpoint_x.clone(),
+                setpoint_y: self.setpoint_y.clone(),
+                current: self.current.clone(),
+                tool_on: self.tool_on.clone(),
+            },
+            unit: self.unit,
+            count_mm: self.count_mm,
+            time_unit: self.time_unit,
+            sample_s: self.sample_s,
+            rate_hz: self.rate_hz,
+            most_gap_s: self.most_gap_s,
+            nominal_current: self.nominal_current,
+            from_s: self.from_s,
+            until_s: self.until_s,
+            between: self.between,
+        }
+    }
+
+    fn format(&self, bytes: &[u8]) -> Result<LogFormat, Failure> {
+        let ending = self.file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        self.format.or_else(|| LogFormat::of(bytes, ending.as_deref())).ok_or_else(|| {
+            let problem = "is of no format that is known by its content; give --format";
+            Failure::new(format!("{}: {problem}", self.file.display()))
+        })
+    }
+
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let settings = self.settings();
+        let planned: Option<Trajectory> = match &self.planned {
+            Some(dir) => Some(inputs.read("planned", dir)?),
+            None => None,
+        };
+        let bytes = foreign(&mut inputs, "file", &self.file)?;
+        let format = self.format(&bytes)?;
+        let resolved = json!({
+            "format": format,
+            "log": settings,
+            "most_offset_s": self.most_offset_s,
+            "tool_from_plan": self.tool_from_plan,
+        });
+        let task = task!("trace", resolved);
+        let output = Output::directory(&self.output, Trajectory::KIND);
+        let mut output = match output.begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let failed = |e| about(&self.file, &e);
+        let mut trace = trace::read(format, &bytes, &settings).map_err(failed)?;
+        drop(bytes);
+        let beside_plan = match &planned {
+            Some(plan) => Some(self.beside_plan(&mut trace, plan)?),
+            None => None,
+        };
+        let motion = trace.motion(self.between).map_err(failed)?;
+        let setpoint = trace.setpoint(self.between).map_err(failed)?;
+        let beside_setpoint =
+            setpoint.map(|s| following::beside_setpoint(&trace.time_s, &trace.actual_mm, &s));
+        let outcome = outcome(&trace, &motion, beside_setpoint.as_ref(), beside_plan.as_ref());
+        output.write(&motion, outcome, &Status::Done)?;
+        self.report(&trace, &motion);
+        for (name, following) in [("setpoint", beside_setpoint), ("plan", beside_plan)] {
+            if let Some(following) = following {
+                say_following(name, &following);
+            }
+        }
+        Ok(Status::Done)
+    }
+
+    /// The log beside the plan, whose tool becomes that of the log where this is asked for.
+    fn beside_plan(&self, trace: &mut Trace, plan: &Trajectory) -> Result<Following, Failure> {
+        let (time_s, actual_mm) = (&trace.time_s, &trace.actual_mm);
+        let following = following::beside_plan(time_s, actual_mm, plan, self.most_offset_s)
+            .map_err(|e| about(&self.file, &e))?;
+        if self.tool_from_plan {
+            let begin_s = following.reference_begins_s + time_s[0];
+            trace.tool_on = Some(following::tool_of_plan(time_s, plan, begin_s));
+        }
+        Ok(following)
+    }
+
+    fn report(&self, trace: &Trace, motion: &Trajectory) {
+        for warning in &trace.statement.warnings {
+            warn(with_flags(warning));
+        }
+        let columns = trace.statement.columns.iter();
+        let columns: Vec<String> =
+            columns.map(|(role, name)| format!("{} {name:?}", role.setting())).collect();
+        say(format!(
+            "planish-import: {} samples over {:.4} s at {} Hz ({}); read: {}; unit: {}",
+            trace.time_s.len(),
+            motion.total_time_s(),
+            significant(trace.clock.rate_hz, 8),
+            trace.clock.rate_from,
+            columns.join(", "),
+            trace.statement.unit_from
+        ));
+        say(format!("planish-import: {} segments -> {}", motion.len(), self.output.out.display()));
+    }
+}
+
+fn outcome(
+    trace: &Trace,
+    motion: &Trajectory,
+    beside_setpoint: Option<&Following>,
+    beside_plan: Option<&Following>,
+) -> Value {
+    let mut outcome = json!({
+        "segments": motion.len(),
+        "total_time_s": motion.total_time_s(),
+        "always_on": motion.tool_on().iter().all(|on| *on),
+        "reading": trace.statement,
+        "clock": trace.clock,
+    });
+    if let Some(factor) = motion.rate_factor() {
+        let mean = factor.iter().sum::<f64>() / factor.len() as f64;
+        let least = factor.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = factor.iter().copied().fold(0.0, f64::max);
+        outcome["rate_factor"] = json!({ "mean": mean, "least": least, "most": most });
+    }
+    if let Some(following) = beside_setpoint {
+        outcome["following_setpoint"] = json!(following);
+    }
+    if let Some(following) = beside_plan {
+        outcome["following_plan"] = json!(following);
+    }
+    outcome
+}
+
+/// The following error of both axes, in um and ms.
+fn say_following(of: &str, following: &Following) {
+    for (name, axis) in ["x", "y"].into_iter().zip(&following.axes) {
+        let um = |mm: f64| significant(1e3 * mm, 4);
+        let lag = match (axis.lag_ms, axis.lag_standard_error_ms, axis.rms_without_lag_mm) {
+            (Some(lag), Some(error), Some(rest)) => format!(
+                "lag {} ms (standard error {}), {} um RMS without it",
+                significant(lag, 4),
+                significant(error, 2),
+                um(rest)
+            ),
+            _ => "no lag: it does not move".into(),
+        };
+        say(format!(
+            "planish-import: {name} beside the {of}: {} um RMS, {} um at most (at {:.4} s), {lag}",
+            um(axis.rms_mm),
+            um(axis.largest_mm),
+            axis.largest_at_s
+        ));
+    }
+    if of == "plan" {
+        let begins = significant(following.reference_begins_s, 7);
+        say(format!("planish-import: the plan begins {begins} s after the first sample"));
+    }
+}

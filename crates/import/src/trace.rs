@@ -1,0 +1,406 @@
+//! Logs of what a machine did, as the motion that it made.
+//!
+//! A controller records where its axes were: an encoder log, a gathering, a scope trace. The removal is an
+//! integral along that motion as it is along a plan's, so a log becomes a [`Trajectory`] with one piece per
+//! interval between two samples ([`motion`]), and the residual *as run* stands beside the residual *as
+//! planned*.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`columns`] | which columns of a log are what, by number, by name, or as the controller names them |
+//! | [`table`] | text in columns: CSV, XPS gatherings, Aerotech and Galil logs |
+//! | [`datasets`] | HDF5 |
+//! | [`clock`] | time stamps or a rate: gaps, drift and scatter |
+//! | [`motion`] | cubic or straight pieces between the samples |
+//! | [`following`] | the setpoint, or a plan, beside what was done |
+//!
+//! The formats, as far as they are public:
+//!
+//! * XPS: `GatheringStopAndSave` writes lines of numbers, separated by tabs or semicolons, with the names
+//!   `GROUP.POSITIONER.SetpointPosition` and `...CurrentPosition` above them; what
+//!   `GatheringDataMultipleLinesGet` returns has none, and then the columns are `setpoint;actual;` per axis
+//!   (Newport, XPS programmer's manual).
+//! * Galil: uploaded arrays are a CSV whose first line has the names; a shorter array ends with empty cells
+//!   (GalilTools manual, "Comma-Separated Values"). `_TPA` is the encoder of axis A, `_RPA` its reference.
+//! * Aerotech: the plots of A3200 and Automation1 are saved as text in columns, named after the signals
+//!   `Position Command` and `Position Feedback` of an axis. No specification is public, so columns are found
+//!   by the words of their names, and named to the user.
+
+pub mod clock;
+pub mod columns;
+pub mod datasets;
+pub mod following;
+pub mod motion;
+pub mod table;
+
+use planish_types::{Invalid, Trajectory};
+use serde::Serialize;
+
+use self::{
+    clock::{Clock, Timing},
+    columns::{Column, Columns, Role},
+    motion::Between,
+};
+
+/// What an error of this module is about.
+const NAME: &str = "log";
+
+/// Whose log it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum LogFormat {
+    /// Text in columns, with or without their names.
+    Csv,
+    /// HDF5, a dataset per quantity.
+    Hdf5,
+    /// Newport XPS gathering.
+    Xps,
+    /// Aerotech plot saved as text.
+    Aerotech,
+    /// Galil arrays, uploaded as text.
+    Galil,
+}
+
+impl LogFormat {
+    /// The format of a log from its first bytes, or from the ending of its name in lower case.
+    pub fn of(bytes: &[u8], ending: Option<&str>) -> Option<Self> {
+        match ending {
+            _ if crate::hdf5::is_hdf5(bytes) => Some(Self::Hdf5),
+            Some("csv") => Some(Self::Csv),
+            _ => None,
+        }
+    }
+}
+
+/// A unit of the positions in a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum PositionUnit {
+    /// Metre.
+    M,
+    /// Millimetre.
+    Mm,
+    /// Micrometre.
+    Um,
+    /// Nanometre.
+    Nm,
+    /// Counts of the encoder.
+    Count,
+}
+
+/// A unit of the time stamps in a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum TimeUnit {
+    /// Second.
+    S,
+    /// Millisecond.
+    Ms,
+    /// Microsecond.
+    Us,
+    /// Samples of the controller.
+    Samples,
+}
+
+/// What the user knows of a log.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct TraceSettings {
+    /// Which columns are what; the rest is found by the names in the file.
+    pub columns: Columns,
+    /// Unit of the positions, where the log does not state it.
+    pub unit: Option<PositionUnit>,
+    /// Size of a count of (x, y), mm.
+    pub count_mm: Option<[f64; 2]>,
+    /// Unit of the time stamps, where the log does not state it.
+    pub time_unit: Option<TimeUnit>,
+    /// Sample time of the controller, s: of time stamps in samples.
+    pub sample_s: Option<f64>,
+    /// Samples per second that the log was to have, Hz.
+    pub rate_hz: Option<f64>,
+    /// Longest gap between two samples that is bridged, s.
+    pub most_gap_s: f64,
+    /// Beam current, in the unit of the log, at which the tool removes as its TIF says.
+    pub nominal_current: Option<f64>,
+    /// Where the motion begins, s after the first sample.
+    pub from_s: Option<f64>,
+    /// Where it ends, s after the first sample.
+    pub until_s: Option<f64>,
+    /// What lies between two samples.
+    pub between: Between,
+}
+
+/// A log: samples of two axes in mm, in the order of time.
+#[derive(Clone, Debug)]
+pub struct Trace {
+    /// Time since the first sample of the log (n), s; ascending.
+    pub time_s: Vec<f64>,
+    /// Where the axes were (n), mm.
+    pub actual_mm: Vec<[f64; 2]>,
+    /// Where they should have been (n), mm.
+    pub setpoint_mm: Option<Vec<[f64; 2]>>,
+    /// Whether the tool removed from a sample to the next (n).
+    pub tool_on: Option<Vec<bool>>,
+    /// Rate of the tool relative to its TIF (n).
+    pub rate_factor: Option<Vec<f64>>,
+    /// Time stamps against the rate.
+    pub clock: Clock,
+    /// How the log was read.
+    pub statement: TraceStatement,
+}
+
+/// How a log was read, for the user to check.
+#[derive(Clone, Debug, Serialize)]
+pub struct TraceStatement {
+    /// Whose log it is.
+    pub format: LogFormat,
+    /// Column or dataset of every quantity that was read.
+    pub columns: Vec<(Role, String)>,
+    /// mm per stored value along x and y.
+    pub mm_per_value: [f64; 2],
+    /// Where the unit of the positions is from.
+    pub unit_from: &'static str,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+/// Most that the current may be below zero where the beam is off, relative to the nominal one: the offset
+/// of a picoammeter is far below it.
+const MOST_NEGATIVE_CURRENT: f64 = 0.05;
+
+/// Reads the bytes of a log.
+pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result<Trace, Invalid> {
+    check(settings)?;
+    let columns = match format {
+        LogFormat::Hdf5 => datasets::read(bytes, &settings.columns)?,
+        _ => table::read(format, bytes, &settings.columns)?,
+    };
+    let samples = columns.iter().map(|c| c.values.len()).min().unwrap_or(0);
+    if samples < 2 {
+        let problem = format!("holds {samples} samples of position");
+        return Err(Invalid::whole(NAME, problem, "give a log of a motion"));
+    }
+    let find = |role: Role| columns.iter().find(|c| c.role == role);
+    let timing = Timing {
+        stamps: find(Role::Time),
+        samples,
+        unit: settings.time_unit,
+        sample_s: settings.sample_s,
+        rate_hz: settings.rate_hz,
+        most_gap_s: settings.most_gap_s,
+    };
+    let (time_s, clock) = timing.clock()?;
+    let (mm_per_value, unit_from) = scale(&columns, settings)?;
+    let pair = |roles: [Role; 2]| -> Option<Vec<[f64; 2]>> {
+        let [x, y] = [find(roles[0])?, find(roles[1])?];
+        let each = x.values.iter().zip(&y.values);
+        Some(each.map(|(x, y)| [x * mm_per_value[0], y * mm_per_value[1]]).collect())
+    };
+    let actual_mm = pair([Role::X, Role::Y]).expect("a log has both axes, or was refused");
+    let mut warnings = clock.warnings();
+    let trace = Trace {
+        setpoint_mm: pair([Role::SetpointX, Role::SetpointY]),
+        tool_on: find(Role::ToolOn).map(switched).transpose()?,
+        rate_factor: match find(Role::Current) {
+            Some(column) => Some(rate_factor(column, settings.nominal_current, &mut warnings)?),
+            None => None,
+        },
+        time_s,
+        actual_mm,
+        clock,
+        statement: TraceStatement {
+            format,
+            columns: columns.iter().map(|c| (c.role, c.name.clone())).collect(),
+            mm_per_value,
+            unit_from,
+            warnings,
+        },
+    };
+    trace.check_plausible()?;
+    trace.cropped(settings)
+}
+
+fn check(settings: &TraceSettings) -> Result<(), Invalid> {
+    let positive = [
+        ("rate_hz", settings.rate_hz),
+        ("sample_s", settings.sample_s),
+        ("most_gap_s", Some(settings.most_gap_s)),
+        ("nominal_current", settings.nominal_current),
+        ("count_mm", settings.count_mm.map(|[x, y]| x.abs().min(y.abs()))),
+    ];
+    for (name, value) in positive {
+        if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+            let name_of = format!("is {v}");
+            return Err(Invalid::whole(name, name_of, "give a positive number"));
+        }
+    }
+    Ok(())
+}
+
+/// mm per stored value along x and y, and where that is from.
+fn scale(
+    columns: &[Column],
+    settings: &TraceSettings,
+) -> Result<([f64; 2], &'static str), Invalid> {
+    let mut stated = None;
+    for column in columns.iter().filter(|c| c.role.is_position()) {
+        match (column.position_unit, stated) {
+            (Some(unit), Some((other, name))) if unit != other => {
+                let problem =
+                    format!("has \"{name}\" in {other:?} and \"{}\" in {unit:?}", column.name);
+                return Err(Invalid::whole(NAME, problem, "give all positions the same unit"));
+            }
+            (Some(unit), None) => stated = Some((unit, &column.name)),
+            _ => {}
+        }
+    }
+    let (unit, from) = match (settings.unit, stated) {
+        (Some(given), Some((stated, name))) if given != stated => {
+            let problem = format!("is {given:?}, but the log has \"{name}\" in {stated:?}");
+            return Err(Invalid::whole("unit", problem, "leave `unit` out, or correct the log"));
+        }
+        (Some(given), _) => (given, "asked for"),
+        (None, Some((stated, _))) => (stated, "the log"),
+        (None, None) => {
+            let remedy = "give `unit`: m, mm, um, nm, or count with `count_mm`";
+            return Err(Invalid::whole("unit", "of the positions is not in the log", remedy));
+        }
+    };
+    let mm = match unit {
+        PositionUnit::M => 1e3,
+        PositionUnit::Mm => 1.0,
+        PositionUnit::Um => 1e-3,
+        PositionUnit::Nm => 1e-6,
+        PositionUnit::Count => {
+            let remedy = "give `count_mm`, negative where an axis counts backwards";
+            let absent = || Invalid::whole("count_mm", "is not in a log in counts", remedy);
+            return Ok((settings.count_mm.ok_or_else(absent)?, from));
+        }
+    };
+    Ok(([mm; 2], from))
+}
+
+/// The switch of the tool: 0 or 1.
+fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
+    let one = |(i, v): (usize, &f64)| match *v {
+        0.0 => Ok(false),
+        1.0 => Ok(true),
+        v => {
+            let remedy = "give a column of 0 and 1, or the beam current as `current`";
+            Err(Invalid::at("tool_on", i, format!("is {v}"), remedy))
+        }
+    };
+    column.values.iter().enumerate().map(one).collect()
+}
+
+/// w = I / I_nominal; what is slightly below zero is zero.
+fn rate_factor(
+    column: &Column,
+    nominal: Option<f64>,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<f64>, Invalid> {
+    let nominal = nominal.ok_or_else(|| {
+        let remedy =
+            "give `nominal_current`, at which the TIF was measured, in the unit of the log";
+        Invalid::whole("nominal_current", "is not in a log", remedy)
+    })?;
+    let mut below = 0;
+    let mut factors = Vec::with_capacity(column.values.len());
+    for (i, current) in column.values.iter().enumerate() {
+        let factor = current / nominal;
+        if factor < -MOST_NEGATIVE_CURRENT || !factor.is_finite() {
+            let problem = format!("is {current}, with the nominal current {nominal}");
+            let remedy = "check the sign and the column of the current";
+            return Err(Invalid::at("current", i, problem, remedy));
+        }
+        below += usize::from(factor < 0.0);
+        factors.push(factor.max(0.0));
+    }
+    if below > 0 {
+        warnings.push(format!("the current is slightly below zero in {below} samples: taken as 0"));
+    }
+    if factors.iter().all(|f| *f == 0.0) {
+        let remedy = "check the column of the current";
+        return Err(Invalid::whole("current", "is nowhere above zero", remedy));
+    }
+    Ok(factors)
+}
+
+impl Trace {
+    /// Refuses positions that are in no machine.
+    fn check_plausible(&self) -> Result<(), Invalid> {
+        let all = [Some(&self.actual_mm), self.setpoint_mm.as_ref()];
+        for positions in all.into_iter().flatten() {
+            let far = |p: &[f64; 2]| p.iter().any(|v| !planish_types::is_plausible_mm(*v));
+            if let Some(i) = positions.iter().position(far) {
+                let problem = format!("is {:?} mm", positions[i]);
+                return Err(Invalid::at("position", i, problem, "check `unit` and `count_mm`"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The samples from `from_s` to `until_s`.
+    fn cropped(mut self, settings: &TraceSettings) -> Result<Self, Invalid> {
+        let (from_s, until_s) =
+            (settings.from_s.unwrap_or(0.0), settings.until_s.unwrap_or(f64::INFINITY));
+        let first = self.time_s.partition_point(|t| *t < from_s);
+        let end = self.time_s.partition_point(|t| *t <= until_s);
+        if first + 2 > end || from_s.is_nan() || until_s.is_nan() {
+            let problem = format!("is {from_s} s, `until_s` {until_s} s");
+            let last = self.time_s[self.time_s.len() - 1];
+            let remedy = format!("the log goes from 0 to {last} s; leave two samples or more");
+            return Err(Invalid::whole("from_s", problem, remedy));
+        }
+        fn keep<T>(values: &mut Vec<T>, first: usize, end: usize) {
+            values.truncate(end);
+            values.drain(..first);
+        }
+        keep(&mut self.time_s, first, end);
+        keep(&mut self.actual_mm, first, end);
+        if let Some(values) = &mut self.setpoint_mm {
+            keep(values, first, end);
+        }
+        if let Some(values) = &mut self.tool_on {
+            keep(values, first, end);
+        }
+        if let Some(values) = &mut self.rate_factor {
+            keep(values, first, end);
+        }
+        Ok(self)
+    }
+
+    /// What was done, as a motion whose time is that since the first sample of the log.
+    pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
+        let gap_s = self.clock.longest_step_s();
+        let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;
+        let k = motion.len();
+        let tool_on = match &self.tool_on {
+            Some(on) => on[..k].to_vec(),
+            None => vec![true; k],
+        };
+        let motion = Trajectory::new(
+            motion.break_time_s().to_vec(),
+            motion.coefficient_mm().to_vec(),
+            tool_on,
+            vec![None; k],
+        )?;
+        match &self.rate_factor {
+            // The current of an interval is the mean of those at its ends.
+            Some(w) => motion.with_rate_factor(w.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect()),
+            None => Ok(motion),
+        }
+    }
+
+    /// What should have been done, where the log has it.
+    pub fn setpoint(&self, between: Between) -> Result<Option<Trajectory>, Invalid> {
+        let gap_s = self.clock.longest_step_s();
+        let through = |p: &Vec<[f64; 2]>| motion::through(&self.time_s, p, gap_s, between);
+        self.setpoint_mm.as_ref().map(through).transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,328 @@
+//! What was done beside what should have been done.
+//!
+//! With the position p(t_i) of the log and the reference r, a setpoint or a plan, the following error is
+//! e_i = p(t_i) - r(t_i) on each axis, and the lag the delay d that least squares find,
+//!
+//! ```text
+//! d = arg min sum_i (p(t_i) - r(t_i - d))^2,   d <- d - sum_i e_i r'(t_i - d) / sum_i r'(t_i - d)^2
+//! ```
+//!
+//! by Gauss and Newton; positive where the axis comes late. A log has a clock of its own: beside a plan the
+//! delay that both axes share is found first, from a search on a grid, and the errors are those after it.
+
+use planish_numerics::polynomial;
+use planish_types::{Invalid, Trajectory, text::significant};
+use serde::Serialize;
+
+/// Samples that the lag is found from, and those of the search on a grid.
+const LAG_SAMPLES: usize = 100_000;
+const SEARCH_SAMPLES: usize = 1000;
+
+/// Grid of the search, s. The sum of squares has one valley within a quarter of the time of a line of a
+/// raster, which takes seconds.
+const SEARCH_STEP_S: f64 = 0.02;
+
+/// Longest search: some seconds of work.
+const LONGEST_SEARCH_S: f64 = 300.0;
+
+/// Steps of Gauss and Newton, and the delay at which they end, s.
+const MOST_STEPS: usize = 30;
+const SETTLED_S: f64 = 1e-10;
+
+/// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which it is no log of it.
+const OTHER_MOTION: f64 = 0.05;
+
+/// The following error of one axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AxisError {
+    /// RMS of the error, mm.
+    pub rms_mm: f64,
+    /// Its largest magnitude, mm.
+    pub largest_mm: f64,
+    /// When that is, s after the first sample.
+    pub largest_at_s: f64,
+    /// By how much the axis is late, ms; absent where it does not move.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_ms: Option<f64>,
+    /// Standard error of the lag, ms, as if what remains were white noise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_standard_error_ms: Option<f64>,
+    /// RMS of the error that remains without the lag, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_without_lag_mm: Option<f64>,
+}
+
+/// The following error of x and y.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Following {
+    /// Time of the plan's beginning, s after the first sample; 0 for a setpoint of the log itself.
+    pub reference_begins_s: f64,
+    /// x, then y.
+    pub axes: [AxisError; 2],
+}
+
+/// Positions and velocities of a motion at ascending times; at rest before it and after it.
+struct Walk<'a> {
+    motion: &'a Trajectory,
+    at: usize,
+}
+
+impl<'a> Walk<'a> {
+    fn of(motion: &'a Trajectory) -> Self {
+        Self { motion, at: 0 }
+    }
+
+    /// At `t_s` since the first break, which is not before that of the last call.
+    fn state(&mut self, t_s: f64) -> ([f64; 2], [f64; 2]) {
+        let breaks = self.motion.break_time_s();
+        let t = t_s + breaks[0];
+        let k = self.motion.len();
+        if self.at + 1 < k && breaks[self.at + 1] <= t {
+            // Samples that are compared may be many segments apart.
+            self.at += breaks[self.at + 1..k].partition_point(|b| *b <= t);
+        }
+        let segment = self.motion.segment(self.at);
+        let u = (t - segment.start_s).clamp(0.0, segment.duration_s);
+        let moves = f64::from(u8::from(u == t - segment.start_s));
+        let velocity = |a: usize| {
+            moves * polynomial::evaluate(&polynomial::derivative(&segment.coefficient_mm[a]), u)
+        };
+        (segment.position_mm(u), [velocity(0), velocity(1)])
+    }
+}
+
+/// A motion beside the samples of a log.
+struct Pair<'a> {
+    reference: &'a Trajectory,
+    time_s: &'a [f64],
+    actual_mm: &'a [[f64; 2]],
+}
+
+/// Sums of one axis over some samples.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    /// e^2, e r', r'^2
+    square: f64,
+    mixed: f64,
+    speed: f64,
+}
+
+impl Pair<'_> {
+    /// Sums of both axes over every `stride`-th sample, the reference later by `delay_s`.
+    fn sums(&self, delay_s: [f64; 2], stride: usize) -> ([Sums; 2], f64) {
+        let mut sums = [Sums::default(); 2];
+        let mut walks = [Walk::of(self.reference), Walk::of(self.reference)];
+        let mut count = 0.0;
+        for i in (0..self.time_s.len()).step_by(stride) {
+            for a in 0..2 {
+                let (r, v) = walks[a].state(self.time_s[i] - delay_s[a]);
+                let e = self.actual_mm[i][a] - r[a];
+                sums[a].square += e * e;
+                sums[a].mixed += e * v[a];
+                sums[a].speed += v[a] * v[a];
+            }
+            count += 1.0;
+        }
+        (sums, count)
+    }
+
+    fn stride(&self, samples: usize) -> usize {
+        self.time_s.len().div_ceil(samples).max(1)
+    }
+
+    /// The delay that both axes share, near `from_s`.
+    fn common_delay_s(&self, from_s: f64) -> f64 {
+        let stride = self.stride(LAG_SAMPLES);
+        let mut delay_s = from_s;
+        for _ in 0..MOST_STEPS {
+            let ([x, y], _) = self.sums([delay_s; 2], stride);
+            let speed = x.speed + y.speed;
+            if speed <= 0.0 {
+                break;
+            }
+            let step_s = -(x.mixed + y.mixed) / speed;
+            delay_s += step_s;
+            if step_s.abs() < SETTLED_S {
+                break;
+            }
+        }
+        delay_s
+    }
+
+    /// The delay of each axis near `from_s`, with what remains; `None` where an axis does not move.
+    fn delays(&self, from_s: f64) -> [Option<(f64, Sums, f64)>; 2] {
+        let stride = self.stride(LAG_SAMPLES);
+        let mut delay_s = [from_s; 2];
+        let mut last = self.sums(delay_s, stride);
+        for _ in 0..MOST_STEPS {
+            let step_s = last.0.map(|s| if s.speed > 0.0 { -s.mixed / s.speed } else { 0.0 });
+            delay_s = [delay_s[0] + step_s[0], delay_s[1] + step_s[1]];
+            last = self.sums(delay_s, stride);
+            if step_s.iter().all(|s| s.abs() < SETTLED_S) {
+                break;
+            }
+        }
+        let (sums, count) = last;
+        [0, 1].map(|a| {
+            let valid = sums[a].speed > 0.0 && delay_s[a].is_finite();
+            valid.then_some((delay_s[a], sums[a], count))
+        })
+    }
+
+    /// The following error when the reference begins at `begin_s`.
+    fn errors(&self, begin_s: f64) -> Following {
+        let delays = self.delays(begin_s);
+        let mut walk = Walk::of(self.reference);
+        let (mut squares, mut largest, mut at_s) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+        for (t, p) in self.time_s.iter().zip(self.actual_mm) {
+            let (r, _) = walk.state(t - begin_s);
+            for a in 0..2 {
+                let e = p[a] - r[a];
+                squares[a] += e * e;
+                if e.abs() > largest[a] {
+                    (largest[a], at_s[a]) = (e.abs(), t - self.time_s[0]);
+                }
+            }
+        }
+        let n = self.time_s.len() as f64;
+        let axis = |a: usize| {
+            let found = delays[a];
+            AxisError {
+                rms_mm: (squares[a] / n).sqrt(),
+                largest_mm: largest[a],
+                largest_at_s: at_s[a],
+                lag_ms: found.map(|(d, ..)| 1e3 * (d - begin_s)),
+                // var d = var e / sum r'^2
+                lag_standard_error_ms: found.map(|(_, s, m)| 1e3 * (s.square / m / s.speed).sqrt()),
+                rms_without_lag_mm: found.map(|(_, s, m)| (s.square / m).sqrt()),
+            }
+        };
+        Following { reference_begins_s: begin_s - self.time_s[0], axes: [axis(0), axis(1)] }
+    }
+}
+
+/// The following error of a log whose setpoint was recorded with it, at the same times.
+pub fn beside_setpoint(time_s: &[f64], actual_mm: &[[f64; 2]], setpoint: &Trajectory) -> Following {
+    let begin_s = time_s[0];
+    Pair { reference: setpoint, time_s, actual_mm }.errors(begin_s)
+}
+
+/// The following error of a log of `plan`, which begins at most `most_offset_s` before or after the log;
+/// refuses a log of another motion.
+pub fn beside_plan(
+    time_s: &[f64],
+    actual_mm: &[[f64; 2]],
+    plan: &Trajectory,
+    most_offset_s: f64,
+) -> Result<Following, Invalid> {
+    if !(0.0..=LONGEST_SEARCH_S).contains(&most_offset_s) {
+        let problem = format!("is {most_offset_s}");
+        let remedy =
+            format!("give seconds from 0 to {LONGEST_SEARCH_S}, and cut the log with `from_s`");
+        return Err(Invalid::whole("most_offset_s", problem, remedy));
+    }
+    let pair = Pair { reference: plan, time_s, actual_mm };
+    let stride = pair.stride(SEARCH_SAMPLES);
+    let steps = (most_offset_s / SEARCH_STEP_S).ceil() as i64;
+    let cost = |k: i64| {
+        let ([x, y], _) = pair.sums([time_s[0] + k as f64 * SEARCH_STEP_S; 2], stride);
+        x.square + y.square
+    };
+    let best = (-steps..=steps).map(|k| (cost(k), k)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, k) = best.expect("the grid has its middle");
+    let begin_s = pair.common_delay_s(time_s[0] + k as f64 * SEARCH_STEP_S);
+    let following = pair.errors(begin_s);
+
+    let n = plan.len() as f64;
+    let starts = || plan.segments().map(|s| s.position_mm(0.0));
+    let mean = [0, 1].map(|a| starts().map(|p| p[a]).sum::<f64>() / n);
+    let extent = starts().map(|p| (p[0] - mean[0]).powi(2) + (p[1] - mean[1]).powi(2)).sum::<f64>();
+    let extent_mm = (extent / n).sqrt();
+    let apart_mm = following.axes[0].rms_mm.hypot(following.axes[1].rms_mm);
+    if apart_mm.is_nan() || apart_mm > OTHER_MOTION * extent_mm {
+        let problem = format!(
+            "is {} mm RMS from the log at best, and extends over {} mm RMS",
+            significant(apart_mm, 4),
+            significant(extent_mm, 4)
+        );
+        let remedy = "give the plan that was run, in the frame of the machine (planish-register apply), or a \
+                      larger `most_offset_s` where the log begins long before it";
+        return Err(Invalid::whole("planned", problem, remedy));
+    }
+    Ok(following)
+}
+
+/// Where the plan has the tool on in the intervals of a log (n-1), when it begins at `begin_s`; off before
+/// and after it.
+pub fn tool_of_plan(time_s: &[f64], plan: &Trajectory, begin_s: f64) -> Vec<bool> {
+    let breaks = plan.break_time_s();
+    let on = |t: &[f64]| {
+        let at = 0.5 * (t[0] + t[1]) - begin_s + breaks[0];
+        let i = breaks.partition_point(|b| *b <= at);
+        i > 0 && i < breaks.len() && plan.tool_on()[i - 1]
+    };
+    time_s.windows(2).map(on).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::motion::{Between, through};
+
+    /// x swings, y goes on slowly.
+    fn at(t: f64) -> [f64; 2] {
+        [40.0 * (0.8 * t).sin(), 0.2 * t]
+    }
+
+    fn plan() -> Trajectory {
+        let time_s: Vec<f64> = (0..=2000).map(|i| f64::from(i) * 0.01).collect();
+        let p: Vec<_> = time_s.iter().map(|t| at(*t)).collect();
+        through(&time_s, &p, f64::INFINITY, Between::Cubic).unwrap()
+    }
+
+    #[test]
+    fn a_delay_is_found_with_its_sign() {
+        let plan = plan();
+        let time_s: Vec<f64> = (0..20_000).map(|i| f64::from(i) * 1e-3).collect();
+        // x comes 4 ms late, y 1 ms early.
+        let late = |t: f64| [at((t - 4e-3).max(0.0))[0], at(t + 1e-3)[1]];
+        let actual: Vec<_> = time_s.iter().map(|t| late(*t)).collect();
+        let found = beside_setpoint(&time_s, &actual, &plan);
+        let lag = found.axes.map(|a| a.lag_ms.unwrap());
+        // The ends, where the log rests and the plan does not, are 1e-4 of the samples.
+        assert!((lag[0] - 4.0).abs() < 0.02 && (lag[1] + 1.0).abs() < 0.02, "{lag:?}");
+        // 4 ms at up to 32 mm/s.
+        assert!((found.axes[0].largest_mm - 0.128).abs() < 1e-3, "{found:?}");
+        assert!(found.axes[0].rms_without_lag_mm.unwrap() < 0.02 * found.axes[0].rms_mm);
+    }
+
+    #[test]
+    fn the_clock_of_a_log_is_found_beside_a_plan() {
+        let plan = plan();
+        for begin_s in [-0.777, 0.0, 2.345] {
+            let time_s: Vec<f64> = (0..22_000).map(|i| f64::from(i) * 1e-3).collect();
+            let actual: Vec<_> =
+                time_s.iter().map(|t| at((t - begin_s).clamp(0.0, 20.0))).collect();
+            let found = beside_plan(&time_s, &actual, &plan, 5.0).unwrap();
+            assert!((found.reference_begins_s - begin_s).abs() < 1e-6, "{begin_s}: {found:?}");
+            assert!(found.axes.iter().all(|a| a.rms_mm < 1e-5), "{found:?}");
+            let on = tool_of_plan(&time_s, &plan, found.reference_begins_s);
+            let seconds = on.iter().filter(|on| **on).count() as f64 * 1e-3;
+            let whole = 20.0 + begin_s.min(0.0);
+            assert!((seconds - whole.min(21.999 - begin_s.max(0.0))).abs() < 2e-3, "{seconds}");
+        }
+    }
+
+    #[test]
+    fn another_motion_is_refused_and_an_axis_at_rest_has_no_lag() {
+        let plan = plan();
+        let time_s: Vec<f64> = (0..2000).map(|i| f64::from(i) * 0.01).collect();
+        let other: Vec<_> = time_s.iter().map(|t| [at(*t)[1], at(*t)[0]]).collect();
+        let said = beside_plan(&time_s, &other, &plan, 5.0).unwrap_err().to_string();
+        assert!(said.contains("planned: is") && said.contains("RMS from the log"), "{said}");
+        let still: Vec<_> = time_s.iter().map(|t| [at(*t)[0], 3.0]).collect();
+        let setpoint = through(&time_s, &still, f64::INFINITY, Between::Cubic).unwrap();
+        let found = beside_setpoint(&time_s, &still, &setpoint);
+        assert!(found.axes[0].lag_ms.is_some() && found.axes[1].lag_ms.is_none());
+    }
+}

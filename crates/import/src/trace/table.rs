@@ -1,0 +1,291 @@
+//! Text in columns: one line per sample, fields separated by semicolon, tab, comma or white space.
+//!
+//! Above the samples there may be lines that are no rows of numbers: comments, and the names of the columns,
+//! which are the last line with as many fields as a sample has. Empty cells may stand at the end, where one
+//! array of a Galil is shorter than another: the log ends with the first sample that lacks what is read.
+
+use planish_types::{Invalid, budget};
+
+use super::{
+    LogFormat, NAME,
+    columns::{Column, Columns, Named, places, short, stated_unit, unit_named},
+};
+use crate::{
+    budget::{BYTES_PER_SAMPLE, MOST_SAMPLES, too_many},
+    text,
+};
+
+/// Lines above the samples at most.
+const MOST_LINES_ABOVE: usize = 200;
+
+/// Most columns of a table.
+const MOST_COLUMNS: usize = 1000;
+
+/// What separates the fields of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Separator {
+    Character(char),
+    Blank,
+}
+
+impl Separator {
+    fn of(line: &str) -> Self {
+        let found = [';', '\t', ','].into_iter().find(|c| line.contains(*c));
+        found.map_or(Self::Blank, Self::Character)
+    }
+
+    /// Calls `each` with the fields of a line until it returns false; a separator at the end closes the line.
+    #[inline]
+    fn fields<'a>(self, line: &'a str, mut each: impl FnMut(usize, &'a str) -> bool) {
+        let line = line.trim_matches([' ', '\r']);
+        match self {
+            Self::Character(c) => {
+                let line = line.strip_suffix(c).unwrap_or(line);
+                for (i, field) in line.split(c).enumerate() {
+                    if !each(i, field.trim_matches([' ', '\t', '"'])) {
+                        return;
+                    }
+                }
+            }
+            Self::Blank => {
+                for (i, field) in line.split_ascii_whitespace().enumerate() {
+                    if !each(i, field) {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    fn count(self, line: &str) -> usize {
+        let mut count = 0;
+        self.fields(line, |_, _| {
+            count += 1;
+            count < MOST_COLUMNS
+        });
+        count
+    }
+
+    fn names(self, line: &str) -> Vec<String> {
+        let line = line.trim().trim_start_matches(['#', '%', '!', '/']).trim();
+        let mut names = Vec::new();
+        self.fields(line, |_, field| {
+            names.push(field.trim_matches('"').to_string());
+            names.len() < MOST_COLUMNS
+        });
+        names
+    }
+}
+
+/// Whether a line is a row of numbers; cells may be empty, but not all of them.
+fn is_row(line: &str) -> bool {
+    let (mut numbers, mut others) = (0, 0);
+    Separator::of(line).fields(line, |_, field| {
+        numbers += usize::from(field.parse::<f64>().is_ok());
+        others += usize::from(!field.is_empty() && field.parse::<f64>().is_err());
+        others == 0
+    });
+    numbers > 0 && others == 0
+}
+
+/// Index of the first row, and the names of the columns above it.
+fn above(lines: &[&str]) -> Result<(usize, Option<Vec<String>>), Invalid> {
+    let looked_at = &lines[..lines.len().min(MOST_LINES_ABOVE)];
+    let text = looked_at.iter().rposition(|l| !l.trim().is_empty() && !is_row(l));
+    let first = text.map_or(0, |i| i + 1);
+    let first = (first..lines.len()).find(|i| !lines[*i].trim().is_empty());
+    let Some(first) = first.filter(|i| is_row(lines[*i])) else {
+        let problem = format!("has no row of numbers in its first {} lines", looked_at.len());
+        return Err(Invalid::whole(NAME, problem, "give text with a line per sample"));
+    };
+    let separator = Separator::of(lines[first]);
+    let count = separator.count(lines[first]);
+    let names = lines[..first].iter().rev().filter(|l| !l.trim().is_empty() && !is_row(l));
+    let names = names.map(|l| separator.names(l)).find(|names| names.len() == count);
+    Ok((first, names))
+}
+
+/// Reads the columns that are asked for, or known by their names.
+pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Column>, Invalid> {
+    let text = text::text(NAME, bytes)?;
+    let mut head: Vec<&str> = Vec::new();
+    head.extend(text.lines().take(MOST_LINES_ABOVE + 1));
+    let (first, names) = above(&head)?;
+    let separator = Separator::of(head[first]);
+    let count = separator.count(head[first]);
+    let mut places = places(format, names.as_deref(), count, asked)?;
+    places.sort_by_key(|place| place.index);
+    let wanted: Vec<usize> = places.iter().map(|place| place.index).collect();
+
+    let most = most_samples();
+    let mut values: Vec<Vec<f64>> = vec![Vec::new(); wanted.len()];
+    let mut ended = None;
+    for (i, line) in text.lines().enumerate().skip(first) {
+        if line.trim().is_empty() || line.starts_with('#') {
+            continue;
+        }
+        match row(line, i + 1, separator, &wanted, &mut values)? {
+            Row::Whole => {
+                if let Some(empty) = ended {
+                    let problem =
+                        format!("has a sample in line {} after empty cells in line {empty}", i + 1);
+                    return Err(Invalid::whole(
+                        NAME,
+                        problem,
+                        "cut the log there, or fill the cells",
+                    ));
+                }
+                if values[0].len() > most {
+                    return Err(too_many(
+                        NAME,
+                        most,
+                        "samples",
+                        "cut it, or record at a lower rate",
+                    ));
+                }
+            }
+            Row::Ended => ended = ended.or(Some(i + 1)),
+        }
+    }
+    let name_of = |i: usize| match &names {
+        Some(names) => names[i].clone(),
+        None => format!("column {}", i + 1),
+    };
+    let columns = places.iter().zip(values).map(|(place, values)| {
+        let name = name_of(place.index);
+        let unit = stated_unit(&name).and_then(unit_named);
+        let position_unit = match unit {
+            Some(Named::Position(unit)) => Some(unit),
+            _ => None,
+        };
+        let time_unit = match unit {
+            Some(Named::Time(unit)) => Some(unit),
+            _ => None,
+        };
+        Column { role: place.role, name, position_unit, time_unit, values }
+    });
+    Ok(columns.collect())
+}
+
+/// Most samples that may be read: they fit into the memory too.
+pub(super) fn most_samples() -> usize {
+    MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
+}
+
+/// What a line holds.
+enum Row {
+    Whole,
+    /// A cell that is read is empty.
+    Ended,
+}
+
+/// Appends the fields `wanted` (ascending) of a line, counted from 1.
+fn row(
+    line: &str,
+    number: usize,
+    separator: Separator,
+    wanted: &[usize],
+    values: &mut [Vec<f64>],
+) -> Result<Row, Invalid> {
+    let (mut next, mut empty, mut bad) = (0, false, None);
+    separator.fields(line, |i, field| {
+        if i != wanted[next] {
+            return true;
+        }
+        match field.parse::<f64>() {
+            Ok(v) if v.is_finite() => values[next].push(v),
+            _ if field.is_empty() => {
+                empty = true;
+                return false;
+            }
+            _ => {
+                bad = Some((i, field));
+                return false;
+            }
+        }
+        next += 1;
+        next < wanted.len()
+    });
+    if let Some((i, field)) = bad {
+        let problem = format!(
+            "has {} in line {number}, field {}, where a number should be",
+            short(field),
+            i + 1
+        );
+        let remedy = "write finite numbers with a decimal point; cut the log where it is damaged";
+        return Err(Invalid::whole(NAME, problem, remedy));
+    }
+    if next == wanted.len() {
+        return Ok(Row::Whole);
+    }
+    // A separator at the end may be that of an empty cell.
+    let closed = matches!(separator, Separator::Character(c) if line.trim_end().ends_with(c));
+    if !(empty || closed) {
+        let found = separator.count(line);
+        let problem = format!(
+            "has {found} fields in line {number}, {} are needed",
+            wanted[wanted.len() - 1] + 1
+        );
+        return Err(Invalid::whole(NAME, problem, "was it cut off? delete that line"));
+    }
+    for column in &mut values[..next] {
+        column.pop();
+    }
+    Ok(Row::Ended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::{PositionUnit, columns::Role};
+
+    fn column(columns: &[Column], role: Role) -> &Column {
+        columns.iter().find(|c| c.role == role).unwrap()
+    }
+
+    #[test]
+    fn the_same_samples_from_every_controller() {
+        let galil = "_RPA,_RPB,_TPA,_TPB,T\n1,2,10,20,0\n3,4,30,40,1\n,,,,2\n";
+        let xps = "#setpoint actual\n1;10;2;20;\n3;30;4;40;\n";
+        let named = "2\t0.0001\nG.X.SetpointPosition\tG.X.CurrentPosition\tG.Y.SetpointPosition\t\
+                     G.Y.CurrentPosition\n1\t10\t2\t20\n3\t30\t4\t40\n";
+        let aerotech = "Plot of 2026\n\nX Position Feedback (mm), Y Position Feedback (mm), \
+                        \"X Position Command (mm)\", Y Position Command (mm)\n10,20,1,2\n30,40,3,4\n";
+        for (format, text) in [
+            (LogFormat::Galil, galil),
+            (LogFormat::Xps, xps),
+            (LogFormat::Xps, named),
+            (LogFormat::Aerotech, aerotech),
+        ] {
+            let read = read(format, text.as_bytes(), &Columns::default()).unwrap();
+            let of = |role| column(&read, role).values.clone();
+            assert_eq!((of(Role::X), of(Role::Y)), (vec![10.0, 30.0], vec![20.0, 40.0]), "{text}");
+            assert_eq!(of(Role::SetpointX), [1.0, 3.0], "{text}");
+            assert_eq!(of(Role::SetpointY), [2.0, 4.0], "{text}");
+        }
+        let read = read(LogFormat::Aerotech, aerotech.as_bytes(), &Columns::default()).unwrap();
+        assert_eq!(column(&read, Role::X).position_unit, Some(PositionUnit::Mm));
+    }
+
+    #[test]
+    fn bad_rows_are_refused_with_their_line() {
+        let said = |text: &str| {
+            read(LogFormat::Csv, text.as_bytes(), &Columns::default()).unwrap_err().to_string()
+        };
+        let head = "x_mm,y_mm\n1,2\n".to_string();
+        assert!(said(&format!("{head}3,nan\n")).contains("\"nan\" in line 3, field 2"));
+        assert!(said(&format!("{head}3,\n4,5\n")).contains("line 4 after empty cells in line 3"));
+        assert!(said(&format!("{head}3\n")).contains("has 1 fields in line 3, 2 are needed"));
+        assert!(said("nothing\nhere\n").contains("no row of numbers"));
+        assert!(said("1,2\n3,4\n").contains("2 columns without names"));
+    }
+
+    #[test]
+    fn numbers_choose_columns_without_names() {
+        let asked = Columns { x: Some("3".into()), y: Some("1".into()), ..Columns::default() };
+        let read = read(LogFormat::Csv, b"1 2 3\n4 5 6\n\n7 8 9\n", &asked).unwrap();
+        assert_eq!(column(&read, Role::X).values, [3.0, 6.0, 9.0]);
+        assert_eq!(column(&read, Role::Y).values, [1.0, 4.0, 7.0]);
+        assert_eq!(column(&read, Role::X).name, "column 3");
+    }
+}

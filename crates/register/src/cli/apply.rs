@@ -1,0 +1,89 @@
+//! `planish-register apply`.
+
+use std::path::PathBuf;
+
+use clap::{ArgGroup, Args};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+};
+use planish_register::fit::angle;
+use planish_types::{ToolPath, Trajectory, Transform};
+use serde_json::{Value, json};
+
+use super::with_error;
+
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("what").required(true))]
+pub struct ApplyArgs {
+    /// From part to machine [transform artifact]
+    #[arg(long, value_name = "DIR")]
+    transform: PathBuf,
+    /// Tool path to take there [tool_path artifact]
+    #[arg(long, value_name = "DIR", group = "what")]
+    tool_path: Option<PathBuf>,
+    /// Motion to take there [trajectory artifact]
+    #[arg(long, value_name = "DIR", group = "what")]
+    trajectory: Option<PathBuf>,
+    /// From the machine to the part: for the log of a run
+    #[arg(long)]
+    inverse: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Frame of what is taken to a machine; back on the part it is that of the kind.
+const MACHINE_FRAME: &str = "machine coordinates; the last axis is [x, y]";
+
+impl ApplyArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let given: Transform = inputs.read("transform", &self.transform)?;
+        let transform = if self.inverse { given.inverse()? } else { given };
+        match (&self.tool_path, &self.trajectory) {
+            (Some(dir), _) => {
+                let path: ToolPath = inputs.read("tool-path", dir)?;
+                self.write(&inputs, &transform, |t| t.tool_path(&path).map_err(Failure::from))
+            }
+            (None, Some(dir)) => {
+                let motion: Trajectory = inputs.read("trajectory", dir)?;
+                self.write(&inputs, &transform, |t| t.trajectory(&motion).map_err(Failure::from))
+            }
+            (None, None) => Err(Failure::new("give --tool-path or --trajectory")),
+        }
+    }
+
+    fn write<T: Artifact>(
+        &self,
+        inputs: &Inputs,
+        transform: &Transform,
+        moved: impl FnOnce(&Transform) -> Result<T, Failure>,
+    ) -> Result<Status, Failure> {
+        let task =
+            task!("apply", json!({ "inverse": self.inverse, "transform": words(transform) }));
+        let mut output = match Output::directory(&self.output, T::KIND).begin(&task, inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let moved = moved(transform)?;
+        if !self.inverse {
+            output.set_frame(MACHINE_FRAME);
+        }
+        output.write(&moved, json!({}), &Status::Done)?;
+        let [x, y] = transform.point([0.0, 0.0]);
+        say(format!(
+            "planish-register: turned by {} degree, the origin to {x:.4}, {y:.4} mm -> {}",
+            with_error(angle(transform), 5),
+            self.output.out.display()
+        ));
+        Ok(Status::Done)
+    }
+}
+
+/// A transform for a manifest.
+fn words(transform: &Transform) -> Value {
+    json!({
+        "matrix": transform.matrix(),
+        "centre_mm": transform.centre_mm(),
+        "image_mm": transform.image_mm(),
+    })
+}

@@ -1,0 +1,67 @@
+//! `planish-register fit`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
+};
+use planish_register::{
+    fiducials,
+    fit::{Model, fit},
+};
+use planish_types::{Transform, text::significant};
+use serde_json::json;
+
+use super::with_error;
+
+/// Largest file of fiducials, bytes.
+const MOST_BYTES: u64 = 1 << 24;
+
+#[derive(Debug, Args)]
+pub struct FitArgs {
+    /// Fiducials: CSV with the columns map_x_mm, map_y_mm, machine_x_mm, machine_y_mm, uncertainty_mm, or JSON
+    file: PathBuf,
+    /// What may be between map and machine
+    #[arg(long, value_enum, default_value = "rigid")]
+    model: Model,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl FitArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let bytes = inputs.read_bytes("fiducials", &self.file, MOST_BYTES)?;
+        let task = task!("fit", json!({ "model": self.model }));
+        let output = Output::directory(&self.output, Transform::KIND);
+        let mut output = match output.begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let about =
+            |e: &dyn std::error::Error| Failure::new(format!("{}: {e}", self.file.display()));
+        let text = String::from_utf8(bytes).map_err(|e| about(&e))?;
+        let fiducials = fiducials::read(&text).map_err(|e| about(&e))?;
+        let found = fit(&fiducials, self.model).map_err(|e| about(&e))?;
+        let report = &found.report;
+        let status = report.drawback().map_or(Status::Done, Status::Negative);
+        output.write(&found.transform, json!({ "registration": report }), &status)?;
+        for warning in &report.warnings {
+            warn(warning);
+        }
+        say(format!(
+            "planish-register: {} fiducials, turned by {} degree, scale {}",
+            report.fiducials,
+            with_error(report.angle_deg, 5),
+            with_error(report.scale, 6)
+        ));
+        say(format!(
+            "planish-register: the fiducials miss by {} um RMS; a place among them is known to {} um -> {}",
+            significant(1e3 * report.rms_mm, 3),
+            significant(1e3 * report.largest_standard_error_mm, 3),
+            self.output.out.display()
+        ));
+        Ok(status)
+    }
+}

@@ -1,0 +1,507 @@
+//! The transform that takes fiducials of a map to those of a machine, by weighted least squares.
+//!
+//! With the weights w = 1/sigma^2 and the points about their weighted means, d = p - mean p and
+//! e = q - mean q, the image of the mean is the mean, and
+//!
+//! ```text
+//! rigid        theta = atan2(B, A),   A = sum w (d_x e_x + d_y e_y),   B = sum w (d_x e_y - d_y e_x)
+//! similarity   M = (a, -b; b, a),     a + i b = (A + i B) / sum w |d|^2
+//! affine       M = (sum w e d') N^-1, N = sum w d d'
+//! ```
+//!
+//! in closed form. About the means the errors of image and matrix are uncorrelated:
+//!
+//! ```text
+//! var image = 1 / sum w per axis,   var theta = var a = var b = 1 / sum w |d|^2,   cov (M_x.) = N^-1
+//! ```
+//!
+//! times one, where the uncertainties were given, or the mean square of the residuals per degree of freedom
+//! where they were not.
+
+use planish_types::{Invalid, Transform, text::significant};
+use serde::Serialize;
+
+use crate::{chi_square::exceeded, fiducials::Fiducial};
+
+/// What may be between map and machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// Shift and rotation.
+    #[default]
+    Rigid,
+    /// Shift, rotation and one scale.
+    Similarity,
+    /// Shift and any matrix that does not mirror: also axes that are not square.
+    Affine,
+}
+
+impl Model {
+    /// Number of parameters.
+    pub fn parameters(self) -> usize {
+        match self {
+            Self::Rigid => 3,
+            Self::Similarity => 4,
+            Self::Affine => 6,
+        }
+    }
+
+    fn least_fiducials(self) -> usize {
+        self.parameters().div_ceil(2)
+    }
+}
+
+/// Largest standard error of an element of the matrix, or of the angle in rad: a part that may lie anywhere
+/// within 6 degrees is not registered.
+const MOST_MATRIX_ERROR: f64 = 0.1;
+
+/// Least extent of the fiducials across, relative to that along: errors across are amplified by its inverse.
+const LEAST_ACROSS: f64 = 1e-3;
+
+/// Probability of the residuals, given the uncertainties, below which they do not belong together.
+const LEAST_PROBABILITY: f64 = 1e-3;
+
+/// A fit whose mirror image fits better by this factor is mirrored; one that does not fit better than its
+/// mirror image by it cannot tell.
+const MIRRORED: f64 = 2.0;
+
+/// What one fiducial leaves.
+#[derive(Clone, Debug, Serialize)]
+pub struct Residual {
+    /// The fiducial.
+    pub name: String,
+    /// Its place on the machine minus that which the transform gives it [x, y], mm.
+    pub residual_mm: [f64; 2],
+    /// Standard deviation that its coordinates have, mm.
+    pub uncertainty_mm: f64,
+}
+
+/// A number with its standard error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Its value.
+    pub value: f64,
+    /// Its standard error.
+    pub standard_error: f64,
+}
+
+/// Where the part lies.
+#[derive(Clone, Debug)]
+pub struct Registration {
+    /// From the map to the machine.
+    pub transform: Transform,
+    /// How good it is.
+    pub report: Report,
+}
+
+/// How good a transform is.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// What was free.
+    pub model: Model,
+    /// Fiducials.
+    pub fiducials: usize,
+    /// Measured numbers minus parameters.
+    pub degrees_of_freedom: usize,
+    /// Whether the uncertainties were given; otherwise they are from the residuals.
+    pub uncertainties_given: bool,
+    /// Angle by which the part is turned, x towards y, degree.
+    pub angle_deg: Estimate,
+    /// Scale from map to machine: what a similarity finds, also where it is not free.
+    pub scale: Estimate,
+    /// Standard error of a point in the middle of the fiducials [x, y], mm.
+    pub standard_error_mm: [f64; 2],
+    /// The largest standard error of a fiducial's place, mm.
+    pub largest_standard_error_mm: f64,
+    /// RMS of the residuals per coordinate, mm.
+    pub rms_mm: f64,
+    /// Sum of the squares of the residuals, each over its uncertainty.
+    pub chi_square: f64,
+    /// Probability that the given uncertainties make at least these residuals; 1 where they were not given.
+    pub probability: f64,
+    /// What every fiducial leaves.
+    pub residuals: Vec<Residual>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+impl Report {
+    /// Why the transform should not be used, where this is so.
+    pub fn drawback(&self) -> Option<String> {
+        let worst = |r: &&Residual| r.residual_mm[0].hypot(r.residual_mm[1]) / r.uncertainty_mm;
+        let worst = self.residuals.iter().max_by(|a, b| worst(a).total_cmp(&worst(b)))?;
+        (self.probability < LEAST_PROBABILITY).then(|| {
+            format!(
+                "the fiducials miss by {} mm RMS, far more than their uncertainties (probability {}); the \
+                 worst is {}, by {:?} mm",
+                significant(self.rms_mm, 3),
+                significant(self.probability, 2),
+                worst.name,
+                worst.residual_mm
+            )
+        })
+    }
+}
+
+/// Weighted fiducials about their means.
+struct Centred {
+    mean: [[f64; 2]; 2],
+    /// (d, e, w)
+    each: Vec<([f64; 2], [f64; 2], f64)>,
+    sum_w: f64,
+    /// sum w |d|^2
+    spread: f64,
+}
+
+impl Centred {
+    fn new(fiducials: &[Fiducial], sigma_mm: &[f64]) -> Self {
+        let weights = || sigma_mm.iter().map(|s| 1.0 / (s * s));
+        let sum_w: f64 = weights().sum();
+        let mean = |of: fn(&Fiducial) -> [f64; 2]| {
+            [0, 1].map(|a| {
+                fiducials.iter().zip(weights()).map(|(f, w)| w * of(f)[a]).sum::<f64>() / sum_w
+            })
+        };
+        let mean = [mean(|f| f.map_mm), mean(|f| f.machine_mm)];
+        let about = |p: [f64; 2], m: [f64; 2]| [p[0] - m[0], p[1] - m[1]];
+        let each: Vec<_> = fiducials
+            .iter()
+            .zip(weights())
+            .map(|(f, w)| (about(f.map_mm, mean[0]), about(f.machine_mm, mean[1]), w))
+            .collect();
+        let spread = each.iter().map(|(d, _, w)| w * (d[0] * d[0] + d[1] * d[1])).sum();
+        Self { mean, each, sum_w, spread }
+    }
+
+    /// A and B of the module; of the mirror image (y of the map turned over) where `mirrored`.
+    fn complex_sums(&self, mirrored: bool) -> [f64; 2] {
+        let sign = if mirrored { -1.0 } else { 1.0 };
+        self.each.iter().fold([0.0; 2], |s, (d, e, w)| {
+            let d = [d[0], sign * d[1]];
+            [s[0] + w * (d[0] * e[0] + d[1] * e[1]), s[1] + w * (d[0] * e[1] - d[1] * e[0])]
+        })
+    }
+
+    /// N of the module.
+    fn normal(&self) -> [[f64; 2]; 2] {
+        let mut n = [[0.0; 2]; 2];
+        for (d, _, w) in &self.each {
+            for (r, s) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                n[r][s] += w * d[r] * d[s];
+            }
+        }
+        n
+    }
+
+    /// Sum of the weighted squares that M leaves; of the mirror image where `mirrored`.
+    fn left(&self, m: &[[f64; 2]; 2], mirrored: bool) -> f64 {
+        let sign = if mirrored { -1.0 } else { 1.0 };
+        let one = |(d, e, w): &([f64; 2], [f64; 2], f64)| {
+            let r = [0, 1].map(|i| e[i] - m[i][0] * d[0] - m[i][1] * sign * d[1]);
+            w * (r[0] * r[0] + r[1] * r[1])
+        };
+        self.each.iter().map(one).sum()
+    }
+}
+
+/// M of a rigid or a similar transform.
+fn rotation(centred: &Centred, scaled: bool, mirrored: bool) -> [[f64; 2]; 2] {
+    let [a, b] = centred.complex_sums(mirrored);
+    let size = if scaled { centred.spread } else { a.hypot(b) };
+    [[a / size, -b / size], [b / size, a / size]]
+}
+
+/// Eigenvalues of a symmetric matrix, the larger first.
+fn eigenvalues(n: &[[f64; 2]; 2]) -> [f64; 2] {
+    let (mean, half) = (0.5 * (n[0][0] + n[1][1]), 0.5 * (n[0][0] - n[1][1]));
+    let root = half.hypot(n[0][1]);
+    [mean + root, (mean - root).max(0.0)]
+}
+
+/// Fits `model` to fiducials.
+///
+/// Refuses too few of them, fiducials that stand in the same place, on a line where an affine transform needs
+/// an area, too close together for their uncertainty, and correspondences that mirror the part.
+pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
+    let n = fiducials.len();
+    let least = model.least_fiducials();
+    if n < least {
+        let problem = format!("is one of {n}, and {model:?} needs {least}");
+        return Err(Invalid::whole("fiducial", problem, "measure more of them"));
+    }
+    let (sigma_mm, given) = uncertainties(fiducials)?;
+    refuse_coincident(fiducials, &sigma_mm, given)?;
+    let degrees_of_freedom = 2 * n - model.parameters();
+    if !given && degrees_of_freedom == 0 {
+        let problem =
+            format!("is one of {n}, without uncertainties: nothing is left to estimate them from");
+        return Err(Invalid::whole("fiducial", problem, "give uncertainty_mm, or measure more"));
+    }
+    let centred = Centred::new(fiducials, &sigma_mm);
+    let normal = centred.normal();
+    let eigen = eigenvalues(&normal);
+    let across = (eigen[1] / eigen[0]).sqrt();
+    if model == Model::Affine && across < LEAST_ACROSS {
+        let [along_mm, across_mm] = eigen.map(|e| (e / centred.sum_w).sqrt());
+        let problem = format!(
+            "is one of {n} on a line: {} mm RMS along it, {} mm across",
+            significant(along_mm, 3),
+            significant(across_mm, 3)
+        );
+        return Err(Invalid::whole(
+            "fiducial",
+            problem,
+            "give one beside the line, or a rigid model",
+        ));
+    }
+    let matrix = match model {
+        Model::Rigid => rotation(&centred, false, false),
+        Model::Similarity => rotation(&centred, true, false),
+        Model::Affine => affine(&centred, &normal),
+    };
+    let mut warnings = refuse_mirrored(&centred, model, &matrix, across)?;
+    let chi_square = centred.left(&matrix, false);
+    let variance = if given { 1.0 } else { chi_square / degrees_of_freedom as f64 };
+    let covariance = covariance(&centred, model, &matrix, &normal, variance);
+    let transform = Transform::new(matrix, centred.mean[0], centred.mean[1], covariance)?;
+
+    let largest = (2..6).map(|i| covariance[i][i].sqrt()).fold(0.0, f64::max);
+    if largest > MOST_MATRIX_ERROR {
+        let problem = format!(
+            "is one of {n} within {} mm RMS of each other: the matrix would have an error of {}",
+            significant((centred.spread / centred.sum_w).sqrt(), 3),
+            significant(largest, 2)
+        );
+        let remedy = "measure fiducials that are farther apart, or more exactly";
+        return Err(Invalid::whole("fiducial", problem, remedy));
+    }
+    let [a, b] = centred.complex_sums(false);
+    let scale = Estimate {
+        value: a.hypot(b) / centred.spread,
+        standard_error: (variance / centred.spread).sqrt(),
+    };
+    if model == Model::Rigid && (scale.value - 1.0).abs() > 3.0 * scale.standard_error {
+        warnings.push(format!(
+            "the fiducials are {} times as far apart on the machine as in the map (standard error {}): is the \
+             pitch of the map right? a similarity takes the scale into account",
+            significant(scale.value, 7),
+            significant(scale.standard_error, 2)
+        ));
+    }
+    let report = report(
+        fiducials,
+        &sigma_mm,
+        &transform,
+        Numbers { model, degrees_of_freedom, given, chi_square, variance, scale, warnings },
+    );
+    Ok(Registration { transform, report })
+}
+
+/// Standard deviation of the coordinates of each fiducial, mm, and whether they were given; 1 where they
+/// were not.
+fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
+    let with = fiducials.iter().filter(|f| f.uncertainty_mm.is_some()).count();
+    if with == 0 {
+        return Ok((vec![1.0; fiducials.len()], false));
+    }
+    let each = fiducials.iter().enumerate().map(|(i, f)| match f.uncertainty_mm {
+        // The scale between map and machine is near one.
+        Some(s) => Ok(s.hypot(f.map_uncertainty_mm.unwrap_or(0.0))),
+        None => {
+            let problem = format!("is absent, {with} of {} have one", fiducials.len());
+            Err(Invalid::at("uncertainty_mm", i, problem, "give all of them one, or none"))
+        }
+    });
+    Ok((each.collect::<Result<_, _>>()?, true))
+}
+
+fn refuse_coincident(fiducials: &[Fiducial], sigma_mm: &[f64], given: bool) -> Result<(), Invalid> {
+    // Of many fiducials neighbours along x are compared: enough for the same point twice.
+    let mut order: Vec<usize> = (0..fiducials.len()).collect();
+    for (name, of) in [
+        ("map_mm", (|f: &Fiducial| f.map_mm) as fn(&Fiducial) -> [f64; 2]),
+        ("machine_mm", |f: &Fiducial| f.machine_mm),
+    ] {
+        order.sort_by(|i, j| of(&fiducials[*i])[0].total_cmp(&of(&fiducials[*j])[0]));
+        for (k, i) in order.iter().enumerate() {
+            for j in &order[k + 1..] {
+                let [p, q] = [of(&fiducials[*i]), of(&fiducials[*j])];
+                let close = if given { sigma_mm[*i].hypot(sigma_mm[*j]) } else { 0.0 };
+                if q[0] - p[0] > close {
+                    break;
+                }
+                if (q[0] - p[0]).hypot(q[1] - p[1]) <= close {
+                    let problem =
+                        format!("is {q:?}, where fiducial {} is already", fiducials[*i].name);
+                    let remedy = "measure two different points, or leave one out";
+                    return Err(Invalid::at(name, *j, problem, remedy));
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// M of an affine transform.
+fn affine(centred: &Centred, normal: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let inverse = inverse(normal);
+    let mut moment = [[0.0; 2]; 2];
+    for (d, e, w) in &centred.each {
+        for (r, s) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            moment[r][s] += w * e[r] * d[s];
+        }
+    }
+    [0, 1].map(|r| [0, 1].map(|s| moment[r][0] * inverse[0][s] + moment[r][1] * inverse[1][s]))
+}
+
+fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let determinant = n[0][0] * n[1][1] - n[0][1] * n[1][0];
+    [
+        [n[1][1] / determinant, -n[0][1] / determinant],
+        [-n[1][0] / determinant, n[0][0] / determinant],
+    ]
+}
+
+/// Refuses correspondences that mirror the part; what cannot be told is a warning.
+fn refuse_mirrored(
+    centred: &Centred,
+    model: Model,
+    matrix: &[[f64; 2]; 2],
+    across: f64,
+) -> Result<Vec<String>, Invalid> {
+    let rms = |left: f64| (left / centred.sum_w).sqrt();
+    let remedy = "turn x or y of the map or of the machine over, or check which fiducial is which";
+    let [[a, b], [c, d]] = *matrix;
+    if model == Model::Affine {
+        let determinant = a * d - b * c;
+        if determinant > 0.0 {
+            return Ok(Vec::new());
+        }
+        let problem = format!("mirrors: its determinant is {}", significant(determinant, 4));
+        return Err(Invalid::whole("matrix", problem, remedy));
+    }
+    let mirrored = rotation(centred, model == Model::Similarity, true);
+    let [as_is_mm, mirrored_mm] =
+        [rms(centred.left(matrix, false)), rms(centred.left(&mirrored, true))];
+    if MIRRORED * mirrored_mm < as_is_mm && across > LEAST_ACROSS {
+        let problem = format!(
+            "mirrors: the fiducials miss by {} mm RMS, and by {} mm where the map is turned over",
+            significant(as_is_mm, 4),
+            significant(mirrored_mm, 4)
+        );
+        return Err(Invalid::whole("matrix", problem, remedy));
+    }
+    if as_is_mm * MIRRORED > mirrored_mm || across <= LEAST_ACROSS {
+        return Ok(vec![
+            "the fiducials are on a line, or nearly: they do not tell whether the part is turned over".into(),
+        ]);
+    }
+    Ok(Vec::new())
+}
+
+fn covariance(
+    centred: &Centred,
+    model: Model,
+    matrix: &[[f64; 2]; 2],
+    normal: &[[f64; 2]; 2],
+    variance: f64,
+) -> [[f64; 6]; 6] {
+    let mut c = [[0.0; 6]; 6];
+    for i in 0..2 {
+        c[i][i] = variance / centred.sum_w;
+    }
+    let of_matrix = variance / centred.spread;
+    let mut add = |gradient: [f64; 4]| {
+        for i in 0..4 {
+            for j in 0..4 {
+                c[2 + i][2 + j] += of_matrix * gradient[i] * gradient[j];
+            }
+        }
+    };
+    match model {
+        // dM / d theta = (-sin, -cos; cos, -sin)
+        Model::Rigid => add([-matrix[1][0], -matrix[0][0], matrix[0][0], -matrix[1][0]]),
+        Model::Similarity => {
+            add([1.0, 0.0, 0.0, 1.0]);
+            add([0.0, -1.0, 1.0, 0.0]);
+        }
+        Model::Affine => {
+            let inverse = inverse(normal);
+            for axis in 0..2 {
+                for (r, s) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                    c[2 + 2 * axis + r][2 + 2 * axis + s] = variance * inverse[r][s];
+                }
+            }
+        }
+    }
+    c
+}
+
+/// What the report is made from, beside the transform.
+struct Numbers {
+    model: Model,
+    degrees_of_freedom: usize,
+    given: bool,
+    chi_square: f64,
+    variance: f64,
+    scale: Estimate,
+    warnings: Vec<String>,
+}
+
+fn report(
+    fiducials: &[Fiducial],
+    sigma_mm: &[f64],
+    transform: &Transform,
+    numbers: Numbers,
+) -> Report {
+    let factor = numbers.variance.sqrt();
+    let residuals: Vec<Residual> = fiducials
+        .iter()
+        .zip(sigma_mm)
+        .map(|(f, sigma)| {
+            let q = transform.point(f.map_mm);
+            Residual {
+                name: f.name.clone(),
+                residual_mm: [f.machine_mm[0] - q[0], f.machine_mm[1] - q[1]],
+                uncertainty_mm: sigma * factor,
+            }
+        })
+        .collect();
+    let squares: f64 = residuals.iter().flat_map(|r| r.residual_mm).map(|v| v * v).sum();
+    let errors = fiducials.iter().flat_map(|f| transform.standard_error_mm(f.map_mm));
+    let freedom = numbers.degrees_of_freedom as f64;
+    let probability = match numbers.given && numbers.degrees_of_freedom > 0 {
+        true => exceeded(numbers.chi_square, freedom),
+        false => 1.0,
+    };
+    Report {
+        model: numbers.model,
+        fiducials: fiducials.len(),
+        degrees_of_freedom: numbers.degrees_of_freedom,
+        uncertainties_given: numbers.given,
+        angle_deg: angle(transform),
+        scale: numbers.scale,
+        standard_error_mm: transform.standard_error_mm(transform.centre_mm()),
+        largest_standard_error_mm: errors.fold(0.0, f64::max),
+        rms_mm: (squares / (2 * fiducials.len()) as f64).sqrt(),
+        chi_square: numbers.chi_square
+            / if numbers.given { 1.0 } else { numbers.variance.max(f64::MIN_POSITIVE) },
+        probability,
+        residuals,
+        warnings: numbers.warnings,
+    }
+}
+
+/// The angle of a transform with its standard error, degree.
+pub fn angle(transform: &Transform) -> Estimate {
+    // theta = atan2(c - b, a + d), with M = (a, b; c, d)
+    let [[a, b], [c, d]] = *transform.matrix();
+    let (s, t) = (c - b, a + d);
+    let r = s * s + t * t;
+    let gradient = [0.0, 0.0, -s / r, -t / r, t / r, -s / r];
+    Estimate {
+        value: transform.angle_rad().to_degrees(),
+        standard_error: transform.variance(&gradient).sqrt().to_degrees(),
+    }
+}

@@ -1,0 +1,21 @@
+//! Where a part lies: the transform from the coordinates of its map to those of the machine.
+//!
+//! A map has the coordinates of an interferometer, a machine those of its axes. What is between them is found
+//! from fiducials that both can see ([`fit`]), or, for a map taken after a run and the map before it, from the
+//! features that they have in common ([`maps`]). The path is then taken to the machine
+//! ([`planish_types::Transform`]); the map is never resampled.
+//!
+//! | symbol | variable | unit |
+//! |---|---|---|
+//! | p | `map_mm` | mm |
+//! | q | `machine_mm` | mm |
+//! | M, of q = M (p - centre) + image | `matrix` | 1 |
+//!
+//! Sources: S. Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13 (1991) 376, for the rigid and the similar
+//! transform, which in a plane is a regression of complex numbers; E. B. Wilson, M. M. Hilferty, Proc. Natl.
+//! Acad. Sci. 17 (1931) 684, for the probability of a sum of squares.
+
+mod chi_square;
+pub mod fiducials;
+pub mod fit;
+pub mod maps;

@@ -1,0 +1,29 @@
+//! `planish-register`: where a part lies on its machine.
+
+mod cli;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use planish_handoff::run;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-register fit fiducials.csv --out out/transform\n\
+    \x20 planish-register apply --transform out/transform --trajectory out/trajectory --out out/on-machine\n\
+    \x20 planish-register maps --before out/before --after out/after --shorter-than-mm 3 --out out/moved";
+
+/// Find where a part lies on its machine, and take paths and motions there
+#[derive(Debug, Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    method: cli::Method,
+}
+
+fn main() -> ExitCode {
+    let cli: Cli = planish_handoff::parse();
+    run(|| cli.method.run())
+}

@@ -1,0 +1,586 @@
+//! Where a map lies on an earlier one of the same part, from the features that both have.
+//!
+//! A map z after a run shows the part of the map b before it, moved by a shift s and turned by theta about the
+//! middle c of the map, less what was removed. Of that the slow part is taken off by free low-order terms Q, and
+//! everything longer than a wavelength, where one is given, before:
+//!
+//! ```text
+//! z(x) = b(p) + Q a + noise,    p = c + R(-theta) (x - c - s)
+//! ```
+//!
+//! Gauss and Newton in (s, theta), with a solved for in every step, from the best place of a search by whole
+//! pixels. With g the gradient of b at p turned by theta, and d = x - c - s,
+//!
+//! ```text
+//! dz/ds = -g,    dz/dtheta = g_x d_y - g_y d_x
+//! ```
+//!
+//! b between its pixels is Keys' cubic convolution. It smooths the noise of b, most in the middle between pixels,
+//! so that least squares are drawn there, by tenths of a pixel where the noise is a tenth of the features. The
+//! equations are therefore not those of least squares but have the gradient h of z in the place of g (an
+//! instrumental variable, J. D. Sargan, Econometrica 26 (1958) 393): with H and G the rows of h and of g, and of
+//! the free terms,
+//!
+//! ```text
+//! sum H' r = 0,    step = (H'G)^-1 H' r
+//! ```
+//!
+//! h is by central differences, which do not correlate with the noise of z at their own pixel, and knows nothing
+//! of the noise of b. Noise of maps is correlated (air, camera, interpolation), so the standard errors are not from
+//! the number of pixels: with the sums of H'r over blocks of the map,
+//! C = (H'G)^-1 (sum over blocks of (H'r)(H'r)') (G'H)^-1 (the sandwich of H. White, Econometrica 48 (1980) 817, by
+//! clusters), which holds where the blocks are larger than the correlation length.
+//!
+//! Whether the features determine a direction is asked of the features that the maps have *in common*: the
+//! correlation of the derivative of z with that of b along it, where the maps lie, against the same correlation at
+//! many places where they do not. The derivative of noise correlates nowhere, however large it is, and features
+//! that repeat correlate elsewhere too.
+
+mod field;
+mod search;
+
+use nalgebra::{DMatrix, DVector};
+use planish_numerics::orthogonal::legendre;
+use planish_types::{Invalid, Surface, Transform, text::significant};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::fit::Estimate;
+use field::Field;
+
+/// How maps are registered.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct MapSettings {
+    /// Largest shift along an axis, mm.
+    pub most_shift_mm: f64,
+    /// Largest rotation, degree.
+    pub most_rotation_deg: f64,
+    /// Highest total order of the Legendre terms that are free: 0 is the piston, 1 the plane.
+    pub free_order: usize,
+    /// Only what is shorter than this wavelength counts, mm.
+    pub shorter_than_mm: Option<f64>,
+}
+
+/// Where the later map lies.
+#[derive(Clone, Debug)]
+pub struct MapRegistration {
+    /// From the coordinates of the map before to those of the map after.
+    pub transform: Transform,
+    /// How good it is.
+    pub report: MapReport,
+}
+
+/// How good a registration of maps is.
+#[derive(Clone, Debug, Serialize)]
+pub struct MapReport {
+    /// Shift along x, mm.
+    pub shift_x_mm: Estimate,
+    /// Shift along y, mm.
+    pub shift_y_mm: Estimate,
+    /// Rotation of the later map, x towards y, degree.
+    pub rotation_deg: Estimate,
+    /// Correlation of the derivatives along x, y and around the middle, over what it is where the maps do not
+    /// lie.
+    pub features: [f64; 3],
+    /// Correlation of the maps where they lie, without the free terms.
+    pub correlation: f64,
+    /// RMS of what remains, nm.
+    pub rms_nm: f64,
+    /// Pixels in common.
+    pub pixels: usize,
+    /// Steps of Gauss and Newton.
+    pub steps: usize,
+}
+
+/// Highest order of free terms: beyond it they take the features.
+const MOST_ORDER: usize = 8;
+
+/// Common features must stand out of chance by this factor. Within the limits of the search some hundred places
+/// are independent of each other, and of so many chance takes the best to 2.5.
+const LEAST_FEATURES: f64 = 3.0;
+
+/// Largest standard error of a shift, and of the rotation at the corner of the map, in pixels: what is not known
+/// to within half a pixel is not known better than by looking.
+const MOST_ERROR_PIXELS: f64 = 0.5;
+
+/// Wrong places for the comparison: displacements by multiples of a tenth of the map, up to this many along each
+/// side.
+const WRONG_PLACES: i64 = 3;
+
+/// A correlation that is closer to one is counted as this.
+const CLOSEST_TO_ONE: f64 = 1.0 - 1e-9;
+
+/// Blocks of the map, along each side.
+const BLOCKS: usize = 6;
+
+/// Fewest blocks with pixels, and pixels in common.
+const LEAST_BLOCKS: usize = 16;
+const LEAST_PIXELS: usize = 200;
+
+/// Steps of Gauss and Newton, and the step in pixels at which they end: pixels that come and go at the border of
+/// the common area keep them from ending closer.
+const MOST_STEPS: usize = 50;
+const SETTLED_PIXELS: f64 = 5e-3;
+
+/// Shift [x, y] in mm and rotation in rad.
+pub(crate) type Pose = [f64; 3];
+
+/// Finds where `after` lies on `before`.
+pub fn register(
+    before: &Surface,
+    after: &Surface,
+    settings: &MapSettings,
+) -> Result<MapRegistration, Invalid> {
+    check(settings)?;
+    let [before, after] = [before, after].map(|map| match settings.shorter_than_mm {
+        Some(wavelength_mm) => field::shorter_than(map, wavelength_mm),
+        None => Ok(map.clone()),
+    });
+    let (before, after) = (Field::new(before?), Field::new(after?));
+    let problem = Problem::new(&before, &after, settings.free_order)?;
+    let limits = [settings.most_shift_mm, settings.most_rotation_deg.to_radians()];
+    let start = search::best(&problem.detrended(), &after, &before, problem.centre_mm, limits);
+    match problem.settled(start, limits) {
+        Ok((pose, equations, steps)) => problem.result(pose, &equations, steps),
+        // Where the features are too few, this is why.
+        Err(e) => problem.check_features(start).and(Err(e)),
+    }
+}
+
+fn check(settings: &MapSettings) -> Result<(), Invalid> {
+    let positive = [
+        ("most_shift_mm", Some(settings.most_shift_mm)),
+        ("most_rotation_deg", Some(settings.most_rotation_deg)),
+        ("shorter_than_mm", settings.shorter_than_mm),
+    ];
+    for (name, value) in positive {
+        if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+            return Err(Invalid::whole(name, format!("is {v}"), "give a positive number"));
+        }
+    }
+    if settings.most_rotation_deg > 30.0 {
+        let problem = format!("is {}", settings.most_rotation_deg);
+        let remedy = "turn the map by hand first (planish-import surface), to within 30 degrees";
+        return Err(Invalid::whole("most_rotation_deg", problem, remedy));
+    }
+    if settings.free_order > MOST_ORDER {
+        let problem = format!("is {}", settings.free_order);
+        return Err(Invalid::whole("free_order", problem, format!("give 0 to {MOST_ORDER}")));
+    }
+    Ok(())
+}
+
+/// What does not change with the place.
+struct Problem<'a> {
+    before: &'a Field,
+    after: &'a Field,
+    order: usize,
+    centre_mm: [f64; 2],
+    half_mm: [f64; 2],
+    half_diagonal_mm: f64,
+    pixel_mm: f64,
+}
+
+/// The normal equations at a place: first the pose, then the free terms.
+struct Equations {
+    /// H'G.
+    normal: DMatrix<f64>,
+    /// Sums of the squares of the columns of H and of G.
+    sizes: [DVector<f64>; 2],
+    /// H'r.
+    right: DVector<f64>,
+    /// H'r of every block that has pixels, without what the free terms take.
+    scores: Vec<DVector<f64>>,
+    pixels: usize,
+    squares: f64,
+    correlation: f64,
+}
+
+impl<'a> Problem<'a> {
+    fn new(before: &'a Field, after: &'a Field, order: usize) -> Result<Self, Invalid> {
+        let grid = after.grid();
+        let centre_mm = [&grid.x, &grid.y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
+        let half_mm = [&grid.x, &grid.y].map(|axis| 0.5 * (axis.end_mm() - axis.start_mm()));
+        let steps = [before.grid(), grid].map(|g| g.x.step_mm().max(g.y.step_mm()));
+        Ok(Self {
+            before,
+            after,
+            order,
+            centre_mm,
+            half_mm,
+            half_diagonal_mm: half_mm[0].hypot(half_mm[1]),
+            pixel_mm: steps[0].max(steps[1]),
+        })
+    }
+
+    /// Gauss and Newton from `pose`: where they end, the equations there, and the number of steps.
+    fn settled(
+        &self,
+        mut pose: Pose,
+        limits: [f64; 2],
+    ) -> Result<(Pose, Equations, usize), Invalid> {
+        let mut pixels = f64::INFINITY;
+        for steps in 1..=MOST_STEPS {
+            let step = self.equations(pose)?.step(self)?;
+            pose.iter_mut().zip(step).for_each(|(p, d)| *p += d);
+            self.refuse_beyond(pose, limits)?;
+            let turned_mm = self.half_diagonal_mm * step[2].abs();
+            pixels = (step[0].hypot(step[1]) + turned_mm) / self.pixel_mm;
+            if pixels < SETTLED_PIXELS {
+                return Ok((pose, self.equations(pose)?, steps));
+            }
+        }
+        let what =
+            format!("has not settled after {MOST_STEPS} steps, the last of {pixels:.2e} pixels");
+        let remedy = "the maps have too little in common: give `shorter_than_mm`, or fiducials";
+        Err(Invalid::whole("after", what, remedy))
+    }
+
+    /// Number of free terms.
+    fn terms(&self) -> usize {
+        (self.order + 1) * (self.order + 2) / 2
+    }
+
+    /// P_i(u) P_j(v) of total order i + j at a point of the later map.
+    fn low_order(&self, x: [f64; 2], out: &mut [f64]) {
+        let n = self.order + 1;
+        let (mut px, mut py) = ([0.0; MOST_ORDER + 1], [0.0; MOST_ORDER + 1]);
+        legendre((x[0] - self.centre_mm[0]) / self.half_mm[0], &mut px[..n]);
+        legendre((x[1] - self.centre_mm[1]) / self.half_mm[1], &mut py[..n]);
+        let mut k = 0;
+        for i in 0..n {
+            for j in 0..n - i {
+                out[k] = px[i] * py[j];
+                k += 1;
+            }
+        }
+    }
+
+    /// Both maps without the free terms, for the search.
+    fn detrended(&self) -> [Vec<f64>; 2] {
+        [self.after, self.before].map(|field| {
+            let terms = self.terms();
+            let mut normal = DMatrix::<f64>::zeros(terms, terms);
+            let mut right = DVector::<f64>::zeros(terms);
+            let mut q = vec![0.0; terms];
+            for (x, z) in field.valid() {
+                self.low_order(x, &mut q);
+                for i in 0..terms {
+                    right[i] += q[i] * z;
+                    for j in 0..terms {
+                        normal[(i, j)] += q[i] * q[j];
+                    }
+                }
+            }
+            // A map of few pixels may not determine all terms: then nothing is taken off.
+            let solved = normal.cholesky().map(|c| c.solve(&right));
+            field.map_values(|x, z| match &solved {
+                Some(a) => {
+                    self.low_order(x, &mut q);
+                    z - q.iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>()
+                }
+                None => z,
+            })
+        })
+    }
+
+    /// The normal equations at `pose`.
+    fn equations(&self, pose: Pose) -> Result<Equations, Invalid> {
+        let m = 3 + self.terms();
+        let (sin, cos) = pose[2].sin_cos();
+        let mut normal = DMatrix::<f64>::zeros(m, m);
+        let mut sizes = [DVector::<f64>::zeros(m), DVector::zeros(m)];
+        let mut right = DVector::<f64>::zeros(m);
+        let mut samples: Vec<(usize, Vec<f64>, f64, f64)> = Vec::new();
+        let (mut of_h, mut of_g) = (vec![0.0; m], vec![0.0; m]);
+        for (index, x, z) in self.after.valid_indexed() {
+            let d = [0, 1].map(|a| x[a] - self.centre_mm[a] - pose[a]);
+            // p = c + R(-theta) d
+            let p = [
+                self.centre_mm[0] + cos * d[0] + sin * d[1],
+                self.centre_mm[1] - sin * d[0] + cos * d[1],
+            ];
+            let Some((b, g)) = self.before.at(p) else { continue };
+            let Some(h) = self.after.gradient(index) else { continue };
+            // The gradient of b, turned into the frame of the later map.
+            let g = [cos * g[0] - sin * g[1], sin * g[0] + cos * g[1]];
+            for (row, g) in [(&mut of_h, h), (&mut of_g, g)] {
+                row[0] = -g[0];
+                row[1] = -g[1];
+                row[2] = (g[0] * d[1] - g[1] * d[0]) / self.half_diagonal_mm;
+                self.low_order(x, &mut row[3..]);
+            }
+            for i in 0..m {
+                right[i] += of_h[i] * (z - b);
+                sizes[0][i] += of_h[i] * of_h[i];
+                sizes[1][i] += of_g[i] * of_g[i];
+                for j in 0..m {
+                    normal[(i, j)] += of_h[i] * of_g[j];
+                }
+            }
+            samples.push((self.block(index), of_h.clone(), z - b, z));
+        }
+        if samples.len() < LEAST_PIXELS.max(4 * m) {
+            let problem =
+                format!("has {} valid pixels in common with the map before", samples.len());
+            return Err(Invalid::whole("after", problem, "give maps of the same area"));
+        }
+        self.assembled(normal, sizes, right, &samples)
+    }
+
+    fn assembled(
+        &self,
+        normal: DMatrix<f64>,
+        sizes: [DVector<f64>; 2],
+        right: DVector<f64>,
+        samples: &[(usize, Vec<f64>, f64, f64)],
+    ) -> Result<Equations, Invalid> {
+        let m = right.len();
+        // What remains with the free terms alone, at this place; and z itself without them.
+        let of_terms = normal.view((3, 3), (m - 3, m - 3)).into_owned().cholesky();
+        let of_terms = of_terms.ok_or_else(|| {
+            let problem = format!("does not determine free terms of order {}", self.order);
+            Invalid::whole("free_order", problem, "give a lower order")
+        })?;
+        let a = of_terms.solve(&right.rows(3, m - 3).into_owned());
+        let mut for_z = DVector::zeros(m - 3);
+        for (_, row, _, z) in samples {
+            for i in 3..m {
+                for_z[i - 3] += row[i] * z;
+            }
+        }
+        let a_of_z = of_terms.solve(&for_z);
+        let mut scores = vec![DVector::zeros(m); BLOCKS * BLOCKS];
+        let mut filled = [false; BLOCKS * BLOCKS];
+        let (mut squares, mut zz, mut bb, mut zb) = (0.0, 0.0, 0.0, 0.0);
+        for (block, row, rest, z) in samples {
+            let low =
+                |a: &DVector<f64>| row[3..].iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>();
+            let r = rest - low(&a);
+            let z = z - low(&a_of_z);
+            let b = z - r;
+            squares += r * r;
+            (zz, bb, zb) = (zz + z * z, bb + b * b, zb + z * b);
+            for i in 0..m {
+                scores[*block][i] += row[i] * r;
+            }
+            filled[*block] = true;
+        }
+        let keep = |k: &usize| filled[*k];
+        Ok(Equations {
+            normal,
+            sizes,
+            right,
+            scores: (0..BLOCKS * BLOCKS).filter(keep).map(|k| scores[k].clone()).collect(),
+            pixels: samples.len(),
+            squares,
+            correlation: zb / (zz * bb).sqrt().max(f64::MIN_POSITIVE),
+        })
+    }
+
+    fn block(&self, [r, c]: [usize; 2]) -> usize {
+        let (ny, nx) = self.after.grid().shape();
+        (r * BLOCKS / ny) * BLOCKS + c * BLOCKS / nx
+    }
+
+    /// Correlation of the derivatives along x, y and around the middle at a place, the map before displaced by
+    /// `by_mm`.
+    fn common(&self, pose: Pose, by_mm: [f64; 2]) -> [f64; 3] {
+        let (sin, cos) = pose[2].sin_cos();
+        let mut sums = [[0.0; 3]; 3];
+        for (index, x, _) in self.after.valid_indexed() {
+            let Some(h) = self.after.gradient(index) else { continue };
+            let d = [0, 1].map(|a| x[a] - self.centre_mm[a] - pose[a]);
+            let p = [
+                self.centre_mm[0] + cos * d[0] + sin * d[1] + by_mm[0],
+                self.centre_mm[1] - sin * d[0] + cos * d[1] + by_mm[1],
+            ];
+            let Some(g) = self.before.nearest(p).and_then(|at| self.before.gradient(at)) else {
+                continue;
+            };
+            let g = [cos * g[0] - sin * g[1], sin * g[0] + cos * g[1]];
+            let around = [g, h].map(|g| g[1] * d[0] - g[0] * d[1]);
+            let pairs = [[g[0], h[0]], [g[1], h[1]], around];
+            for (s, [g, h]) in sums.iter_mut().zip(pairs) {
+                *s = [s[0] + g * h, s[1] + g * g, s[2] + h * h];
+            }
+        }
+        sums.map(|[gh, gg, hh]| if gg * hh > 0.0 { gh / (gg * hh).sqrt() } else { 0.0 })
+    }
+
+    /// The correlations where the maps lie over the RMS of those where they do not.
+    fn features(&self, pose: Pose) -> [f64; 3] {
+        // Fisher's atanh makes a correlation near one as far from chance as it is.
+        let fisher = |c: [f64; 3]| c.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh());
+        let here = fisher(self.common(pose, [0.0; 2]));
+        let range = -WRONG_PLACES..=WRONG_PLACES;
+        let wrong: Vec<[i64; 2]> = range
+            .clone()
+            .flat_map(|j| range.clone().map(move |i| [i, j]))
+            .filter(|by| *by != [0, 0])
+            .collect();
+        let elsewhere: Vec<[f64; 3]> = wrong
+            .par_iter()
+            .map(|by| {
+                fisher(self.common(pose, [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a])))
+            })
+            .collect();
+        [0, 1, 2].map(|k| {
+            let squares = elsewhere.iter().map(|c| c[k] * c[k]).sum::<f64>() / wrong.len() as f64;
+            // Without noise the derivatives elsewhere may be exactly zero; then here decides.
+            if here[k] == 0.0 { 0.0 } else { here[k] / squares.sqrt() }
+        })
+    }
+
+    fn refuse_beyond(&self, pose: Pose, [shift_mm, rotation]: [f64; 2]) -> Result<(), Invalid> {
+        if pose[0].abs() <= shift_mm && pose[1].abs() <= shift_mm && pose[2].abs() <= rotation {
+            return Ok(());
+        }
+        let problem = format!(
+            "lies beyond `most_shift_mm` {shift_mm} and `most_rotation_deg` {}: at {:?} mm and {} degree",
+            significant(rotation.to_degrees(), 4),
+            [pose[0], pose[1]].map(|v| (v * 1e4).round() / 1e4),
+            significant(pose[2].to_degrees(), 4)
+        );
+        let remedy = "give larger ones; or the maps have too little in common: give `shorter_than_mm`, or \
+                      fiducials";
+        Err(Invalid::whole("after", problem, remedy))
+    }
+
+    fn result(&self, pose: Pose, e: &Equations, steps: usize) -> Result<MapRegistration, Invalid> {
+        let features = self.check_features(pose)?;
+        let covariance = e.covariance(self)?;
+        let error = [0, 1, 2].map(|i| covariance[(i, i)].sqrt());
+        let pixels =
+            [error[0], error[1], error[2] * self.half_diagonal_mm].map(|v| v / self.pixel_mm);
+        for (name, error) in ["shift along x", "shift along y", "rotation"].iter().zip(pixels) {
+            if error.is_nan() || error > MOST_ERROR_PIXELS {
+                let problem = format!(
+                    "leaves the {name} uncertain by {} pixels (standard error)",
+                    significant(error, 3)
+                );
+                let remedy =
+                    "the common features do not determine it: give `shorter_than_mm`, or fiducials";
+                return Err(Invalid::whole("after", problem, remedy));
+            }
+        }
+        let estimate = |i: usize, unit: f64| Estimate {
+            value: pose[i] * unit,
+            standard_error: error[i] * unit,
+        };
+        Ok(MapRegistration {
+            transform: self.transform(pose, &covariance)?,
+            report: MapReport {
+                shift_x_mm: estimate(0, 1.0),
+                shift_y_mm: estimate(1, 1.0),
+                rotation_deg: estimate(2, 1f64.to_degrees()),
+                features,
+                correlation: e.correlation,
+                rms_nm: (e.squares / e.pixels as f64).sqrt(),
+                pixels: e.pixels,
+                steps,
+            },
+        })
+    }
+
+    /// The common features at a place; refuses too few of them.
+    fn check_features(&self, pose: Pose) -> Result<[f64; 3], Invalid> {
+        let features = self.features(pose);
+        let names = ["along x", "along y", "around the middle"];
+        let few = |k: &usize| features[*k].is_nan() || features[*k] < LEAST_FEATURES;
+        let too_few: Vec<usize> = (0..3).filter(few).collect();
+        if !too_few.is_empty() {
+            let problem = format!(
+                "has too few features {} in common with the map before: they stand out of chance by a factor of {}, \
+                 {LEAST_FEATURES} is needed",
+                too_few.iter().map(|k| names[*k]).collect::<Vec<_>>().join(", "),
+                too_few.iter().map(|k| significant(features[*k], 2)).collect::<Vec<_>>().join(", ")
+            );
+            let remedy =
+                "give `shorter_than_mm`, so that what was removed does not hide them, or fiducials";
+            return Err(Invalid::whole("after", problem, remedy));
+        }
+        Ok(features)
+    }
+
+    /// q = R(theta) (p - c) + c + s.
+    fn transform(&self, pose: Pose, covariance: &DMatrix<f64>) -> Result<Transform, Invalid> {
+        let (sin, cos) = pose[2].sin_cos();
+        let c = self.centre_mm;
+        // Gradients of (image x, image y, M) by (s_x, s_y, theta).
+        let by = [
+            [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, -sin, -cos, cos, -sin],
+        ];
+        let mut six = [[0.0; 6]; 6];
+        for (i, j) in (0..6).flat_map(|i| (0..6).map(move |j| (i, j))) {
+            for (k, l) in (0..3).flat_map(|k| (0..3).map(move |l| (k, l))) {
+                // The two halves of a product in one order, so that the matrix is symmetric to the last bit.
+                six[i.max(j)][i.min(j)] += by[k][i.max(j)]
+                    * covariance[(k.max(l), k.min(l))]
+                    * by[l][i.min(j)]
+                    * if i == j { 1.0 } else { 0.5 };
+            }
+        }
+        for i in 0..6 {
+            for j in 0..i {
+                six[j][i] = six[i][j];
+            }
+        }
+        Transform::new([[cos, -sin], [sin, cos]], c, [c[0] + pose[0], c[1] + pose[1]], six)
+    }
+}
+
+impl Equations {
+    /// The step of Gauss and Newton.
+    fn step(&self, problem: &Problem) -> Result<Pose, Invalid> {
+        let solved = self.inverse()? * &self.right;
+        Ok([solved[0], solved[1], solved[2] / problem.half_diagonal_mm])
+    }
+
+    fn inverse(&self) -> Result<DMatrix<f64>, Invalid> {
+        // Scaled by the sizes of the columns, so that the smallest singular value means something.
+        const LEAST_SINGULAR_VALUE: f64 = 1e-6;
+        let m = self.right.len();
+        let [h, g] = self.sizes.each_ref().map(|s| s.map(f64::sqrt));
+        let flat: Vec<&str> =
+            (0..3).filter(|i| h[*i] * g[*i] == 0.0).map(|i| ["x", "y", "rotation"][i]).collect();
+        let remedy = "give fewer free terms, or fiducials";
+        if !flat.is_empty() {
+            let problem = format!("has nothing that changes with {}", flat.join(" or "));
+            return Err(Invalid::whole("after", problem, remedy));
+        }
+        let scaled = DMatrix::from_fn(m, m, |i, j| self.normal[(i, j)] / (h[i] * g[j]));
+        let least = match scaled.iter().all(|v| v.is_finite()) {
+            true => scaled.clone().singular_values().min(),
+            false => 0.0,
+        };
+        let inverse = scaled.try_inverse().filter(|_| least > LEAST_SINGULAR_VALUE);
+        let inverse = inverse.ok_or_else(|| {
+            let problem = "does not determine shift and rotation beside the free terms";
+            Invalid::whole("after", problem, remedy)
+        })?;
+        Ok(DMatrix::from_fn(m, m, |i, j| inverse[(i, j)] / (g[i] * h[j])))
+    }
+
+    /// Covariance of the pose: the sandwich by blocks.
+    fn covariance(&self, problem: &Problem) -> Result<DMatrix<f64>, Invalid> {
+        let blocks = self.scores.len();
+        if blocks < LEAST_BLOCKS {
+            let what = format!("has pixels in {blocks} blocks of {}", BLOCKS * BLOCKS);
+            return Err(Invalid::whole("after", what, "give maps of the same area"));
+        }
+        let inverse = self.inverse()?;
+        let m = self.right.len();
+        let mut middle = DMatrix::zeros(m, m);
+        for score in &self.scores {
+            middle += score * score.transpose();
+        }
+        // Blocks are few: the usual correction of their number.
+        let correction = blocks as f64 / (blocks as f64 - 3.0);
+        let all = &inverse * middle * inverse.transpose() * correction;
+        let unit = [1.0, 1.0, problem.half_diagonal_mm];
+        Ok(DMatrix::from_fn(3, 3, |i, j| all[(i, j)] / (unit[i] * unit[j])))
+    }
+}

@@ -1,0 +1,150 @@
+//! A map between its pixels.
+
+use ndarray::Array2;
+use planish_numerics::keys;
+use planish_types::{Grid, Invalid, Surface};
+
+/// A map with its gradient, where the sixteen pixels around a point are valid.
+pub(super) struct Field {
+    map: Surface,
+}
+
+impl Field {
+    pub fn new(map: Surface) -> Self {
+        Self { map }
+    }
+
+    pub fn grid(&self) -> &Grid {
+        self.map.grid()
+    }
+
+    /// Pixels with their places [x, y] in mm and heights in nm.
+    pub fn valid_indexed(&self) -> impl Iterator<Item = ([usize; 2], [f64; 2], f64)> + '_ {
+        let grid = self.grid();
+        let each = self.map.height_nm().indexed_iter().filter(|(_, z)| z.is_finite());
+        each.map(|((r, c), z)| ([r, c], [grid.x.at(c), grid.y.at(r)], *z))
+    }
+
+    pub fn valid(&self) -> impl Iterator<Item = ([f64; 2], f64)> + '_ {
+        self.valid_indexed().map(|(_, x, z)| (x, z))
+    }
+
+    /// All pixels row by row, `of` (place, height) where they are valid.
+    pub fn map_values(&self, mut of: impl FnMut([f64; 2], f64) -> f64) -> Vec<f64> {
+        let grid = self.grid();
+        let each = self.map.height_nm().indexed_iter();
+        each.map(
+            |((r, c), z)| {
+                if z.is_finite() { of([grid.x.at(c), grid.y.at(r)], *z) } else { f64::NAN }
+            },
+        )
+        .collect()
+    }
+
+    /// Height (nm) and gradient (nm/mm) at a point.
+    pub fn at(&self, p: [f64; 2]) -> Option<(f64, [f64; 2])> {
+        let (grid, z) = (self.grid(), self.map.height_nm());
+        let (ny, nx) = grid.shape();
+        let split =
+            |s: f64| if s.is_finite() && s.abs() < 1e9 { Some(keys::split(s)) } else { None };
+        let (cx, fx) = split((p[0] - grid.x.start_mm()) / grid.x.step_mm())?;
+        let (cy, fy) = split((p[1] - grid.y.start_mm()) / grid.y.step_mm())?;
+        if cx < 1 || cy < 1 || cx + 2 >= nx as isize || cy + 2 >= ny as isize {
+            return None;
+        }
+        let (wx, wy) = (keys::weights(fx), keys::weights(fy));
+        let (vx, vy) = (slopes(fx), slopes(fy));
+        let (mut height, mut gradient) = (0.0, [0.0; 2]);
+        for b in 0..4 {
+            let r = cy as usize + b - 1;
+            let (mut line, mut slope) = (0.0, 0.0);
+            for a in 0..4 {
+                let v = z[[r, cx as usize + a - 1]];
+                line += wx[a] * v;
+                slope += vx[a] * v;
+            }
+            height += wy[b] * line;
+            gradient[0] += wy[b] * slope;
+            gradient[1] += vy[b] * line;
+        }
+        let gradient = [gradient[0] / grid.x.step_mm(), gradient[1] / grid.y.step_mm()];
+        // An invalid pixel makes all of them NaN.
+        (height.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((height, gradient))
+    }
+
+    /// The pixel whose middle is nearest to a point.
+    pub fn nearest(&self, p: [f64; 2]) -> Option<[usize; 2]> {
+        let grid = self.grid();
+        let index = |v: f64, axis: &planish_types::Axis| {
+            let i = ((v - axis.start_mm()) / axis.step_mm()).round();
+            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
+        };
+        Some([index(p[1], &grid.y)?, index(p[0], &grid.x)?])
+    }
+
+    /// Central differences at a pixel, nm/mm.
+    pub fn gradient(&self, [r, c]: [usize; 2]) -> Option<[f64; 2]> {
+        let (grid, z) = (self.grid(), self.map.height_nm());
+        let (ny, nx) = grid.shape();
+        if r == 0 || c == 0 || r + 1 >= ny || c + 1 >= nx {
+            return None;
+        }
+        let g = [
+            (z[[r, c + 1]] - z[[r, c - 1]]) / (2.0 * grid.x.step_mm()),
+            (z[[r + 1, c]] - z[[r - 1, c]]) / (2.0 * grid.y.step_mm()),
+        ];
+        g.iter().all(|g| g.is_finite()).then_some(g)
+    }
+}
+
+/// Derivatives of Keys' weights by the offset.
+fn slopes(f: f64) -> [f64; 4] {
+    [
+        (-1.5 * f + 2.0) * f - 0.5,
+        (4.5 * f - 5.0) * f,
+        (-4.5 * f + 4.0) * f + 0.5,
+        (1.5 * f - 1.0) * f,
+    ]
+}
+
+/// The map less its Gaussian mean, which lets one half of the amplitude of this wavelength through (ISO 16610-21):
+/// `exp(-2 pi^2 s^2 / L^2) = 1/2`, s = 0.1874 L. Invalid pixels have no weight.
+pub(super) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface, Invalid> {
+    let grid = map.grid();
+    let sigma_mm = wavelength_mm * (0.5 * std::f64::consts::LN_2).sqrt() / std::f64::consts::PI;
+    let sigma = [grid.y.step_mm(), grid.x.step_mm()].map(|step| sigma_mm / step);
+    if sigma.iter().any(|s| *s < 0.5)
+        || sigma[0] > grid.y.len() as f64
+        || sigma[1] > grid.x.len() as f64
+    {
+        let problem = format!("is {wavelength_mm} mm");
+        let remedy = "give some pixels at least, and less than five times the map";
+        return Err(Invalid::whole("shorter_than_mm", problem, remedy));
+    }
+    let z = map.height_nm();
+    let mut sum = z.mapv(|v| if v.is_finite() { v } else { 0.0 });
+    let mut weight = z.mapv(|v| f64::from(u8::from(v.is_finite())));
+    for (axis, sigma) in sigma.into_iter().enumerate() {
+        sum = blurred(&sum, axis, sigma);
+        weight = blurred(&weight, axis, sigma);
+    }
+    let short = Array2::from_shape_fn(z.dim(), |at| z[at] - sum[at] / weight[at]);
+    Surface::new(*grid, short)
+}
+
+/// Convolution with a Gaussian of `sigma` pixels along an axis, cut at four of them.
+fn blurred(map: &Array2<f64>, axis: usize, sigma: f64) -> Array2<f64> {
+    let reach = (4.0 * sigma).ceil() as usize;
+    let weights: Vec<f64> =
+        (0..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+    let mut out = Array2::zeros(map.dim());
+    for (from, mut to) in
+        map.lanes(ndarray::Axis(axis)).into_iter().zip(out.lanes_mut(ndarray::Axis(axis)))
+    {
+        for i in 0..from.len() {
+            let range = i.saturating_sub(reach)..(i + reach + 1).min(from.len());
+            to[i] = range.map(|j| weights[i.abs_diff(j)] * from[j]).sum();
+        }
+    }
+    out
+}

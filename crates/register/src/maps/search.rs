@@ -1,0 +1,99 @@
+//! The best place by whole pixels, where Gauss and Newton begin.
+
+use rayon::prelude::*;
+
+use super::{Pose, field::Field};
+
+/// Pixels of the later map that are compared: those with the steepest slopes say most.
+const COMPARED: usize = 3000;
+
+/// Most places along each direction.
+const MOST_PLACES: usize = 61;
+
+/// Fewest of the compared pixels that must fall on valid ones.
+const LEAST_COMPARED: usize = COMPARED / 10;
+
+/// The pose with the largest correlation within `limits` (shift in mm, rotation in rad) of the maps without
+/// their free terms, `values` of the later one and of the one before.
+pub(super) fn best(
+    values: &[Vec<f64>; 2],
+    after: &Field,
+    before: &Field,
+    centre_mm: [f64; 2],
+    limits: [f64; 2],
+) -> Pose {
+    let [a, b] = values;
+    let (grid, from) = (after.grid(), before.grid());
+    let mut steep: Vec<(f64, usize)> = after
+        .valid_indexed()
+        .filter_map(|(at, ..)| {
+            let g = after.gradient(at)?;
+            Some((g[0].hypot(g[1]), at[0] * grid.x.len() + at[1]))
+        })
+        .collect();
+    // Steepest first, then by place: the same pixels on every machine.
+    steep.sort_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
+    steep.truncate(COMPARED);
+    let points: Vec<([f64; 2], f64)> = steep
+        .iter()
+        .map(|(_, i)| {
+            let x = [grid.x.at(i % grid.x.len()), grid.y.at(i / grid.x.len())];
+            ([x[0] - centre_mm[0], x[1] - centre_mm[1]], a[*i])
+        })
+        .collect();
+    let half =
+        0.5 * (grid.x.end_mm() - grid.x.start_mm()).hypot(grid.y.end_mm() - grid.y.start_mm());
+    let pixel_mm = from.x.step_mm().min(from.y.step_mm());
+    let shifts = places(limits[0], pixel_mm);
+    let angles = places(limits[1], pixel_mm / half);
+    let at_angle = |angle: &f64| {
+        let (sin, cos) = angle.sin_cos();
+        let mut best = (f64::NEG_INFINITY, [0.0; 3]);
+        for y in &shifts {
+            for x in &shifts {
+                let place = |d: [f64; 2]| {
+                    let d = [d[0] - x, d[1] - y];
+                    [centre_mm[0] + cos * d[0] + sin * d[1], centre_mm[1] - sin * d[0] + cos * d[1]]
+                };
+                let of_before = |p| {
+                    let [r, c] = before.nearest(p)?;
+                    Some(b[r * from.x.len() + c]).filter(|v| v.is_finite())
+                };
+                let pairs = points.iter().filter_map(|(d, z)| Some((*z, of_before(place(*d))?)));
+                let found = correlation(pairs);
+                if found > best.0 {
+                    best = (found, [*x, *y, *angle]);
+                }
+            }
+        }
+        best
+    };
+    let each: Vec<(f64, Pose)> = angles.par_iter().map(at_angle).collect();
+    // The first of the best, whatever the order in which they were found.
+    each.into_iter().fold((f64::NEG_INFINITY, [0.0; 3]), |m, e| if e.0 > m.0 { e } else { m }).1
+}
+
+/// From -limit to limit in steps of `step`, or larger ones where they would be too many; zero is among them.
+fn places(limit: f64, step: f64) -> Vec<f64> {
+    let half = ((limit / step).floor() as usize).min(MOST_PLACES / 2);
+    let step = if half == MOST_PLACES / 2 { limit / half as f64 } else { step };
+    (0..=2 * half).map(|k| (k as f64 - half as f64) * step).collect()
+}
+
+/// Correlation coefficient of pairs; none where they are few.
+fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for (p, q) in pairs {
+        n += 1.0;
+        a += p;
+        b += q;
+        aa += p * p;
+        bb += q * q;
+        ab += p * q;
+    }
+    if n < LEAST_COMPARED as f64 {
+        return f64::NEG_INFINITY;
+    }
+    let variance = (aa - a * a / n) * (bb - b * b / n);
+    if variance > 0.0 { (ab - a * b / n) / variance.sqrt() } else { f64::NEG_INFINITY }
+}

@@ -1,0 +1,111 @@
+//! The program from its flags to its files and exit codes.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use planish_handoff::artifact;
+use planish_testkit::program::{text, write};
+use planish_types::{ToolPath, Trajectory, Transform};
+
+fn run(dir: &Path, arguments: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-register"))
+        .current_dir(dir)
+        .args(arguments.split_whitespace())
+        .output()
+        .unwrap()
+}
+
+fn done(dir: &Path, arguments: &str) -> String {
+    let output = run(dir, arguments);
+    assert_eq!(output.status.code(), Some(0), "{arguments}: {}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Runs, expects exit code 2, one line and nothing written; returns the line.
+fn refused(dir: &Path, arguments: &str) -> String {
+    let output = run(dir, &format!("{arguments} --out refused"));
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments}: {said}");
+    assert!(output.stdout.is_empty() && said.starts_with("error: "), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+    assert!(!dir.join("refused").exists(), "{arguments}");
+    said
+}
+
+/// The corners of 100 x 60 mm, turned by a quarter turn and moved by (300, 40) mm.
+const FIDUCIALS: &str = "name,map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm\n\
+                         a,0,0,300.001,40,0.005\nb,100,0,300,139.999,0.005\n\
+                         c,100,60,240,140,0.005\nd,0,60,239.999,40.001,0.005\n";
+
+fn motion() -> Trajectory {
+    let c = [[10.0, 2.0, -0.5, 0.1], [20.0, 0.2, 0.4, -0.3]];
+    Trajectory::new(vec![0.0, 2.0], vec![c], vec![true], vec![Some(0)]).unwrap()
+}
+
+#[test]
+fn a_motion_goes_to_the_machine_and_back() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    fs::write(dir.join("f.csv"), FIDUCIALS).unwrap();
+    let said = done(dir, "fit f.csv --out t");
+    assert!(said.contains("4 fiducials, turned by 89.9") && said.contains("miss by"), "{said}");
+    let loaded = artifact::read::<Transform>(&dir.join("t")).unwrap();
+    let q = loaded.value.point([10.0, 20.0]);
+    assert!((q[0] - 280.0).abs() < 2e-3 && (q[1] - 50.0).abs() < 2e-3, "{q:?}");
+    let manifest = loaded.manifest.unwrap();
+    assert_eq!(manifest.outcome["registration"]["degrees_of_freedom"], 5);
+
+    write(dir, "motion", &motion());
+    done(dir, "apply --transform t --trajectory motion --out there");
+    let there = artifact::read::<Trajectory>(&dir.join("there")).unwrap();
+    let manifest = there.manifest.unwrap();
+    assert!(manifest.frame.starts_with("machine coordinates"), "{}", manifest.frame);
+    assert_eq!(manifest.settings["transform"]["matrix"][0][0], loaded.value.matrix()[0][0]);
+    let p = there.value.segment(0).position_mm(0.0);
+    assert!((0..2).all(|a| (p[a] - q[a]).abs() < 1e-12), "{p:?}");
+    let back = "apply --transform t --trajectory there --inverse --out back";
+    done(dir, back);
+    let back = artifact::read::<Trajectory>(&dir.join("back")).unwrap();
+    assert!(back.manifest.unwrap().frame.starts_with("part coordinates"));
+    for (a, b) in back.value.coefficient_mm()[0].iter().zip(&motion().coefficient_mm()[0]) {
+        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-11), "{a:?} {b:?}");
+    }
+    let path = ToolPath::new(vec![[0.0; 2], [2.0, 0.0]], vec![[1.0, 0.0]], vec![true], vec![0]);
+    write(dir, "path", &path.unwrap());
+    done(dir, "apply --transform t --tool-path path --out path-there");
+    let path = artifact::read::<ToolPath>(&dir.join("path-there")).unwrap().value;
+    assert_eq!(path.dwell_point_mm()[0], loaded.value.point([1.0, 0.0]));
+    // Again: nothing to do.
+    assert!(done(dir, "fit f.csv --out t").contains("unchanged"));
+}
+
+#[test]
+fn what_is_mirrored_or_does_not_fit_is_said() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let mirrored = FIDUCIALS.replace("240,140", "360,140").replace("239.999", "360.001");
+    fs::write(dir.join("m.csv"), mirrored).unwrap();
+    for model in ["rigid", "similarity", "affine"] {
+        let said = refused(dir, &format!("fit m.csv --model {model}"));
+        assert!(said.contains("m.csv: matrix: mirrors"), "{said}");
+    }
+    fs::write(dir.join("w.csv"), FIDUCIALS.replace("139.999", "140.3")).unwrap();
+    let output = run(dir, "fit w.csv --out w");
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("verdict: the fiducials miss by"));
+    assert!(dir.join("w").exists());
+    fs::write(dir.join("bad.csv"), "x,y\n1,2\n").unwrap();
+    assert!(refused(dir, "fit bad.csv").contains("bad.csv: fiducial: has the column"));
+    fs::write(dir.join("empty.csv"), "").unwrap();
+    assert!(refused(dir, "fit empty.csv").contains("give a header"));
+    fs::write(dir.join("bytes.csv"), b"\xff\xfe\x00").unwrap();
+    assert!(refused(dir, "fit bytes.csv").contains("bytes.csv"));
+    assert!(refused(dir, "fit absent.csv").contains("absent.csv"));
+    write(dir, "motion", &motion());
+    assert!(
+        refused(dir, "apply --transform motion --trajectory motion").contains("needs a transform")
+    );
+}

@@ -1,0 +1,265 @@
+//! Where a part lies: from the coordinates of its map to those of a machine, or of another map.
+
+use crate::{Invalid, ToolPath, Trajectory, is_plausible_mm};
+
+/// Largest and smallest scale of a transform: a part and its machine are measured in the same unit, and a
+/// factor of ten between them is a mistake in it.
+const LARGEST_SCALE: f64 = 10.0;
+
+/// `q = M (p - centre) + image`, for a point p of the part and q of the machine.
+///
+/// The covariance is that of the six numbers (image x, image y in mm; M xx, xy, yx, yy): of an affine
+/// transform it has the rank 6, of a rigid one 3.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transform {
+    matrix: [[f64; 2]; 2],
+    centre_mm: [f64; 2],
+    image_mm: [f64; 2],
+    covariance: [[f64; 6]; 6],
+}
+
+impl Transform {
+    /// Checks that the numbers are finite and that the matrix neither mirrors nor collapses the plane.
+    pub fn new(
+        matrix: [[f64; 2]; 2],
+        centre_mm: [f64; 2],
+        image_mm: [f64; 2],
+        covariance: [[f64; 6]; 6],
+    ) -> Result<Self, Invalid> {
+        for (name, point) in [("centre_mm", centre_mm), ("image_mm", image_mm)] {
+            if let Some(a) = point.iter().position(|v| !is_plausible_mm(*v)) {
+                let remedy = "give finite coordinates in mm, within 1e7 mm of the origin";
+                return Err(Invalid::at(name, a, format!("is {}", point[a]), remedy));
+            }
+        }
+        let [[a, b], [c, d]] = matrix;
+        let determinant = a * d - b * c;
+        let range = LARGEST_SCALE.powi(-2)..=LARGEST_SCALE.powi(2);
+        let within = matrix.iter().flatten().all(|v| v.abs() <= LARGEST_SCALE);
+        if !(within && range.contains(&determinant)) {
+            let problem = format!("is {matrix:?}, with the determinant {determinant}");
+            let remedy = "give a rotation, a similarity or an affine matrix that does not mirror, about 1 in size";
+            return Err(Invalid::whole("matrix", problem, remedy));
+        }
+        for i in 0..6 {
+            for j in 0..6 {
+                let v = covariance[i][j];
+                let apart = (v - covariance[j][i]).abs();
+                // Symmetric to rounding; variances are not negative.
+                let wide = (covariance[i][i] * covariance[j][j]).abs().sqrt();
+                if !v.is_finite() || (i == j && v < 0.0) || apart > 1e-9 * wide {
+                    let problem = format!("is {v}");
+                    return Err(Invalid::at(
+                        "covariance_mm2",
+                        (i, j),
+                        problem,
+                        "give a covariance",
+                    ));
+                }
+            }
+        }
+        Ok(Self { matrix, centre_mm, image_mm, covariance })
+    }
+
+    /// M, dimensionless.
+    pub fn matrix(&self) -> &[[f64; 2]; 2] {
+        &self.matrix
+    }
+
+    /// The point [x, y] of the part about which it turns, mm.
+    pub fn centre_mm(&self) -> [f64; 2] {
+        self.centre_mm
+    }
+
+    /// Where that point goes, mm.
+    pub fn image_mm(&self) -> [f64; 2] {
+        self.image_mm
+    }
+
+    /// Covariance of (image x, image y, M xx, xy, yx, yy), in products of mm and 1.
+    pub fn covariance(&self) -> &[[f64; 6]; 6] {
+        &self.covariance
+    }
+
+    /// Angle by which M turns x towards y, rad: of an affine matrix that of the nearest rotation.
+    pub fn angle_rad(&self) -> f64 {
+        let [[a, b], [c, d]] = self.matrix;
+        (c - b).atan2(a + d)
+    }
+
+    /// Root of the determinant: the scale of a similarity.
+    pub fn scale(&self) -> f64 {
+        let [[a, b], [c, d]] = self.matrix;
+        (a * d - b * c).sqrt()
+    }
+
+    /// M v.
+    pub fn direction(&self, v: [f64; 2]) -> [f64; 2] {
+        self.matrix.map(|row| row[0] * v[0] + row[1] * v[1])
+    }
+
+    /// q = M (p - centre) + image, mm.
+    pub fn point(&self, p: [f64; 2]) -> [f64; 2] {
+        let v = self.direction([p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]]);
+        [v[0] + self.image_mm[0], v[1] + self.image_mm[1]]
+    }
+
+    /// Standard errors of the image of p along x and y, mm.
+    pub fn standard_error_mm(&self, p: [f64; 2]) -> [f64; 2] {
+        let d = [p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]];
+        // q_x = image_x + M_xx d_x + M_xy d_y
+        let rows = [[1.0, 0.0, d[0], d[1], 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, d[0], d[1]]];
+        rows.map(|row| self.variance(&row).sqrt())
+    }
+
+    /// j' C j for the gradient of a number by the six parameters, not below zero.
+    pub fn variance(&self, gradient: &[f64; 6]) -> f64 {
+        let mut sum = 0.0;
+        for i in 0..6 {
+            for j in 0..6 {
+                sum += gradient[i] * self.covariance[i][j] * gradient[j];
+            }
+        }
+        sum.max(0.0)
+    }
+
+    /// From the machine to the part, with its covariance to first order.
+    pub fn inverse(&self) -> Result<Self, Invalid> {
+        // p = N (q - image) + centre with N = M^-1:  dN = -N dM N,  d centre = -N d image
+        let [[a, b], [c, d]] = self.matrix;
+        let determinant = a * d - b * c;
+        let n = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];
+        let mut jacobian = [[0.0; 6]; 6];
+        for r in 0..2 {
+            for s in 0..2 {
+                jacobian[r][s] = -n[r][s];
+                for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                    jacobian[2 + 2 * r + s][2 + 2 * i + j] = -n[r][i] * n[j][s];
+                }
+            }
+        }
+        let mut covariance = [[0.0; 6]; 6];
+        for i in 0..6 {
+            for j in 0..=i {
+                let mut sum = 0.0;
+                for k in 0..6 {
+                    for l in 0..6 {
+                        sum += jacobian[i][k] * self.covariance[k][l] * jacobian[j][l];
+                    }
+                }
+                (covariance[i][j], covariance[j][i]) = (sum, sum);
+            }
+            covariance[i][i] = covariance[i][i].max(0.0);
+        }
+        Self::new(n, self.image_mm, self.centre_mm, covariance)
+    }
+
+    /// The path on the machine: its points move, what they are for stays.
+    pub fn tool_path(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
+        let moved = |points: &[[f64; 2]]| points.iter().map(|p| self.point(*p)).collect();
+        let (on, pass) = (path.tool_on().to_vec(), path.pass_idx().to_vec());
+        ToolPath::new(moved(path.point_mm()), moved(path.dwell_point_mm()), on, pass)
+    }
+
+    /// The motion on the machine: a cubic stays a cubic, c0 moves as a point and c1 to c3 as directions.
+    pub fn trajectory(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
+        let moved = |c: &[[f64; 4]; 2]| {
+            let mut all = [[0.0; 4]; 2];
+            for order in 0..4 {
+                let v = [c[0][order], c[1][order]];
+                let v = if order == 0 { self.point(v) } else { self.direction(v) };
+                (all[0][order], all[1][order]) = (v[0], v[1]);
+            }
+            all
+        };
+        let motion_of_machine = Trajectory::new(
+            motion.break_time_s().to_vec(),
+            motion.coefficient_mm().iter().map(moved).collect(),
+            motion.tool_on().to_vec(),
+            motion.dwell_index().to_vec(),
+        )?;
+        match motion.rate_factor() {
+            Some(factor) => motion_of_machine.with_rate_factor(factor.to_vec()),
+            None => Ok(motion_of_machine),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quarter() -> Transform {
+        let covariance: [[f64; 6]; 6] =
+            std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j)) * 1e-4));
+        Transform::new([[0.0, -1.0], [1.0, 0.0]], [1.0, 2.0], [10.0, 20.0], covariance).unwrap()
+    }
+
+    #[test]
+    fn a_quarter_turn_takes_x_to_y() {
+        let t = quarter();
+        assert_eq!(t.point([1.0, 2.0]), [10.0, 20.0]);
+        assert_eq!(t.point([2.0, 2.0]), [10.0, 21.0]);
+        assert!((t.angle_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-15 && t.scale() == 1.0);
+        // Variance of a point: that of the image, and of the row of M times the distance.
+        let e = t.standard_error_mm([4.0, 6.0]);
+        assert!((e[0] - (1e-4_f64 * 26.0).sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_inverse_goes_back_with_the_uncertainty_of_the_point() {
+        let m = [[1.1, -0.2], [0.3, 0.9]];
+        let t = Transform::new(m, [1.0, 2.0], [10.0, 20.0], *quarter().covariance()).unwrap();
+        let back = t.inverse().unwrap();
+        let p = [3.0, -4.0];
+        let q = t.point(p);
+        let r = back.point(q);
+        assert!((r[0] - p[0]).abs() < 1e-13 && (r[1] - p[1]).abs() < 1e-13);
+        // The covariance by differences: dp = -N dq at the same q.
+        let [[a, b], [c, d]] = m;
+        let det = a * d - b * c;
+        let n = [[d / det, -b / det], [-c / det, a / det]];
+        // The covariance of q is (1 + |p - centre|^2) 1e-4 on each axis, without correlation.
+        let var = 1e-4 * (1.0 + 4.0 + 36.0);
+        let e = back.standard_error_mm(q);
+        for axis in 0..2 {
+            let expected = (var * (n[axis][0].powi(2) + n[axis][1].powi(2))).sqrt();
+            assert!((e[axis] - expected).abs() < 1e-12, "{} {expected}", e[axis]);
+        }
+    }
+
+    #[test]
+    fn a_cubic_stays_a_cubic() {
+        let c = [[1.0, 2.0, -0.5, 0.1], [3.0, 0.2, 0.4, -0.3]];
+        let motion = Trajectory::new(vec![5.0, 7.0], vec![c], vec![false], vec![Some(3)]).unwrap();
+        let motion = motion.with_rate_factor(vec![0.5]).unwrap();
+        let t = Transform::new([[1.1, -0.2], [0.3, 0.9]], [1.0, 2.0], [10.0, 20.0], [[0.0; 6]; 6]);
+        let t = t.unwrap();
+        let moved = t.trajectory(&motion).unwrap();
+        for u in [0.0, 0.7, 2.0] {
+            let (found, expected) =
+                (moved.segment(0).position_mm(u), t.point(motion.segment(0).position_mm(u)));
+            assert!(
+                (0..2).all(|a| (found[a] - expected[a]).abs() < 1e-13),
+                "{found:?} {expected:?}"
+            );
+        }
+        let s = moved.segment(0);
+        assert_eq!((s.tool_on, s.dwell_index, s.rate_factor), (false, Some(3), 0.5));
+        let path = ToolPath::new(vec![[0.0; 2], [2.0, 0.0]], vec![[1.0, 0.0]], vec![true], vec![4]);
+        let path = t.tool_path(&path.unwrap()).unwrap();
+        assert_eq!((path.dwell_point_mm()[0], path.pass_idx()[0]), (t.point([1.0, 0.0]), 4));
+    }
+
+    #[test]
+    fn mirrors_and_what_is_no_covariance_are_refused() {
+        let said = |m, covariance| {
+            Transform::new(m, [0.0; 2], [0.0; 2], covariance).unwrap_err().to_string()
+        };
+        assert!(said([[1.0, 0.0], [0.0, -1.0]], [[0.0; 6]; 6]).contains("the determinant -1"));
+        assert!(said([[1e3, 0.0], [0.0, 1e-3]], [[0.0; 6]; 6]).contains("matrix"));
+        let mut c = [[0.0; 6]; 6];
+        c[2][2] = -1.0;
+        assert!(said([[1.0, 0.0], [0.0, 1.0]], c).contains("covariance_mm2[2, 2]: is -1"));
+    }
+}
