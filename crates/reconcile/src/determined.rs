@@ -1,0 +1,164 @@
+//! Whether the data determine a parameter.
+//!
+//! A number is given where all of this holds, and otherwise the parameter is refused with the first that does not:
+//!
+//! 1. The fit ended at a minimum.
+//! 2. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
+//!    on all others. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
+//!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
+//! 3. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates.
+//! 4. **The data say more than was known beforehand**: a standard error below its scale, that of the process where one
+//!    is given ([`crate::parameter`]).
+//! 5. **It is believable**: within [`BELIEVABLE`] of the plan, in the root of the sum of the squares of scale and
+//!    standard error.
+//! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own)
+//!    free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
+//!    standard error. The move is a linear function of the data, the difference of the influence fields of both fits,
+//!    so its standard error takes the correlation of the noise into account as all others do (Hausman's test with the
+//!    sandwich covariance).
+
+use ndarray::Array2;
+use planish_types::{End, text::significant};
+
+use crate::{
+    fit::{Data, Fit, Normal, dot},
+    metrology::{Term, terms},
+    parameter::Parameter,
+};
+
+/// Largest variance inflation.
+pub const LARGEST_INFLATION: f64 = 100.0;
+
+/// Largest correlation of two estimates.
+pub const LARGEST_CORRELATION: f64 = 0.99;
+
+/// Largest estimate over scale and standard error together.
+pub const BELIEVABLE: f64 = 3.0;
+
+/// A move by more standard errors than this is no chance.
+pub const SIGNIFICANT: f64 = 3.0;
+
+/// Least orders of the wider metrology along x and y, and how much further it goes than the fit's own.
+const WIDER: [usize; 2] = [4, 3];
+const FURTHER: usize = 1;
+
+/// How a parameter moves when more terms of the metrology are free.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move {
+    /// By how much.
+    pub by: f64,
+    /// Standard error of the move.
+    pub standard_error: f64,
+}
+
+/// The orders of the wider metrology of a fit with the orders `own`.
+pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
+    let own = own.unwrap_or([0, 0]);
+    [0, 1].map(|axis| WIDER[axis].max(own[axis] + FURTHER))
+}
+
+/// How the parameters of a fit move with the terms of these orders free, to first order at its minimum.
+pub fn moves(fit: &Fit, data: &Data<'_>, orders: [usize; 2]) -> Vec<Move> {
+    let own: Vec<Term> = fit.terms.clone();
+    // The power is among the squares.
+    let more = terms(Some(orders)).into_iter().filter(|t| !own.contains(t));
+    let maps: Vec<Array2<f64>> = more.map(|t| t.map(data.grid)).collect();
+    let wider = Normal::new(&fit.columns, &maps, &data.valid);
+    let (inverse, ..) = wider.inverse();
+    let step = wider.step(&fit.rest, &inverse, 0.0);
+    let of = |i: usize| {
+        // Influence of the wider fit less that of the fit
+        let mut field = -fit.influence(i);
+        for (j, column) in wider.columns.iter().enumerate() {
+            let weight = inverse[(i, j)] / (wider.lengths[i] * wider.lengths[j]);
+            field.scaled_add(weight, column);
+        }
+        let variance = dot(&field, &fit.noise.apply(&field));
+        Move { by: step[i], standard_error: variance.max(0.0).sqrt() }
+    };
+    (0..fit.parameters.len()).map(of).collect()
+}
+
+/// Why the data do not determine parameter `i` of a fit; `None` where they do.
+pub fn refusal(
+    fit: &Fit,
+    i: usize,
+    scale: f64,
+    moved: &Move,
+    orders: [usize; 2],
+) -> Option<String> {
+    let parameter = fit.parameters[i];
+    let (value, error) = (fit.values[i], fit.standard_error(i));
+    let names = fit.names();
+    if fit.end != End::Converged {
+        return Some("the fit did not end at a minimum".into());
+    }
+    if fit.inflation[i] > LARGEST_INFLATION {
+        let inflation = match fit.inflation[i].is_finite() {
+            true => significant(fit.inflation[i], 3),
+            false => "infinite".into(),
+        };
+        return Some(format!(
+            "the data do not tell it from {}: variance inflation {inflation} (at most {LARGEST_INFLATION}), smallest \
+             singular value {}",
+            confounded(fit, i, &names),
+            significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
+        ));
+    }
+    let twin = (0..names.len())
+        .filter(|j| *j != i)
+        .find(|j| fit.correlation(i, *j).abs() > LARGEST_CORRELATION);
+    if let Some(j) = twin {
+        return Some(format!(
+            "its estimate correlates by {} with that of {}",
+            significant(fit.correlation(i, j), 4),
+            names[j]
+        ));
+    }
+    if error > scale {
+        return Some(format!(
+            "its standard error {} is beyond {}, which is known beforehand",
+            shown(parameter, error),
+            shown(parameter, scale)
+        ));
+    }
+    if value.abs() > BELIEVABLE * scale.hypot(error) {
+        return Some(format!(
+            "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
+             that it takes up",
+            shown(parameter, scale)
+        ));
+    }
+    if moved.by.abs() > SIGNIFICANT * moved.standard_error && moved.by.abs() > error {
+        return Some(format!(
+            "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors of \
+             the move)",
+            orders[0],
+            orders[1],
+            shown(parameter, moved.by),
+            significant(moved.by.abs() / moved.standard_error, 2)
+        ));
+    }
+    None
+}
+
+/// A value of a parameter with its unit.
+pub fn shown(parameter: Parameter, value: f64) -> String {
+    let (unit, factor) = parameter.unit();
+    format!("{} {unit}", significant(value / factor, 3))
+}
+
+/// The other unknowns that together do what unknown `i` does, the largest parts first.
+fn confounded(fit: &Fit, i: usize, names: &[String]) -> String {
+    // The regression of a scaled column on the others has the coefficients -inverse_ij / inverse_ii; where it is
+    // dependent the null vectors say the same, which the cosines show.
+    let part = |j: usize| match fit.inflation[i].is_finite() {
+        true => (fit.inverse[(i, j)] / fit.inverse[(i, i)]).abs(),
+        false => fit.cosines[(i, j)].abs(),
+    };
+    let mut others: Vec<usize> = (0..names.len()).filter(|j| *j != i).collect();
+    others.sort_by(|a, b| part(*b).total_cmp(&part(*a)));
+    let largest = others.first().map_or(0.0, |j| part(*j));
+    let main = others.iter().take(3).filter(|j| part(**j) > 0.2 * largest);
+    main.map(|j| names[*j].as_str()).collect::<Vec<_>>().join(" and ")
+}
