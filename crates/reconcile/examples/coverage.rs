@@ -65,7 +65,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     };
     let moved = first.moved_tif(&settings)?;
     let runs = Runs::new(&trajectory, &tif, &moved, before.grid())?;
-    let model = Model::new(&runs, &moved, parameters.clone());
+    let model = Model::new(&runs, &moved, parameters.clone(), Parameter::usual_scale);
     let start = Start::new(&model)?;
     let orders = wider_orders(None);
     let mut tally = vec![Tally::default(); parameters.len()];

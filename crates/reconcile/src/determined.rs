@@ -2,20 +2,20 @@
 //!
 //! A number is given where all of this holds, and otherwise the parameter is refused with the first that does not:
 //!
-//! 1. The fit ended at a minimum.
-//! 2. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
-//!    on all others. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
+//! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
+//!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
 //!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
-//! 3. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates.
-//! 4. **The data say more than was known beforehand**: a standard error below its scale, that of the process where one
-//!    is given ([`crate::parameter`]).
-//! 5. **It is believable**: within [`BELIEVABLE`] of the plan, in the root of the sum of the squares of scale and
-//!    standard error.
+//! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates.
+//! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
+//!    process where one is given ([`crate::parameter`]).
+//! 4. The fit ended at a minimum.
+//! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own)
 //!    free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
 //!    standard error. The move is a linear function of the data, the difference of the influence fields of both fits,
 //!    so its standard error takes the correlation of the noise into account as all others do (Hausman's test with the
-//!    sandwich covariance).
+//!    sandwich covariance). Where the noise is correlated further than the map can tell, standard errors are lower
+//!    bounds, and a move beyond that of the parameter is enough.
 
 use ndarray::Array2;
 use planish_types::{End, text::significant};
@@ -32,7 +32,7 @@ pub const LARGEST_INFLATION: f64 = 100.0;
 /// Largest correlation of two estimates.
 pub const LARGEST_CORRELATION: f64 = 0.99;
 
-/// Largest estimate over scale and standard error together.
+/// Largest estimate over its scale.
 pub const BELIEVABLE: f64 = 3.0;
 
 /// A move by more standard errors than this is no chance.
@@ -63,9 +63,9 @@ pub fn moves(fit: &Fit, data: &Data<'_>, orders: [usize; 2]) -> Vec<Move> {
     // The power is among the squares.
     let more = terms(Some(orders)).into_iter().filter(|t| !own.contains(t));
     let maps: Vec<Array2<f64>> = more.map(|t| t.map(data.grid)).collect();
-    let wider = Normal::new(&fit.columns, &maps, &data.valid);
-    let (inverse, ..) = wider.inverse();
-    let step = wider.step(&fit.rest, &inverse, 0.0);
+    let wider = Normal::new(&fit.columns, &maps, &data.valid, fit.known.clone());
+    let inverse = wider.inverse();
+    let step = wider.step(&fit.rest, &fit.values, &inverse, 0.0);
     let of = |i: usize| {
         // Influence of the wider fit less that of the fit
         let mut field = -fit.influence(i);
@@ -90,9 +90,6 @@ pub fn refusal(
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
-    if fit.end != End::Converged {
-        return Some("the fit did not end at a minimum".into());
-    }
     if fit.inflation[i] > LARGEST_INFLATION {
         let inflation = match fit.inflation[i].is_finite() {
             true => significant(fit.inflation[i], 3),
@@ -115,21 +112,31 @@ pub fn refusal(
             names[j]
         ));
     }
-    if error > scale {
+    // 1 / error^2 = 1 / scale^2 + 1 / (that of the data)^2
+    if error > scale * std::f64::consts::FRAC_1_SQRT_2 {
+        let of_the_data = (error.powi(-2) - scale.powi(-2)).max(0.0).sqrt().recip();
+        let size = match of_the_data.is_finite() {
+            true => shown(parameter, of_the_data),
+            false => "nothing".into(),
+        };
         return Some(format!(
-            "its standard error {} is beyond {}, which is known beforehand",
-            shown(parameter, error),
+            "the data alone give it to {size}, beyond the {} that are known beforehand",
             shown(parameter, scale)
         ));
     }
-    if value.abs() > BELIEVABLE * scale.hypot(error) {
+    if fit.end != End::Converged {
+        return Some("the fit did not end at a minimum".into());
+    }
+    if value.abs() > BELIEVABLE * scale {
         return Some(format!(
             "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
              that it takes up",
             shown(parameter, scale)
         ));
     }
-    if moved.by.abs() > SIGNIFICANT * moved.standard_error && moved.by.abs() > error {
+    let cut = fit.noise.noise.window_is_cut;
+    let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
+    if is_no_chance && moved.by.abs() > error {
         return Some(format!(
             "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors of \
              the move)",

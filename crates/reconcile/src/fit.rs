@@ -1,15 +1,22 @@
 //! Nonlinear least squares of (1) by Gauss and Newton's steps, and the covariance of what they find.
 //!
 //! ```text
-//! minimise |d - F(p) - Q c|^2 over the pixels that are valid in both maps
-//! step:        (J' J + lambda D) delta = J' r,   J = [dF/dp, Q],  D = diag(J' J)
-//! covariance:  (J' J)^-1  J' C J  (J' J)^-1       C of the noise, from the rest (the `correlation` module)
+//! minimise |d - F(p) - Q c|^2 + sum_i k_i p_i^2 over the pixels that are valid in both maps
+//! step:        (J' J + K + lambda D) delta = J' r - K p,   J = [dF/dp, Q],  D = diag(J' J)
+//! covariance:  H^-1 (J' C J + v K) H^-1,  H = J' J + K     C of the noise, from the rest (the `correlation` module)
 //! ```
+//!
+//! k_i = v / s_i^2 is what is known beforehand as one more observation: p_i is 0, the plan, within s_i; v is the
+//! variance of the noise times the pixels over the effective ones, so that both count as they should. Where the data
+//! determine a parameter it changes nothing that is seen (1 % of the distance to the plan where the standard error is a
+//! tenth of s_i); where they do not it keeps the parameter near the plan, so that those that are determined are not
+//! fitted beside something absurd, and still carries its uncertainty into their standard errors.
 //!
 //! The problem is nearly linear: errors of a process change the derivatives by as little as they are. So the
 //! derivatives of one point serve several steps, and are computed anew once where these have ended; when the first
 //! step with them is small, this is the minimum. lambda is 0 unless a step makes the square larger (Levenberg and
-//! Marquardt).
+//! Marquardt). Where the rest has a part along the second derivatives, which the steps leave out, they go too far and
+//! back again by a ratio q < 0 of the way before; the first step from a new point is divided by 1 - q (Aitken).
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
@@ -17,15 +24,23 @@ use planish_types::{End, Grid, Invalid};
 
 use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
 
-/// A step below this part of the standard errors is none: it moves no interval by more than 1 %.
-const SMALL_STEP: f64 = 0.005;
+/// A step below this part of the standard errors is none: an interval of two standard errors that is off by it covers
+/// 3e-4 less. The removal has kinks where samples of Keys' convolution cross the pixels' centres, and steps much
+/// smaller than this would go from one to the next.
+const SMALL_STEP: f64 = 0.05;
+
+/// A step below this part of what is known beforehand is none either, however small the noise: of 0.5 mm it is 0.05 um.
+const NOTHING: f64 = 1e-4;
 
 /// Steps with the derivatives of one point, and how often they are computed anew.
 const MOST_STEPS: usize = 12;
-const MOST_POINTS: usize = 8;
+const MOST_POINTS: usize = 25;
 
 /// First and largest lambda.
 const LAMBDA: [f64; 2] = [1e-3, 1e6];
+
+/// Largest part of the way back that is taken for an oscillation.
+const LARGEST_RETURN: f64 = 0.9;
 
 /// Directions of the scaled normal matrix below this part of the largest eigenvalue are none: rounding, and the
 /// 2e-5 of the derivatives, would decide the step along them.
@@ -51,8 +66,8 @@ pub struct Fit {
     pub values: Vec<f64>,
     /// Their covariance.
     pub covariance: DMatrix<f64>,
-    /// The variance inflation of every unknown: how much larger the others make its variance with white noise;
-    /// infinite where it lies in a direction that does not change the removal.
+    /// The variance inflation of every unknown: how much larger the others make its variance with white noise than
+    /// a free piston alone does; infinite where it lies in a direction that does not change the removal.
     pub inflation: Vec<f64>,
     /// Scaled normal matrix: the cosines of the angles between the columns.
     pub cosines: DMatrix<f64>,
@@ -62,8 +77,10 @@ pub struct Fit {
     pub columns: Vec<Array2<f64>>,
     /// Lengths of the columns.
     pub lengths: Vec<f64>,
-    /// (J' J)^-1 with the scaled columns, along the directions that are independent.
+    /// H^-1 with the scaled columns, along the directions that are independent.
     pub inverse: DMatrix<f64>,
+    /// k, 0 for the terms of the metrology.
+    pub known: Vec<f64>,
     /// F(p) (ny, nx), nm, on every pixel.
     pub removal: Array2<f64>,
     /// Q c (ny, nx), nm, on every pixel.
@@ -134,11 +151,18 @@ pub(crate) struct Normal {
     /// Their lengths.
     pub lengths: Vec<f64>,
     cosines: DMatrix<f64>,
+    /// k, as far as there is one.
+    known: Vec<f64>,
 }
 
 impl Normal {
     /// Of derivatives and terms.
-    pub fn new(derivatives: &[Array2<f64>], terms: &[Array2<f64>], valid: &Array2<f64>) -> Self {
+    pub fn new(
+        derivatives: &[Array2<f64>],
+        terms: &[Array2<f64>],
+        valid: &Array2<f64>,
+        known: Vec<f64>,
+    ) -> Self {
         let columns: Vec<Array2<f64>> =
             derivatives.iter().chain(terms).map(|column| column * valid).collect();
         let n = columns.len();
@@ -153,40 +177,54 @@ impl Normal {
                 cosines[(j, i)] = v;
             }
         }
-        Self { columns, lengths, cosines }
+        Self { columns, lengths, cosines, known }
     }
 
-    /// The inverse along the independent directions, the eigenvalues, and which unknowns have a part in the others.
-    pub fn inverse(&self) -> (DMatrix<f64>, Vec<f64>, Vec<bool>) {
-        let n = self.lengths.len();
-        if n == 0 {
-            return (DMatrix::zeros(0, 0), Vec::new(), Vec::new());
+    /// H in scaled columns.
+    fn matrix(&self) -> DMatrix<f64> {
+        let mut matrix = self.cosines.clone();
+        for (i, k) in self.known.iter().enumerate() {
+            matrix[(i, i)] += k / (self.lengths[i] * self.lengths[i]);
         }
+        matrix
+    }
+
+    /// Orthonormal fields of the span of the columns.
+    fn orthonormal(&self) -> Vec<Array2<f64>> {
+        let Some(first) = self.columns.first() else { return Vec::new() };
         let eigen = SymmetricEigen::new(self.cosines.clone());
         let least = INDEPENDENT * eigen.eigenvalues.max();
-        let mut inverse = DMatrix::zeros(n, n);
-        let mut is_dependent = vec![false; n];
-        for (k, value) in eigen.eigenvalues.iter().enumerate() {
-            let vector = eigen.eigenvectors.column(k);
-            if *value > least {
-                inverse += &vector * vector.transpose() / *value;
-            } else {
-                // A direction has length one: of n unknowns one has 1 / sqrt(n) at least.
-                let flags = is_dependent.iter_mut().zip(vector.iter());
-                flags.for_each(|(flag, v)| *flag |= v.abs() > 0.1 / (n as f64).sqrt());
+        let field = |k: usize| {
+            let mut field = Array2::zeros(first.dim());
+            for (j, column) in self.columns.iter().enumerate() {
+                let weight = eigen.eigenvectors[(j, k)] / eigen.eigenvalues[k].sqrt();
+                field.scaled_add(weight / self.lengths[j], column);
             }
-        }
-        let mut values: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
-        values.sort_unstable_by(|a, b| b.total_cmp(a));
-        (inverse, values, is_dependent)
+            field
+        };
+        (0..self.columns.len()).filter(|k| eigen.eigenvalues[*k] > least).map(field).collect()
     }
 
-    /// The step that `rest` asks for.
-    pub fn step(&self, rest: &Array2<f64>, inverse: &DMatrix<f64>, lambda: f64) -> DVector<f64> {
+    /// The inverse of H along the independent directions.
+    pub fn inverse(&self) -> DMatrix<f64> {
+        inverted(&self.matrix()).inverse
+    }
+
+    /// The step that `rest` asks for where the unknowns are `values`, which is at least as long as k.
+    pub fn step(
+        &self,
+        rest: &Array2<f64>,
+        values: &[f64],
+        inverse: &DMatrix<f64>,
+        lambda: f64,
+    ) -> DVector<f64> {
         let n = self.lengths.len();
-        let right = DVector::from_fn(n, |i, _| dot(&self.columns[i], rest) / self.lengths[i]);
+        // J' r - K p
+        let known = |i: usize| self.known.get(i).map_or(0.0, |k| k * values[i]);
+        let right =
+            DVector::from_fn(n, |i, _| (dot(&self.columns[i], rest) - known(i)) / self.lengths[i]);
         let damped = || {
-            let mut matrix = self.cosines.clone();
+            let mut matrix = self.matrix();
             (0..n).for_each(|i| matrix[(i, i)] += lambda);
             matrix.cholesky().map(|c| c.solve(&right))
         };
@@ -196,6 +234,40 @@ impl Normal {
         };
         DVector::from_fn(n, |i, _| scaled[i] / self.lengths[i])
     }
+}
+
+/// A symmetric matrix, decomposed.
+struct Inverted {
+    /// Along the independent directions.
+    inverse: DMatrix<f64>,
+    /// Eigenvalues, descending.
+    eigenvalues: Vec<f64>,
+    /// Which unknowns have a part in the others.
+    is_dependent: Vec<bool>,
+}
+
+fn inverted(matrix: &DMatrix<f64>) -> Inverted {
+    let n = matrix.nrows();
+    if n == 0 {
+        return Inverted { inverse: matrix.clone(), eigenvalues: vec![], is_dependent: vec![] };
+    }
+    let eigen = SymmetricEigen::new(matrix.clone());
+    let least = INDEPENDENT * eigen.eigenvalues.max();
+    let mut inverse = DMatrix::zeros(n, n);
+    let mut is_dependent = vec![false; n];
+    for (k, value) in eigen.eigenvalues.iter().enumerate() {
+        let vector = eigen.eigenvectors.column(k);
+        if *value > least {
+            inverse += &vector * vector.transpose() / *value;
+        } else {
+            // A direction has length one: of n unknowns one has 1 / sqrt(n) at least.
+            let flags = is_dependent.iter_mut().zip(vector.iter());
+            flags.for_each(|(flag, v)| *flag |= v.abs() > 0.1 / (n as f64).sqrt());
+        }
+    }
+    let mut eigenvalues: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
+    eigenvalues.sort_unstable_by(|a, b| b.total_cmp(a));
+    Inverted { inverse, eigenvalues, is_dependent }
 }
 
 /// Fits `model` and these terms to `data`; `start` is the model at the plan.
@@ -216,23 +288,48 @@ pub fn fit(
     };
     let mut values = DVector::zeros(p + maps.len());
     let (mut removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
+    // The terms of the metrology first: a piston of the whole removal is no noise
     let mut rest = rest_of(&removal, &values);
-    let mut normal = Normal::new(&derivatives, &maps, &data.valid);
+    let linear = Normal::new(&[], &maps, &data.valid, Vec::new());
+    let terms_alone = linear.step(&rest, &[], &linear.inverse(), 0.0);
+    values.rows_mut(p, maps.len()).copy_from(&terms_alone);
+    rest = rest_of(&removal, &values);
+    // v, and k = v / s^2
+    let weigh = |rest: &Array2<f64>| {
+        let noise = Covariance::of(rest, &data.valid, data.grid, p + maps.len(), &[]).noise;
+        let v = noise.rest_rms_nm.powi(2) * noise.pixels as f64 / noise.effective_pixels;
+        (v, model.scales.iter().map(|s| v / (s * s)).collect::<Vec<f64>>())
+    };
+    let (mut variance, mut known) = weigh(&rest);
+    let mut normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     let (mut points, mut end) = (1, End::RoundLimit);
-    let degrees = (data.valid.sum() - values.len() as f64).max(1.0);
+    let mut way: Option<DVector<f64>> = None;
     loop {
-        let (inverse, ..) = normal.inverse();
-        let mut lambda = 0.0;
-        let mut first_was_small = false;
-        let mut ended = false;
+        let here = values.clone();
+        let inverse = normal.inverse();
+        let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
+            dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
+        };
+        let (mut lambda, mut first_was_small) = (0.0, false);
         for k in 0..MOST_STEPS {
-            let step = normal.step(&rest, &inverse, lambda);
-            // In standard errors of white noise, which are the least that there are
-            let sigma = (dot(&rest, &rest) / degrees).sqrt();
-            let small = (0..step.len()).all(|i| {
-                let error = sigma * inverse[(i, i)].max(0.0).sqrt() / normal.lengths[i];
-                step[i].abs() <= SMALL_STEP * error.max(f64::MIN_POSITIVE)
+            let mut step = normal.step(&rest, values.as_slice(), &inverse, lambda);
+            let error = |i: usize| {
+                let error = (variance * inverse[(i, i)].max(0.0)).sqrt() / normal.lengths[i];
+                error.max(f64::MIN_POSITIVE)
+            };
+            // The terms of the metrology are linear: they follow.
+            let small = (0..p).all(|i| {
+                step[i].abs() <= SMALL_STEP * error(i) || step[i].abs() <= NOTHING * model.scales[i]
             });
+            if let (0, Some(way)) = (k, &way) {
+                // In standard errors: q = step . way / |way|^2
+                let of = |a: &DVector<f64>| {
+                    (0..a.len()).map(|i| a[i] * way[i] / error(i).powi(2)).sum::<f64>()
+                };
+                let q = (of(&step) / of(way).max(f64::MIN_POSITIVE)).clamp(-LARGEST_RETURN, 0.0);
+                step /= 1.0 - q;
+            }
+            first_was_small |= k == 0 && small;
             let tried = &values + &step;
             let possible = model.is_possible(&tried.as_slice()[..p]);
             let after = match possible {
@@ -241,30 +338,19 @@ pub fn fit(
             };
             let better = after.map(|r| (rest_of(&r, &tried), r));
             match better {
-                Some((r, f)) if dot(&r, &r) <= dot(&rest, &rest) => {
+                Some((r, f)) if objective(&r, &tried) <= objective(&rest, &values) => {
                     (values, rest, removal) = (tried, r, f);
                     lambda = if lambda > LAMBDA[0] { 0.1 * lambda } else { 0.0 };
-                    first_was_small |= k == 0 && small;
-                    if small {
-                        ended = true;
-                        break;
-                    }
                 }
-                // A step that is as small as rounding does not lower the square any more.
-                _ if small => {
-                    first_was_small |= k == 0;
-                    ended = true;
-                    break;
-                }
-                _ => {
-                    lambda = (10.0 * lambda).max(LAMBDA[0]);
-                    if lambda > LAMBDA[1] {
-                        break;
-                    }
-                }
+                // Derivatives of a point that is left: new ones rather than a shorter step
+                _ if k > 0 && lambda == 0.0 => break,
+                _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
+            }
+            if small || lambda > LAMBDA[1] {
+                break;
             }
         }
-        if points > 1 && first_was_small && ended {
+        if points > 1 && first_was_small {
             end = End::Converged;
             break;
         }
@@ -272,16 +358,19 @@ pub fn fit(
             break;
         }
         points += 1;
+        way = Some(&values - &here);
         (removal, derivatives) = model.linear(&values.as_slice()[..p])?;
         rest = rest_of(&removal, &values);
-        normal = Normal::new(&derivatives, &maps, &data.valid);
+        (variance, known) = weigh(&rest);
+        normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     }
     let mut metrology = Array2::zeros(data.data.dim());
     for (map, c) in maps.iter().zip(values.iter().skip(p)) {
         metrology.scaled_add(*c, map);
     }
-    let noise = Covariance::of(&rest, &data.valid, data.grid, values.len());
-    Ok(finished(model, terms, values, normal, (removal, metrology, rest), noise, end, points))
+    let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
+    let maps = (removal, metrology, rest);
+    Ok(finished(model, terms, values, normal, maps, (noise, variance), end, points))
 }
 
 /// The covariance, and all that is said of the fit.
@@ -292,24 +381,36 @@ fn finished(
     values: DVector<f64>,
     normal: Normal,
     (removal, metrology, rest): (Array2<f64>, Array2<f64>, Array2<f64>),
-    noise: Covariance,
+    (noise, variance): (Covariance, f64),
     end: End,
     points: usize,
 ) -> Fit {
-    let (inverse, eigenvalues, is_dependent) = normal.inverse();
+    let inverse = normal.inverse();
+    // What the data alone say
+    let alone = inverted(&normal.cosines);
     let n = values.len();
-    // (J' J)^-1 J' C J (J' J)^-1, in scaled columns
+    // H^-1 (J' C J + v K) H^-1, in scaled columns
     let applied: Vec<Array2<f64>> = normal.columns.iter().map(|c| noise.apply(c)).collect();
-    let middle = DMatrix::from_fn(n, n, |i, j| {
+    let mut middle = DMatrix::from_fn(n, n, |i, j| {
         dot(&normal.columns[i], &applied[j]) / (normal.lengths[i] * normal.lengths[j])
     });
+    for (i, k) in normal.known.iter().enumerate() {
+        middle[(i, i)] += variance * k / (normal.lengths[i] * normal.lengths[i]);
+    }
     let scaled = &inverse * middle * &inverse;
     let covariance = DMatrix::from_fn(n, n, |i, j| {
         0.5 * (scaled[(i, j)] + scaled[(j, i)]) / (normal.lengths[i] * normal.lengths[j])
     });
-    let inflation = (0..n).map(|i| match is_dependent[i] {
+    // Of the part of a column that is no piston: every removal has a mean, which says nothing of anything
+    let piston = terms.iter().position(|t| *t == Term::Legendre(0, 0));
+    let piston = piston.map(|k| model.parameters.len() + k);
+    let centred = |i: usize| match piston {
+        Some(k) if k != i => 1.0 - normal.cosines[(i, k)].powi(2),
+        _ => 1.0,
+    };
+    let inflation = (0..n).map(|i| match alone.is_dependent[i] {
         true => f64::INFINITY,
-        false => inverse[(i, i)],
+        false => alone.inverse[(i, i)] * centred(i),
     });
     Fit {
         parameters: model.parameters.clone(),
@@ -317,11 +418,12 @@ fn finished(
         values: values.iter().copied().collect(),
         covariance,
         inflation: inflation.collect(),
-        singular_values: eigenvalues.iter().map(|v| v.max(0.0).sqrt()).collect(),
+        singular_values: alone.eigenvalues.iter().map(|v| v.max(0.0).sqrt()).collect(),
         cosines: normal.cosines,
         columns: normal.columns,
         lengths: normal.lengths,
         inverse,
+        known: normal.known,
         removal,
         metrology,
         rest,

@@ -4,8 +4,9 @@
 //! F(p) = (1 + a) R(q),   dF/da = R(q),   dF/dq_i = (1 + a) (R(q + h_i) - R(q - h_i)) / (2 h_i)
 //! ```
 //!
-//! with q all parameters but the rate a. A step h_i moves the tool, or changes the TIF, by a hundredth of its width:
-//! what a central difference has wrong is (h/sigma)^2 / 6 = 2e-5 of the derivative.
+//! with q all parameters but the rate a. A step h_i moves the tool, or changes the TIF, by 4 % of its width:
+//! what a central difference has wrong is (h/sigma)^2 / 6 = 3e-4 of the derivative. A smaller step would see the kinks of
+//! a sampled TIF (Keys' convolution has a continuous slope and no more), which change from one point to the next.
 
 use ndarray::Array2;
 use planish_simulate::{deviation::Deviation, process::Scalar, runs::Runs};
@@ -15,7 +16,7 @@ use rayon::prelude::*;
 use crate::parameter::Parameter;
 
 /// Steps of the differences over the width of the TIF.
-pub const STEP: f64 = 0.01;
+pub const STEP: f64 = 0.04;
 
 /// Largest change of a parameter that the model can take, in widths of the TIF (of a TIF: half of it): beyond it the
 /// plan and the run have nothing in common.
@@ -30,14 +31,22 @@ pub struct Model<'a> {
     pub tif: &'a Tif,
     /// What is free.
     pub parameters: Vec<Parameter>,
+    /// What is known of each beforehand: the standard deviation about the plan.
+    pub scales: Vec<f64>,
     /// Part of the TIF's width by which the differences move the tool: [`STEP`].
     pub step: f64,
 }
 
 impl<'a> Model<'a> {
-    /// With these parameters free.
-    pub fn new(runs: &'a Runs<'a>, tif: &'a Tif, parameters: Vec<Parameter>) -> Self {
-        Self { runs, tif, parameters, step: STEP }
+    /// With these parameters free, known beforehand as `scale` says.
+    pub fn new(
+        runs: &'a Runs<'a>,
+        tif: &'a Tif,
+        parameters: Vec<Parameter>,
+        scale: impl Fn(Parameter) -> f64,
+    ) -> Self {
+        let scales = parameters.iter().map(|p| scale(*p)).collect();
+        Self { runs, tif, parameters, scales, step: STEP }
     }
 
     /// Change of a parameter that moves the tool by `mm`.

@@ -115,13 +115,13 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
     let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
-    let model = Model::new(&runs, &moved, parameters);
+    let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
+    let model = Model::new(&runs, &moved, parameters, scale);
 
     // (1), by Gauss and Newton
     let found = fit(&model, &terms, &data, &Start::new(&model)?)?;
 
     // What of it the data determine
-    let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
     let orders = wider_orders(settings.metrology_order);
     let moved_by = moves(&found, &data, orders);
     let refusals: Vec<Option<String>> = (0..found.parameters.len())
