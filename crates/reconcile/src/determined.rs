@@ -12,7 +12,7 @@
 //! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own)
 //!    free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
-//!    standard error. The move is a linear function of the data, the difference of the influence fields of both fits,
+//!    standard error or a hundredth of its scale. The move is a linear function of the data, the difference of the influence fields of both fits,
 //!    so its standard error takes the correlation of the noise into account as all others do (Hausman's test with the
 //!    sandwich covariance). Where the noise is correlated further than the map can tell, standard errors are lower
 //!    bounds, and a move beyond that of the parameter is enough.
@@ -37,6 +37,9 @@ pub const BELIEVABLE: f64 = 3.0;
 
 /// A move by more standard errors than this is no chance.
 pub const SIGNIFICANT: f64 = 3.0;
+
+/// A move below this part of what is known beforehand matters to nobody, however small the noise is.
+const NEGLIGIBLE: f64 = 0.01;
 
 /// Least orders of the wider metrology along x and y, and how much further it goes than the fit's own.
 const WIDER: [usize; 2] = [4, 3];
@@ -136,7 +139,7 @@ pub fn refusal(
     }
     let cut = fit.noise.noise.window_is_cut;
     let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
-    if is_no_chance && moved.by.abs() > error {
+    if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
         return Some(format!(
             "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors of \
              the move)",
@@ -159,9 +162,12 @@ pub fn shown(parameter: Parameter, value: f64) -> String {
 fn confounded(fit: &Fit, i: usize, names: &[String]) -> String {
     // The regression of a scaled column on the others has the coefficients -inverse_ij / inverse_ii; where it is
     // dependent the null vectors say the same, which the cosines show.
+    // Of every column the part that is no piston: the inflation is without it, too.
+    let piston = names.iter().position(|n| n == "piston");
+    let centred = |j: usize| piston.map_or(1.0, |k| (1.0 - fit.cosines[(j, k)].powi(2)).max(0.0));
     let part = |j: usize| match fit.inflation[i].is_finite() {
-        true => (fit.inverse[(i, j)] / fit.inverse[(i, i)]).abs(),
-        false => fit.cosines[(i, j)].abs(),
+        true => (fit.inverse[(i, j)] / fit.inverse[(i, i)]).abs() * centred(j).sqrt(),
+        false => fit.cosines[(i, j)].abs() * centred(j).sqrt(),
     };
     let mut others: Vec<usize> = (0..names.len()).filter(|j| *j != i).collect();
     others.sort_by(|a, b| part(*b).total_cmp(&part(*a)));

@@ -10,9 +10,23 @@ pub fn grid() -> Grid {
     Grid { x: Axis::new(-2.0, 0.3, 61).unwrap(), y: Axis::new(1.0, 0.3, 41).unwrap() }
 }
 
-/// What the raster is to remove, nm: waves of 8 and 10 mm on a slope.
+/// Amplitude, nm, and wave vector, 1/mm, of the waves that the raster is to remove: of many lengths and directions, so
+/// that they tell the rate, the width and the ellipticities apart, which all change the amplitudes of waves.
+const WAVES: [(f64, f64, f64); 8] = [
+    (3.0, 0.8, 0.1),
+    (3.0, 0.3, 0.9),
+    (1.5, 1.3, -0.4),
+    (3.0, 0.2, 0.5),
+    (1.5, -0.6, 1.2),
+    (2.0, 1.0, 0.7),
+    (3.0, 0.45, -0.35),
+    (1.5, -0.2, 1.5),
+];
+
+/// What the raster is to remove, nm.
 fn wanted_nm(x: f64, y: f64) -> f64 {
-    30.0 + 5.0 * (0.8 * x).sin() * (0.6 * y).cos() + 4.0 * (0.6 * y + 0.2 * x).sin() + 0.2 * x
+    let wave = |(k, (a, kx, ky)): (usize, &(f64, f64, f64))| a * (kx * x + ky * y + k as f64).sin();
+    30.0 + WAVES.iter().enumerate().map(wave).sum::<f64>()
 }
 
 /// The map before the run, with two invalid pixels.
@@ -25,10 +39,10 @@ pub fn before() -> Surface {
     Surface::new(grid, height).unwrap()
 }
 
-/// A Gaussian of the peak 8 nm/s and 1 mm, stretched by `along` and `across` at the angle `angle_rad`, out to 6 mm; the
+/// A Gaussian of the peak 8 nm/s and 1 mm, stretched by `along` and `across` at the angle `angle_rad`, out to 4.5 mm, on the pixels of the map; the
 /// volume is that of the round one.
 pub fn gaussian(scale: f64, along: f64, across: f64, angle_rad: f64) -> Tif {
-    let axis = Axis::new(-6.0, 0.15, 81).unwrap();
+    let axis = Axis::new(-4.5, 0.3, 31).unwrap();
     let grid = Grid { x: axis, y: axis };
     let (sine, cosine) = angle_rad.sin_cos();
     let rate = |(r, c): (usize, usize)| {
