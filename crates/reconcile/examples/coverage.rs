@@ -11,7 +11,7 @@ use ndarray::{Array2, s};
 use planish_handoff::Inputs;
 use planish_reconcile::{
     Comparison, Settings,
-    determined::{moves, refusal, wider_orders},
+    determined::{all_moves, refusal},
     fit::{Start, fit},
     model::Model,
     parameter::Parameter,
@@ -67,7 +67,6 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let runs = Runs::new(&trajectory, &tif, &moved, before.grid())?;
     let model = Model::new(&runs, &moved, parameters.clone(), Parameter::usual_scale);
     let start = Start::new(&model)?;
-    let orders = wider_orders(None);
     let mut tally = vec![Tally::default(); parameters.len()];
     for seed in 0..count as u64 {
         let run = draw_run(&runs, &before, &process, seed)?;
@@ -80,10 +79,10 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         let after = Surface::new(*before.grid(), after)?;
         let data = Comparison { after: &after, ..first }.data(parameters.len() + terms.len())?;
         let found = fit(&model, &terms, &data, &start)?;
-        let moved_by = moves(&found, &data, orders);
+        let moved_by = all_moves(&found, &data, None);
         for (i, parameter) in parameters.iter().enumerate() {
             let truth = of(*parameter, &run.hidden.truth);
-            let refused = refusal(&found, i, parameter.usual_scale(), &moved_by[i], orders);
+            let refused = refusal(&found, i, parameter.usual_scale(), &moved_by[i]);
             tally[i].add(found.values[i] - truth, found.standard_error(i), refused.is_some());
         }
     }

@@ -5,13 +5,14 @@
 //! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
 //!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
 //!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
-//! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates.
+//! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates
+//!    (the piston apart, which every removal has a part of).
 //! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
 //!    process where one is given ([`crate::parameter`]).
 //! 4. The fit ended at a minimum.
 //! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
-//! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own)
-//!    free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
+//! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
+//!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
 //!    standard error or a hundredth of its scale. The move is a linear function of the data, the difference of the influence fields of both fits,
 //!    so its standard error takes the correlation of the noise into account as all others do (Hausman's test with the
 //!    sandwich covariance). Where the noise is correlated further than the map can tell, standard errors are lower
@@ -22,7 +23,7 @@ use planish_types::{End, text::significant};
 
 use crate::{
     fit::{Data, Fit, Normal, dot},
-    metrology::{Term, terms},
+    metrology::terms,
     parameter::Parameter,
 };
 
@@ -54,21 +55,40 @@ pub struct Move {
     pub standard_error: f64,
 }
 
+/// The moves of every parameter of a fit with the orders `own`: to a wider metrology, and where it has more terms than
+/// piston, tilt and power, back to these (the power as the orders 1 x 1, which it is beyond).
+pub fn all_moves(
+    fit: &Fit,
+    data: &Data<'_>,
+    own: Option<[usize; 2]>,
+) -> Vec<Vec<(Move, [usize; 2])>> {
+    let orders = wider_orders(own);
+    let mut all: Vec<_> =
+        moves(fit, data, Some(orders)).into_iter().map(|m| vec![(m, orders)]).collect();
+    if own.is_some() {
+        for (each, back) in all.iter_mut().zip(moves(fit, data, None)) {
+            each.push((back, [1, 1]));
+        }
+    }
+    all
+}
+
 /// The orders of the wider metrology of a fit with the orders `own`.
 pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
     let own = own.unwrap_or([0, 0]);
     [0, 1].map(|axis| WIDER[axis].max(own[axis] + FURTHER))
 }
 
-/// How the parameters of a fit move with the terms of these orders free, to first order at its minimum.
-pub fn moves(fit: &Fit, data: &Data<'_>, orders: [usize; 2]) -> Vec<Move> {
-    let own: Vec<Term> = fit.terms.clone();
-    // The power is among the squares.
-    let more = terms(Some(orders)).into_iter().filter(|t| !own.contains(t));
-    let maps: Vec<Array2<f64>> = more.map(|t| t.map(data.grid)).collect();
-    let wider = Normal::new(&fit.columns, &maps, &data.valid, fit.known.clone());
+/// How the parameters of a fit move with the terms of these orders free in the place of its own (`None`: piston, tilt
+/// and power), to first order at its minimum.
+pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
+    let maps: Vec<Array2<f64>> = terms(orders).into_iter().map(|t| t.map(data.grid)).collect();
+    let parameters = &fit.columns[..fit.parameters.len()];
+    let wider = Normal::new(parameters, &maps, &data.valid, fit.known.clone());
     let inverse = wider.inverse();
-    let step = wider.step(&fit.rest, &fit.values, &inverse, 0.0);
+    // Its terms are found anew, so those of the fit are data again.
+    let data = &fit.rest + &(&fit.metrology * &data.valid);
+    let step = wider.step(&data, &fit.values, &inverse, 0.0);
     let of = |i: usize| {
         // Influence of the wider fit less that of the fit
         let mut field = -fit.influence(i);
@@ -83,13 +103,7 @@ pub fn moves(fit: &Fit, data: &Data<'_>, orders: [usize; 2]) -> Vec<Move> {
 }
 
 /// Why the data do not determine parameter `i` of a fit; `None` where they do.
-pub fn refusal(
-    fit: &Fit,
-    i: usize,
-    scale: f64,
-    moved: &Move,
-    orders: [usize; 2],
-) -> Option<String> {
+pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<String> {
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
@@ -106,7 +120,7 @@ pub fn refusal(
         ));
     }
     let twin = (0..names.len())
-        .filter(|j| *j != i)
+        .filter(|j| *j != i && names[*j] != "piston")
         .find(|j| fit.correlation(i, *j).abs() > LARGEST_CORRELATION);
     if let Some(j) = twin {
         return Some(format!(
@@ -138,16 +152,18 @@ pub fn refusal(
         ));
     }
     let cut = fit.noise.noise.window_is_cut;
-    let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
-    if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
-        return Some(format!(
-            "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors of \
-             the move)",
-            orders[0],
-            orders[1],
-            shown(parameter, moved.by),
-            significant(moved.by.abs() / moved.standard_error, 2)
-        ));
+    for (moved, orders) in moved {
+        let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
+        if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
+            return Some(format!(
+                "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors \
+                 of the move)",
+                orders[0],
+                orders[1],
+                shown(parameter, moved.by),
+                significant(moved.by.abs() / moved.standard_error, 2)
+            ));
+        }
     }
     None
 }

@@ -7,7 +7,7 @@ use planish_types::{Axis, Invalid, Surface, Tif, Trajectory};
 
 use crate::{
     bands::{Maps, bands},
-    determined::{moves, refusal, wider_orders},
+    determined::{all_moves, refusal, wider_orders},
     fit::{Data, Fit, Start, fit},
     metrology,
     model::Model,
@@ -123,9 +123,9 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
 
     // What of it the data determine
     let orders = wider_orders(settings.metrology_order);
-    let moved_by = moves(&found, &data, orders);
+    let moved_by = all_moves(&found, &data, settings.metrology_order);
     let refusals: Vec<Option<String>> = (0..found.parameters.len())
-        .map(|i| refusal(&found, i, scale(found.parameters[i]), &moved_by[i], orders))
+        .map(|i| refusal(&found, i, scale(found.parameters[i]), &moved_by[i]))
         .collect();
     let known: Vec<(Parameter, f64)> = (0..found.parameters.len())
         .filter(|i| refusals[*i].is_none())

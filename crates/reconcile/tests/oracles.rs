@@ -234,7 +234,7 @@ fn a_move_with_the_metrology_is_that_of_the_wider_fit() {
     let orders = wider_orders(None);
     assert_eq!(orders, [4, 3]);
     let wide = fit(&model, &terms(Some(orders)), &data, &start).unwrap();
-    for (i, found) in moves(&own, &data, orders).iter().enumerate() {
+    for (i, found) in moves(&own, &data, Some(orders)).iter().enumerate() {
         let expected = wide.values[i] - own.values[i];
         // The step of the fits ends at a twentieth of a standard error.
         let bound = 0.05 * expected.abs() + 0.1 * own.standard_error(i);
