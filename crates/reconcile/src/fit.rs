@@ -258,7 +258,7 @@ fn inverted(matrix: &DMatrix<f64>) -> Inverted {
     for (k, value) in eigen.eigenvalues.iter().enumerate() {
         let vector = eigen.eigenvectors.column(k);
         if *value > least {
-            inverse += &vector * vector.transpose() / *value;
+            inverse += vector * vector.transpose() / *value;
         } else {
             // A direction has length one: of n unknowns one has 1 / sqrt(n) at least.
             let flags = is_dependent.iter_mut().zip(vector.iter());
