@@ -224,7 +224,7 @@ mod tests {
                 .collect();
             // A sum of side x side white numbers correlates over twice the triangle: its integral is side^2 pixels.
             let mean = 40.0 / each.iter().map(|n| 1.0 / n).sum::<f64>();
-            let expected = (120 * 90) as f64 / (side * side) as f64;
+            let expected = 120.0 * 90.0 / (side * side) as f64;
             // The window cuts a part of the triangles' corners, and 40 maps scatter by 3 %.
             assert!((mean / expected - 1.0).abs() < 0.12, "{side}: {mean} {expected}");
         }

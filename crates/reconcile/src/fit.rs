@@ -280,11 +280,7 @@ pub fn fit(
     let maps: Vec<Array2<f64>> = terms.iter().map(|t| t.map(data.grid)).collect();
     let p = model.parameters.len();
     let rest_of = |removal: &Array2<f64>, values: &DVector<f64>| {
-        let mut rest = &data.data - removal;
-        for (map, c) in maps.iter().zip(values.iter().skip(p)) {
-            rest.scaled_add(-c, map);
-        }
-        rest * &data.valid
+        (&data.data - removal - sum_of(&maps, &values.as_slice()[p..], removal.dim())) * &data.valid
     };
     let mut values = DVector::zeros(p + maps.len());
     let (mut removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
@@ -364,13 +360,19 @@ pub fn fit(
         (variance, known) = weigh(&rest);
         normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     }
-    let mut metrology = Array2::zeros(data.data.dim());
-    for (map, c) in maps.iter().zip(values.iter().skip(p)) {
-        metrology.scaled_add(*c, map);
-    }
+    let metrology = sum_of(&maps, &values.as_slice()[p..], data.data.dim());
     let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
     let maps = (removal, metrology, rest);
     Ok(finished(model, terms, values, normal, maps, (noise, variance), end, points))
+}
+
+/// Q c.
+fn sum_of(maps: &[Array2<f64>], c: &[f64], shape: (usize, usize)) -> Array2<f64> {
+    let mut sum = Array2::zeros(shape);
+    for (map, c) in maps.iter().zip(c) {
+        sum.scaled_add(*c, map);
+    }
+    sum
 }
 
 /// The covariance, and all that is said of the fit.

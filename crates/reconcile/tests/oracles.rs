@@ -146,7 +146,7 @@ fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
     let (parameters, terms) = Settings::default().chosen().unwrap();
     let model = Model::new(&runs, &tif, parameters, Parameter::usual_scale);
     let start = Start::new(&model).unwrap();
-    let (mut within, mut of, mut squares) = (0, 0, 0.0);
+    let (mut within, mut of, mut squares) = (0.0, 0.0, 0.0);
     for seed in 0..30 {
         let run = draw_run(&runs, &before, &process, seed).unwrap();
         let comparison = Comparison {
@@ -170,16 +170,16 @@ fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
         ];
         for (i, truth) in truth.into_iter().enumerate() {
             let off = (found.values[i] - truth) / found.standard_error(i);
-            within += usize::from(off.abs() <= 2.0);
-            of += 1;
+            within += f64::from(off.abs() <= 2.0);
+            of += 1.0;
             squares += off * off;
         }
     }
     // 240 cases, of which those of a run depend on each other: between 1.7 and 8 % are beyond.
-    let part = within as f64 / of as f64;
+    let part = within / of;
     assert!((0.92..0.985).contains(&part), "{part}");
     // The mean square of as many normal numbers scatters by 9 %: three of it.
-    let ratio = squares / of as f64;
+    let ratio = squares / of;
     assert!((0.73..1.27).contains(&ratio), "{ratio}");
 }
 
