@@ -35,6 +35,15 @@ compare fixture="flat-92x16" *settings: build
 tolerance *words: build
     @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
 
+# How often the truth is within two standard errors of planish-reconcile: 500 runs of the virtual machine on the fixture
+# coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
+learn-coverage runs="500": build
+    @just run raster fixture=coupon out=out/learn > /dev/null || [ $? -eq 1 ]
+    @for block in 1 3; do \
+        cargo run --quiet --release --locked -p planish-reconcile --example coverage -- out/learn/surface out/learn/fixture/tif \
+            out/learn/methods/pvt/trajectory fixtures/processes/hidden.json {{ runs }} $block || exit; \
+    done
+
 # Show a pipeline with its settings and their defaults
 [positional-arguments]
 show pipeline:

@@ -21,6 +21,7 @@ use ndarray::{Array2, Zip};
 use planish_numerics::{linear::skyline::Skyline, qp::bounded::Quadratic};
 use planish_types::{Invalid, Surface, Tif, budget};
 
+pub use crate::objective::Free;
 use crate::{
     DwellError,
     bounds::pixel_weights,
@@ -29,7 +30,6 @@ use crate::{
     objective::Basis,
     surrogate::{MAX_LOSS_FACTORISED, cell_size},
 };
-pub use crate::{objective::Free, surrogate::tif_width_mm};
 
 /// (1) for fixed places of the tool.
 pub struct Residual<'a> {

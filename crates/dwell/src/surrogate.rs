@@ -26,7 +26,6 @@ pub use convolved::Convolved;
 pub use ordered::Ordered;
 pub use resolution::{
     MAX_LOSS_FACTORISED, MAX_LOSS_GRADIENT, MAX_LOSS_TWO_LEVEL, cell_size, spline_pitch,
-    tif_width_mm,
 };
 
 /// H~.

@@ -5,7 +5,7 @@
 //! -> motion -> its removal (simulated) and its limits (proven)
 //! ```
 
-use planish_dwell::residual::{Free, Residual, tif_width_mm};
+use planish_dwell::residual::{Free, Residual};
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
@@ -217,7 +217,7 @@ pub fn plan(
     settings: &Settings,
 ) -> Result<Plan, FeedError> {
     check(settings)?;
-    let tif_width_mm = tif_width_mm(tif);
+    let tif_width_mm = tif.width_mm();
     let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;
     let average = Average::new(limits, JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm);
     let Smooth { curves, moved_mm } = curve::curves(path, &rounding);

@@ -501,6 +501,69 @@ pub const TOLERANCE: Kind = Kind {
     files: &[],
 };
 
+/// What a run teaches.
+pub const RECONCILIATION: Kind = Kind {
+    name: "reconciliation",
+    version: 1,
+    doc: "What a run teaches of machine and tool: measured and predicted removal, and what is left. The parameters \
+          with their standard errors, those that the data do not determine with the reason, and the removal by band \
+          are in the manifest's outcome.",
+    frame: MAP_FRAME,
+    arrays: &[
+        or_nan(array(
+            "measured_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Map before minus map after, without the low-order terms of the metrology; NaN = invalid in one of them.",
+        )),
+        array(
+            "planned_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Removal that the plan promised.",
+        ),
+        array(
+            "predicted_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Removal with all free parameters at their estimates.",
+        ),
+        array(
+            "metrology_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Low-order terms by which the two measurements differ.",
+        ),
+        or_nan(array(
+            "rest_nm",
+            Dtype::F64,
+            &["ny", "nx"],
+            &["y", "x"],
+            "nm",
+            "Measured minus predicted removal.",
+        )),
+        array(
+            "correlation",
+            Dtype::F64,
+            &["p", "p"],
+            &["unknown", "unknown"],
+            "1",
+            "Correlations of the estimates, in the order of `outcome.correlation_of`.",
+        ),
+        X,
+        Y,
+    ],
+    files: &["reconcile.svg"],
+};
+
 /// Numbers for people and programs.
 pub const REPORT: Kind = Kind {
     name: "report",
@@ -558,7 +621,7 @@ pub const FIGURES: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 16] = [
+pub const ALL: [&Kind; 17] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -571,6 +634,7 @@ pub const ALL: [&Kind; 16] = [
     &ITERATIONS,
     &VERDICT,
     &TOLERANCE,
+    &RECONCILIATION,
     &PSD,
     &SPECIFICATION,
     &REPORT,

@@ -1,5 +1,7 @@
 //! The command line.
 
+mod virtual_run;
+
 use clap::{Args, ValueEnum};
 use ndarray::Array1;
 use planish_handoff::{
@@ -24,15 +26,17 @@ pub struct Simulate {
     #[command(flatten)]
     mirror: MirrorArgs,
     /// How the integral along the motion is computed
-    #[arg(long, value_enum, default_value = "gridded")]
+    #[arg(long, value_enum, default_value = "gridded", conflicts_with = "process")]
     method: Method,
     /// Time steps per segment of the direct method
     #[arg(long, default_value_t = 16)]
     steps: usize,
     /// Write the removal at N equal steps of time instead [frames artifact of at most 20 000 pixels
     /// a frame]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with = "process")]
     frames: Option<usize>,
+    #[command(flatten)]
+    virtual_run: virtual_run::VirtualRun,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -47,6 +51,9 @@ enum Method {
 
 impl Simulate {
     pub fn run(&self) -> Result<Status, Failure> {
+        if let Some(asked) = self.virtual_run.asked() {
+            return self.virtual_run.run(asked, &self.trajectory, &self.mirror, &self.output);
+        }
         let settings = match self.method {
             Method::Gridded => Settings::Gridded,
             Method::Direct => Settings::Direct { steps: self.steps },

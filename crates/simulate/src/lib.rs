@@ -15,19 +15,31 @@
 //!
 //! [`frames`] does either of them part by part: the surface in the course of the run.
 //!
+//! What an imperfect process makes of a motion is one more motion, and one more TIF: [`process`] reads the errors,
+//! [`sample`] draws them, [`deviation`] applies them (with [`motion`], [`servo`] and [`tool`]), [`runs`] removes with them, and
+//! [`virtual_machine`] runs a plan with them and measures what is left.
+//!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | R | `tif` | (my, mx) | nm/s |
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | removal | `removal_nm` | (ny, nx) | nm |
 
+pub mod deviation;
 pub mod direct;
 pub mod frames;
 pub mod gridded;
 mod kernel;
 mod lattice;
+pub mod motion;
+pub mod process;
 pub mod quadrature;
+pub mod runs;
+pub mod sample;
+pub mod servo;
 mod tile;
+pub mod tool;
+pub mod virtual_machine;
 
 use ndarray::Array2;
 use planish_types::{

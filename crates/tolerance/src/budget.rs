@@ -1,6 +1,5 @@
 //! The budget of the errors, from the plan to the table, the distribution, and what to improve first.
 
-use planish_dwell::residual::tif_width_mm;
 use planish_types::{Invalid, Surface, Tif, Trajectory};
 
 use crate::{
@@ -37,8 +36,7 @@ pub fn tolerance(
     settings: &Settings,
 ) -> Result<Tolerance, Invalid> {
     settings.check()?;
-    trajectory.check_rate_is_constant()?;
-    let (seed, width) = (settings.seed, tif_width_mm(tif));
+    let (seed, width) = (settings.seed, tif.width_mm());
     let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, width)? };
     let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;
 
@@ -51,7 +49,7 @@ pub fn tolerance(
     let columns = match noises.is_empty() {
         true => None,
         false => Some(Columns::new(
-            &work.motion,
+            work.motion(),
             &work.inner,
             &moved,
             reach.on_cells(&work.inner),

@@ -7,10 +7,11 @@ use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
-    draws::{Model, POOL_STREAM, Term, orthonormal, stream},
+    draws::{Model, POOL_STREAM, Term, orthonormal},
     lines::Linear,
-    noise::{Columns, Response, sample},
+    noise::{Columns, Response},
     process::Effect,
+    sample::{sample, stream},
     work::Work,
 };
 
@@ -138,7 +139,7 @@ fn noise_squares(work: &Work<'_>, columns: &Columns<'_>, basis: &[Vec<f64>], see
             let mut rng = stream(seed, POOL_STREAM + k);
             let mut run = Deviation::default();
             for (_, noise, size) in &noises {
-                sample(*noise, *size, &work.motion, &mut rng, &mut run);
+                sample(*noise, *size, work.motion(), &mut rng, &mut run);
             }
             let mut field = columns.change(&run);
             inner.project_on_cells(&mut field);

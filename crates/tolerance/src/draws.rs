@@ -11,9 +11,8 @@
 //! trace(S_perp) and 2 trace(S_perp^2).
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, Gamma, StandardNormal, StandardUniform};
+use planish_simulate::sample::{draw, stream};
+use rand_distr::{Distribution as _, Gamma, StandardNormal};
 use rayon::prelude::*;
 
 use crate::process::Distribution;
@@ -57,25 +56,6 @@ pub struct Model {
     pub rest: f64,
     /// 2 trace(S_perp^2), nm^4.
     pub rest_variance: f64,
-}
-
-/// A standardised number: of standard deviation one, of half a width one, or one.
-pub fn draw(distribution: Distribution, rng: &mut impl rand::Rng) -> f64 {
-    match distribution {
-        Distribution::Normal => StandardNormal.sample(rng),
-        Distribution::Uniform => {
-            let u: f64 = StandardUniform.sample(rng);
-            2.0 * u - 1.0
-        }
-        Distribution::Fixed => 1.0,
-    }
-}
-
-/// The random numbers of stream `index` of a seed.
-pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(index);
-    rng
 }
 
 /// Coordinates (columns) of vectors with this Gram matrix in an orthonormal basis of their span, and the basis

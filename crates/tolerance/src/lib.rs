@@ -6,7 +6,7 @@
 //!
 //! h is the desired removal, R what is executed, P removes what is free (a piston, or a plane). To first order
 //! every error that one number decides adds a field f_i, the derivative of the executed removal: one pair of
-//! simulations with the error of opposite signs ([`deviation`], `lines`). Errors of their own in every piece of the
+//! simulations with the error of opposite signs ([`planish_simulate::deviation`], `lines`). Errors of their own in every piece of the
 //! motion, and fluctuations in time, add a Gaussian field n, whose covariance is known from the removal of the
 //! pieces ([`noise`]). Then
 //!
@@ -22,27 +22,25 @@
 //! |---|---|---|
 //! | e0 | `nominal` | nm |
 //! | f_i | `lines::Linear::field` | nm per size |
-//! | eta_i | `draws::draw` | 1 |
+//! | eta_i | `sample::draw` | 1 |
 //! | n | `noise::Columns::change` | nm |
 
 mod budget;
-pub mod deviation;
 mod distribution;
 pub mod draws;
 mod field;
 pub mod inner;
 mod lines;
-pub mod motion;
 pub mod noise;
-pub mod process;
 pub mod quadratic;
 pub mod reach;
 mod report;
 mod resimulation;
-pub mod servo;
 mod settings;
-pub mod tool;
 mod work;
+
+// What a run with errors is stands where it is simulated: the virtual machine draws the same errors.
+pub use planish_simulate::{deviation, motion, process, sample, servo, tool};
 
 pub use crate::{
     budget::{LARGEST_DEPARTURE, SEEN, tolerance},

@@ -6,11 +6,12 @@ use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
-    draws::{DEPARTURE_STREAM, stream},
-    noise::{Columns, Response, sample},
+    draws::DEPARTURE_STREAM,
+    noise::{Columns, Response},
     process::{Distribution, Effect, ProcessError, Scalar},
     reach::Reach,
     report::Line,
+    sample::{sample, stream},
     work::Work,
 };
 
@@ -47,7 +48,7 @@ impl Work<'_> {
                         other => other,
                     };
                     // What acts on the rate is linear: any step will do.
-                    let per_size = self.displacement_per_size(effect, width);
+                    let per_size = self.displacement_per_size(effect);
                     let step = if per_size > 0.0 { STEP * width / per_size } else { STEP };
                     let side = |step: f64| {
                         let mut run = Deviation::default();
@@ -92,7 +93,7 @@ impl Work<'_> {
                 }
                 (Effect::Noise(noise), Some(columns)) => {
                     let mut rng = stream(seed, DEPARTURE_STREAM + i as u64);
-                    sample(noise, e.size, &self.motion, &mut rng, &mut run);
+                    sample(noise, e.size, self.motion(), &mut rng, &mut run);
                     let added = &self.nominal - &self.residual(&run)?;
                     let mut added = self.inner.to_cells(&added);
                     let mut first = columns.change(&run);

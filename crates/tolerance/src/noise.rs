@@ -26,8 +26,6 @@ use std::ops::Range;
 
 use nalgebra::DMatrix;
 use planish_types::{Invalid, Tif, budget};
-use rand::Rng;
-use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
 use rayon::prelude::*;
 
 use crate::{
@@ -37,6 +35,7 @@ use crate::{
     motion::{Motion, Piece},
     process::Noise,
     reach::CosinesOnCells,
+    sample::Mean,
 };
 
 /// What the errors of one kind add at size one.
@@ -376,76 +375,9 @@ impl<'a> Columns<'a> {
 /// Variance of what is uniform in a tick.
 const TICK_VARIANCE: f64 = 1.0 / 12.0;
 
-/// The mean of an Ornstein-Uhlenbeck process of variance 1 over a piece of x = h / tau.
-pub struct Mean {
-    /// a = (1 - exp(-x)) / x: its covariance with the value at the start.
-    pub weight: f64,
-    /// 2 (x - 1 + exp(-x)) / x^2: its variance.
-    pub variance: f64,
-}
-
-impl Mean {
-    /// Over x.
-    pub fn over(x: f64) -> Self {
-        let gone = -(-x).exp_m1();
-        // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.
-        let variance =
-            if x > 1e-3 { 2.0 * (x - gone) / (x * x) } else { 1.0 - x / 3.0 + x * x / 12.0 };
-        Self { weight: gone / x, variance }
-    }
-}
-
 /// m += by a b'
 fn add_outer(m: &mut DMatrix<f64>, a: &[f64], b: &[f64], by: f64) {
     for (mut column, b) in m.column_iter_mut().zip(b) {
         column.iter_mut().zip(a).for_each(|(m, a)| *m += by * a * b);
-    }
-}
-
-/// Draws the errors of a kind for a run.
-pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run: &mut Deviation) {
-    let mut normal = || -> f64 { StandardNormal.sample(rng) };
-    let stays = motion.stay_s.len();
-    match noise {
-        Noise::Rate { correlation_s: tau } => {
-            run.rate_of_piece.resize(motion.pieces.len(), 0.0);
-            let mut x = normal();
-            for (piece, rate) in motion.pieces.iter().zip(&mut run.rate_of_piece) {
-                // The value at the end and the mean over the piece, given the value at the start
-                let h = piece.duration_s / tau;
-                let Mean { weight, variance } = Mean::over(h);
-                let decay = (-h).exp();
-                let end_variance = -(-2.0 * h).exp_m1();
-                let covariance = weight * -(-h).exp_m1();
-                let (u, v) = (normal(), normal());
-                let slope = if end_variance > 0.0 { covariance / end_variance.sqrt() } else { 0.0 };
-                let left = (variance - weight * weight - slope * slope).max(0.0);
-                *rate += size * (x * weight + slope * u + left.sqrt() * v);
-                x = x * decay + end_variance.sqrt() * u;
-            }
-        }
-        Noise::Position => {
-            run.place_of_stay_mm.resize(stays, [0.0; 2]);
-            for place in &mut run.place_of_stay_mm {
-                place.iter_mut().for_each(|p| *p += size * normal());
-            }
-        }
-        Noise::Jitter => {
-            run.time_of_stay_s.resize(stays, 0.0);
-            run.time_of_stay_s.iter_mut().for_each(|t| *t += size * normal());
-        }
-        Noise::Tick => {
-            run.time_of_stay_s.resize(stays, 0.0);
-            let mut uniform = || {
-                let part: f64 = StandardUniform.sample(rng);
-                size * (part - 0.5)
-            };
-            let mut before = uniform();
-            for time in &mut run.time_of_stay_s {
-                let after = uniform();
-                *time += after - before;
-                before = after;
-            }
-        }
     }
 }

@@ -34,7 +34,6 @@
 use std::ops::Range;
 
 use ndarray::Array2;
-use planish_dwell::residual::tif_width_mm;
 use planish_numerics::{keys, polynomial::evaluate, quadrature::gauss_legendre};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_types::{Grid, Invalid, Surface, Tif, Trajectory, budget};
@@ -46,8 +45,8 @@ use crate::{
     inner::Inner,
     lines::STEP,
     motion::{Motion, Piece},
-    noise::Mean,
     process::{Distribution, Effect, Noise, Process, Scalar},
+    sample::Mean,
     settings::Free,
     tool::smooth,
 };
@@ -93,7 +92,7 @@ impl Sources {
         process: &Process,
         free: Free,
     ) -> Result<Self, Invalid> {
-        let width = tif_width_mm(tif);
+        let width = tif.width_mm();
         let moved = smooth(tif, width)?;
         let mut sources = Self {
             inner: Inner::new(desired, free, width),
@@ -337,7 +336,9 @@ fn combination(effect: Scalar) -> Option<Combination> {
         Scalar::TifWidth => |_, _| one(WIDER, 1.0),
         Scalar::TifEllipticity => |_, _| one(ELLIPTICAL, 1.0),
         Scalar::TifRotation => |_, _| one(ROTATED, 1.0),
-        Scalar::VelocityLag
+        // The diagonal ellipticity is of no kind in a file.
+        Scalar::TifDiagonalEllipticity
+        | Scalar::VelocityLag
         | Scalar::ServoFirstOrder
         | Scalar::ServoSecondOrder { .. }
         | Scalar::Backlash => return None,

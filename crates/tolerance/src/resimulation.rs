@@ -4,17 +4,17 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::Array2;
 use planish_numerics::quadrature::gauss_legendre;
 use planish_types::Invalid;
-use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
-    draws::{LINE_STREAM, RUN_STREAM, draw, stream},
+    draws::{LINE_STREAM, RUN_STREAM},
     lines::Linear,
-    noise::{Columns, sample},
+    noise::Columns,
     process::{Distribution, Effect},
     reach::Reach,
     report::{Line, Pair},
+    sample::{draw, sample, stream, white},
     work::Work,
 };
 
@@ -73,7 +73,7 @@ impl Work<'_> {
                 match error.effect {
                     Effect::Scalar(effect) => run.add(effect, error.size * eta),
                     Effect::Noise(noise) => {
-                        sample(noise, error.size, &self.motion, &mut rng, &mut run)
+                        sample(noise, error.size, self.motion(), &mut rng, &mut run)
                     }
                     Effect::MapLowOrder { .. } | Effect::MapNoise => {}
                 }
@@ -128,15 +128,13 @@ impl Work<'_> {
                             first.scaled_add(-eta, &l.field);
                         }
                     }
-                    Effect::Noise(noise) => sample(noise, e.size, &self.motion, &mut rng, &mut run),
+                    Effect::Noise(noise) => {
+                        sample(noise, e.size, self.motion(), &mut rng, &mut run)
+                    }
                     Effect::MapNoise => {
-                        let mut white = Array2::zeros(self.inner.grid.shape());
-                        for v in &mut white {
-                            let xi: f64 = StandardNormal.sample(&mut rng);
-                            *v = e.size * xi;
-                        }
-                        map += &white;
-                        first += &self.inner.judged(white);
+                        let noise = white(e.size, self.inner.grid.shape(), &mut rng);
+                        map += &noise;
+                        first += &self.inner.judged(noise);
                     }
                 }
             }

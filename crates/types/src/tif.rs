@@ -101,6 +101,30 @@ impl Tif {
         self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
     }
 
+    /// Width `(<R^2> / <|grad R|^2>)^1/2`, mm: the standard deviation of a Gaussian.
+    pub fn width_mm(&self) -> f64 {
+        let [along_x, along_y] = self.slope_energy_per_mm2();
+        (along_x + along_y).sqrt().recip()
+    }
+
+    /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2.
+    pub fn slope_energy_per_mm2(&self) -> [f64; 2] {
+        let (rate, grid) = (&self.rate_nm_per_s, &self.grid);
+        let energy: f64 = rate.iter().map(|r| r * r).sum();
+        // sum of (difference / step)^2 along both axes
+        let slope = |a: &f64, b: &f64, step: f64| ((a - b) / step).powi(2);
+        let (mut along_x, mut along_y) = (0.0, 0.0);
+        for row in rate.rows() {
+            let steps = row.windows(2).into_iter();
+            along_x += steps.map(|w| slope(&w[0], &w[1], grid.x.step_mm())).sum::<f64>();
+        }
+        for column in rate.columns() {
+            let steps = column.windows(2).into_iter();
+            along_y += steps.map(|w| slope(&w[0], &w[1], grid.y.step_mm())).sum::<f64>();
+        }
+        [along_x, along_y].map(|slope| slope / energy)
+    }
+
     /// Largest distance of the samples from the tool centre along (x, y), mm.
     pub fn half_size_mm(&self) -> [f64; 2] {
         [&self.grid.x, &self.grid.y].map(|a| a.start_mm().abs().max(a.end_mm().abs()))

@@ -36,37 +36,10 @@ const MAX_SPLINE_PATCH_ELEMENTS: f64 = 2.5e7;
 
 /// Pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
-    let [along_x, along_y] = slopes(tif);
+    let [along_x, along_y] = tif.slope_energy_per_mm2();
     let (hx, hy) = (map.x.step_mm(), map.y.step_mm());
     let loss = |s: usize| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / 12.0;
     (2..=MAX_CELL_PIXELS).rev().find(|s| loss(*s) <= max_loss).unwrap_or(1)
-}
-
-/// Width of the TIF `(<R^2> / <|grad R|^2>)^1/2`, mm: the standard deviation of a Gaussian.
-pub fn tif_width_mm(tif: &Tif) -> f64 {
-    let [along_x, along_y] = slopes(tif);
-    (along_x + along_y).sqrt().recip()
-}
-
-/// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>`, 1/mm^2.
-fn slopes(tif: &Tif) -> [f64; 2] {
-    let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
-    let energy: f64 = rate.iter().map(|r| r * r).sum();
-    // sum of (difference / step)^2 along both axes
-    let slope = |a: &f64, b: &f64, step: f64| ((a - b) / step).powi(2);
-    let (mut along_x, mut along_y) = (0.0, 0.0);
-    for row in rate.rows() {
-        along_x +=
-            row.windows(2).into_iter().map(|w| slope(&w[0], &w[1], grid.x.step_mm())).sum::<f64>();
-    }
-    for column in rate.columns() {
-        along_y += column
-            .windows(2)
-            .into_iter()
-            .map(|w| slope(&w[0], &w[1], grid.y.step_mm()))
-            .sum::<f64>();
-    }
-    [along_x, along_y].map(|slope| slope / energy)
 }
 
 /// Largest extent of the places of a column along an axis, mm.
@@ -96,7 +69,7 @@ pub fn spline_pitch(
     map: &Grid,
     cell: usize,
 ) -> Option<f64> {
-    let [along_x, along_y] = slopes(tif);
+    let [along_x, along_y] = tif.slope_energy_per_mm2();
     let of_reached =
         places.iter().zip(reached).filter(|(_, reached)| **reached).flat_map(|(p, _)| p);
     let (low, high) = extent(of_reached.map(|p| &p.position_mm));

@@ -11,6 +11,7 @@
 use ndarray::Array2;
 use planish_numerics::polynomial::{derivative, evaluate, quadratic_roots, shifted};
 use planish_types::{Grid, Invalid, Tif, Trajectory};
+use serde::Serialize;
 
 use crate::{
     motion::{Motion, Piece},
@@ -33,6 +34,7 @@ pub struct Deviation {
     shear: f64,
     tif_width: f64,
     tif_ellipticity: f64,
+    tif_diagonal_ellipticity: f64,
     tif_rotation_rad: f64,
     servos: Vec<Servo>,
     backlash_mm: f64,
@@ -44,6 +46,21 @@ pub struct Deviation {
     pub time_of_stay_s: Vec<f64>,
     /// What the residual has on top of that of the map, nm.
     pub map_nm: Option<Array2<f64>>,
+}
+
+/// What acts throughout a run: fractions, mm and rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[allow(missing_docs)] // what each is stands at the kinds of a process
+pub struct Truth {
+    pub rate_scale: f64,
+    pub offset_x_mm: f64,
+    pub offset_y_mm: f64,
+    pub rotation_rad: f64,
+    pub magnification: f64,
+    pub shear: f64,
+    pub tif_width: f64,
+    pub tif_ellipticity: f64,
+    pub tif_rotation_rad: f64,
 }
 
 impl Deviation {
@@ -60,6 +77,7 @@ impl Deviation {
             Scalar::Shear => self.shear += size,
             Scalar::TifWidth => self.tif_width += size,
             Scalar::TifEllipticity => self.tif_ellipticity += size,
+            Scalar::TifDiagonalEllipticity => self.tif_diagonal_ellipticity += size,
             Scalar::TifRotation => self.tif_rotation_rad += size,
             Scalar::VelocityLag => self.servos.push(Servo::Lag { lag_s: size }),
             Scalar::ServoFirstOrder => self.servos.push(Servo::FirstOrder { lag_s: size }),
@@ -72,18 +90,25 @@ impl Deviation {
 
     /// The TIF that runs, where it is another one.
     pub fn tif(&self, tif: &Tif) -> Result<Option<Tif>, Invalid> {
-        let (w, e) = (1.0 + self.tif_width, 0.5 * self.tif_ellipticity);
-        if self.tif_width == 0.0 && self.tif_ellipticity == 0.0 && self.tif_rotation_rad == 0.0 {
+        let shape = [self.tif_width, self.tif_ellipticity, self.tif_diagonal_ellipticity];
+        if shape == [0.0; 3] && self.tif_rotation_rad == 0.0 {
             return Ok(None);
         }
-        // T'(u) = T(S^-1 u) with S a rotation after a stretch; the volume is kept.
+        // T'(u) = T(S^-1 u) with S a rotation after the stretch
+        //     w [[1 + e/2, d/2], [d/2, 1 - e/2]];    the volume is kept.
+        let (w, e, d) = (1.0 + shape[0], 0.5 * shape[1], 0.5 * shape[2]);
         let (sine, cosine) = self.tif_rotation_rad.sin_cos();
-        let stretch = [w * (1.0 + e), w * (1.0 - e)];
+        let determinant = w * (1.0 - e * e - d * d);
+        let inverse = [
+            [(1.0 - e) / determinant, -d / determinant],
+            [-d / determinant, (1.0 + e) / determinant],
+        ];
         let grid = tif.grid();
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
             let (x, y) = (grid.x.at(c), grid.y.at(r));
             let u = [cosine * x + sine * y, cosine * y - sine * x];
-            tif.rate_at(u[0] / stretch[0], u[1] / stretch[1])
+            let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
+            tif.rate_at(dx, dy)
         });
         let volume = tif.rate_nm_per_s().sum() / rate.sum();
         Tif::new(*grid, rate * volume).map(Some)
@@ -149,6 +174,21 @@ impl Deviation {
         }
         let index = vec![None; tool_on.len()];
         Trajectory::new(breaks, coefficients, tool_on, index)
+    }
+
+    /// What acts throughout the run, as numbers.
+    pub fn truth(&self) -> Truth {
+        Truth {
+            rate_scale: self.rate,
+            offset_x_mm: self.offset_mm[0],
+            offset_y_mm: self.offset_mm[1],
+            rotation_rad: self.rotation_rad,
+            magnification: self.magnification,
+            shear: self.shear,
+            tif_width: self.tif_width,
+            tif_ellipticity: self.tif_ellipticity,
+            tif_rotation_rad: self.tif_rotation_rad,
+        }
     }
 
     /// Mean deviation of the rate over a piece, noise left out.

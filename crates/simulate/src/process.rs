@@ -159,7 +159,9 @@ pub enum Effect {
 pub enum Scalar {
     RateScale,
     RateDrift,
-    RateWarmUp { time_constant_s: f64 },
+    RateWarmUp {
+        time_constant_s: f64,
+    },
     OffsetX,
     OffsetY,
     Rotation,
@@ -167,10 +169,14 @@ pub enum Scalar {
     Shear,
     TifWidth,
     TifEllipticity,
+    /// Of no kind in a file, where an ellipticity is turned by `tif_rotation`: what is learnt needs it.
+    TifDiagonalEllipticity,
     TifRotation,
     VelocityLag,
     ServoFirstOrder,
-    ServoSecondOrder { damping_ratio: f64 },
+    ServoSecondOrder {
+        damping_ratio: f64,
+    },
     Backlash,
 }
 

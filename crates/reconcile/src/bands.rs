@@ -1,0 +1,89 @@
+//! Predicted against measured removal, band by band of spatial frequency.
+//!
+//! Bands are octaves of the period over the width of the TIF, from what a tool removes easily to what it does not
+//! reach. The densities are those of the largest rectangle of valid pixels, plane removed, Hann window
+//! (`planish_numerics::spectrum`), as in the report of a plan; their sums over adjoining bands add up. The transfer of
+//! a band is the coefficient by which the predicted removal fits the measured one there,
+//! `sum Re(M conj(F)) / sum |F|^2`: 1 where the prediction is right, 0 where what is measured has nothing of it.
+
+use ndarray::{Array2, s};
+use planish_numerics::spectrum::{Density, MIN_SAMPLES, hann, largest_rectangle, without_plane};
+use planish_types::Grid;
+use serde::Serialize;
+
+/// Longest periods of the bands over the width of the TIF, from the second band on.
+const PERIODS_OVER_WIDTH: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
+
+/// One band.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Band {
+    /// Shortest and longest period, mm; `null` without a longest.
+    pub period_mm: [Option<f64>; 2],
+    /// RMS of the measured removal without the terms of the metrology, nm.
+    pub measured_rms_nm: f64,
+    /// RMS of the removal that the plan promised, nm.
+    pub planned_rms_nm: f64,
+    /// RMS of the removal with what was learnt, nm.
+    pub predicted_rms_nm: f64,
+    /// RMS of the difference of the measured removal and the plan's, nm.
+    pub measured_less_planned_rms_nm: f64,
+    /// RMS of the rest, nm.
+    pub rest_rms_nm: f64,
+    /// Coefficient of the predicted removal in the measured one; `null` where there is no predicted one.
+    pub transfer: Option<f64>,
+}
+
+/// The maps that are compared, (ny, nx), nm.
+pub struct Maps<'a> {
+    /// d - Q c.
+    pub measured: &'a Array2<f64>,
+    /// R(0).
+    pub planned: &'a Array2<f64>,
+    /// F(p).
+    pub predicted: &'a Array2<f64>,
+}
+
+/// The bands of maps with these valid pixels (1, else 0); none where their largest rectangle is too small.
+pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -> Vec<Band> {
+    let (origin, (ny, nx)) = largest_rectangle(&valid.mapv(|v| v > 0.5));
+    if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
+        return Vec::new();
+    }
+    let (rows, columns) = (origin.0..origin.0 + ny, origin.1..origin.1 + nx);
+    let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
+    let (w_x, w_y) = (hann(nx), hann(ny));
+    let density = |map: &Array2<f64>| {
+        let z = map.slice(s![rows.clone(), columns.clone()]);
+        let z = without_plane(z, &x[columns.clone()], &y[rows.clone()]);
+        Density::of(z.view(), [grid.x.step_mm(), grid.y.step_mm()], [&w_x, &w_y])
+    };
+    let measured = density(maps.measured);
+    let planned = density(maps.planned);
+    let predicted = density(maps.predicted);
+    let less_planned = density(&(maps.measured - maps.planned));
+    let rest = density(&(maps.measured - maps.predicted));
+    let mut periods: Vec<Option<f64>> = vec![None];
+    periods.extend(PERIODS_OVER_WIDTH.map(|n| Some(n * width_mm)));
+    periods.push(Some(0.0));
+    let band = |ends: &[Option<f64>]| {
+        let frequency = |period: Option<f64>| match period {
+            None => 0.0,
+            Some(period) if period > 0.0 => 1.0 / period,
+            Some(_) => f64::INFINITY,
+        };
+        let range = [frequency(ends[0]), frequency(ends[1])];
+        let square = |of: &Density| of.mean_square(range).max(0.0);
+        // 2 Re(M conj(F)) = |M|^2 + |F|^2 - |M - F|^2
+        let (m, f, r) = (square(&measured), square(&predicted), square(&rest));
+        Band {
+            period_mm: [ends[1], ends[0]],
+            measured_rms_nm: m.sqrt(),
+            planned_rms_nm: square(&planned).sqrt(),
+            predicted_rms_nm: f.sqrt(),
+            measured_less_planned_rms_nm: square(&less_planned).sqrt(),
+            rest_rms_nm: r.sqrt(),
+            transfer: (f > 0.0).then(|| 0.5 * (m + f - r) / f),
+        }
+    };
+    periods.windows(2).map(band).collect()
+}

@@ -1,0 +1,203 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use ndarray::Array2;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{OutputArgs, TrajectoryArgs},
+    kind,
+    npy::ArrayData,
+    say, task,
+};
+use planish_reconcile::{
+    Comparison, Reconciled, Settings, draw::picture, reconcile, report::Estimate,
+};
+use planish_simulate::process::{Process, ProcessFile};
+use planish_types::{Surface, Tif, plausible, text::significant};
+
+#[derive(Args)]
+pub struct Reconcile {
+    /// Map measured before the run [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    before: PathBuf,
+    /// Map measured after the run, on the same pixels [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    after: PathBuf,
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    /// Tool influence function of the plan [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Process, whose errors say what is known beforehand [JSON]
+    #[arg(long, value_name = "FILE")]
+    process: Option<PathBuf>,
+    /// Learn this parameter (again for more) and hold the others; exit code 1 where the data do not determine it
+    /// [rate_scale, offset_x, offset_y, rotation, magnification, tif_width, tif_ellipticity,
+    /// tif_diagonal_ellipticity; default: all]
+    #[arg(long, value_name = "NAME")]
+    free: Vec<String>,
+    /// Hold this parameter, or this term of the metrology [piston, tilt_x, tilt_y, power], at its value in the plan
+    /// (again for more)
+    #[arg(long, value_name = "NAME")]
+    hold: Vec<String>,
+    /// Legendre terms of the metrology up to these orders along x and y are free, too
+    #[arg(long, num_args = 2, value_names = ["M", "N"])]
+    metrology_order: Option<Vec<usize>>,
+    /// Move the TIF with its noise and the step at its border, which the tool has not
+    #[arg(long)]
+    tif_as_sampled: bool,
+    /// Also write the TIF with the rate and the shape that were learnt [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    corrected_tif: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Reconcile {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = Settings {
+            free: self.free.clone(),
+            hold: self.hold.clone(),
+            metrology_order: self.metrology_order.as_ref().map(|n| [n[0], n[1]]),
+            tif_as_sampled: self.tif_as_sampled,
+        };
+        let mut inputs = Inputs::new();
+        let (trajectory, manifest) =
+            inputs.read_with_manifest("trajectory", &self.trajectory.trajectory)?;
+        let tif: Tif = inputs.read("tif", &self.tif)?;
+        inputs.warn_unrelated("trajectory", manifest.as_ref(), "tif");
+        let before: Surface = inputs.read("before", &self.before)?;
+        let after: Surface = inputs.read("after", &self.after)?;
+        let process = self.read_process(&mut inputs)?;
+        let mut output = Output::directory(&self.output, &kind::RECONCILIATION);
+        if let Some(dir) = &self.corrected_tif {
+            output = output.and_directory("--corrected-tif", dir, Tif::KIND);
+        }
+        let mut output = match output.begin(&task!("reconcile", &settings), &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        plausible::check_tool(&before, &tif)?;
+        let comparison = Comparison {
+            before: &before,
+            after: &after,
+            trajectory: &trajectory,
+            tif: &tif,
+            process: process.as_ref(),
+        };
+
+        let found = reconcile(&comparison, &settings).map_err(|e| match e.array {
+            "x_mm" | "y_mm" | "height_nm" => Failure::new(format!("{}: {e}", self.after.display())),
+            _ => Failure::with_flags(e),
+        })?;
+
+        let status = found.drawback.clone().map_or(Status::Done, Status::Negative);
+        let outcome = serde_json::to_value(&found.outcome)?;
+        let map = |m: &Array2<f64>| ArrayData::F64(m.clone().into_dyn());
+        let list = |values: Vec<f64>| ArrayData::F64(ndarray::Array1::from(values).into_dyn());
+        let arrays = [
+            map(&found.measured_nm),
+            map(&found.planned_nm),
+            map(&found.predicted_nm),
+            map(&found.metrology_nm),
+            map(&found.rest_nm),
+            map(&found.correlation),
+            list(before.grid().x.coordinates()),
+            list(before.grid().y.coordinates()),
+        ];
+        let svg = picture(&found, before.grid()).into_bytes();
+        let beside = [("reconcile.svg", svg)];
+        output.write_arrays(&kind::RECONCILIATION, &arrays, &beside, outcome, &status)?;
+        if self.corrected_tif.is_some() {
+            let learnt = serde_json::json!({
+                "peak_nm_per_s": found.tif.peak_nm_per_s(),
+                "vrr_nm_mm2_per_s": found.tif.vrr_nm_mm2_per_s(),
+                "width_mm": found.tif.width_mm(),
+            });
+            output.write(&found.tif, learnt, &status)?;
+        }
+        say(table(&found));
+        say(format!("-> {}", self.output.out.display()));
+        Ok(status)
+    }
+
+    fn read_process(&self, inputs: &mut Inputs) -> Result<Option<Process>, Failure> {
+        let Some(path) = &self.process else { return Ok(None) };
+        let file: ProcessFile = inputs.read_json("process", path)?;
+        let process =
+            file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+        Ok(Some(process))
+    }
+}
+
+/// What a person reads.
+fn table(found: &Reconciled) -> String {
+    let outcome = &found.outcome;
+    let mut lines =
+        vec!["parameter                      found  +- standard error   known beforehand".into()];
+    lines.extend(outcome.parameters.iter().map(line));
+    lines.push(String::new());
+    lines.push("metrology".into());
+    lines.extend(outcome.metrology.iter().map(line));
+    if let Some(e) = &outcome.ellipse
+        && let (Some(direction), Some(error)) = (e.direction_deg, e.direction_standard_error_deg)
+    {
+        lines.push(format!(
+            "the TIF is longer by {:.2} % (+- {:.2}) along {direction:.0} degrees (+- {error:.0})",
+            e.ellipticity_percent, e.standard_error_percent
+        ));
+    }
+    lines.push(String::new());
+    lines.push("period, mm        measured   less plan's       rest nm RMS   transfer".into());
+    for band in &outcome.bands {
+        let period = match band.period_mm {
+            [Some(short), None] => format!("over {short:.1}"),
+            [Some(short), Some(long)] => format!("{short:.1} to {long:.1}"),
+            _ => "all".into(),
+        };
+        let transfer = band.transfer.map_or("-".into(), |t| format!("{t:.3}"));
+        lines.push(format!(
+            "{period:<16} {:>9.4} {:>13.4} {:>10.4} {transfer:>17}",
+            band.measured_rms_nm, band.measured_less_planned_rms_nm, band.rest_rms_nm
+        ));
+    }
+    let (noise, fitted) = (&outcome.noise, &outcome.fitted);
+    lines.push(format!(
+        "the plan missed {:.4} nm RMS of {:.4}; with what was learnt {:.4} are left, correlated over {:.2} mm{}: {} \
+         independent pixels of {}",
+        fitted.measured_less_planned_rms_nm,
+        fitted.measured_removal_rms_nm,
+        fitted.rest_rms_nm,
+        noise.correlation_length_mm,
+        if noise.window_is_cut {
+            " or more (further than the map can tell: standard errors are too small)"
+        } else {
+            ""
+        },
+        noise.effective_pixels.round(),
+        noise.pixels
+    ));
+    lines.join("\n")
+}
+
+/// One unknown.
+fn line(estimate: &Estimate) -> String {
+    let number = |v: Option<f64>| v.map_or("-".into(), |v| significant(v, 4));
+    let beforehand = match estimate.known_beforehand {
+        Some(scale) => format!("+- {} {}", significant(scale, 3), estimate.unit),
+        None => String::new(),
+    };
+    let (error, unit) = (number(estimate.standard_error), estimate.unit);
+    let found = match (&estimate.refused, estimate.held) {
+        (_, true) => "held".into(),
+        (Some(_), _) => "not determined".into(),
+        _ => format!("{} {unit}", number(estimate.value)),
+    };
+    let mut line = format!("{:<26} {found:>14}  +- {error:<10} {beforehand:>18}", estimate.name);
+    if let Some(reason) = &estimate.refused {
+        line += &format!("\n    {}: {reason}", estimate.name);
+    }
+    line
+}

@@ -1,0 +1,255 @@
+//! The correlation of what a fit leaves, and what it does to the variance of a sum over the map.
+//!
+//! ```text
+//! C(h) = 1/N(h) sum_x r(x) r(x + h)          over the N(h) pairs of valid pixels that are h apart
+//! Var(sum_x j(x) n(x)) = sum_x,y j(x) C(x - y) w(x - y) j(y)
+//! ```
+//!
+//! w is 1 up to half of a radius L and falls to 0 at L as a cosine: far lags have noise and no signal. With the
+//! correlation length l(L), the radius of the disk whose area is the integral of C(h)/C(0) out to L, L is the first
+//! with `L >= 5 l(L)` (Madras and Sokal's automatic window, in two dimensions). A Gaussian correlation exp(-h^2 / 2 s^2)
+//! has l = sqrt(2) s, and what lies beyond the flat part, 3.5 s, is 0.2 % of it. The window goes no further than a
+//! quarter of the shorter side or to where the fit itself would decide: see `LARGEST_LOST`.
+//!
+//! A fit leaves nothing of the noise along its own fields, which is where its variance is asked for. With orthonormal
+//! fields u_k of the fit the rest of white noise of variance one has the covariance
+//!
+//! ```text
+//! E C(h) = [h = 0] - 1/N(h) sum_k sum_x u_k(x) u_k(x + h)
+//! ```
+//!
+//! The transform of that times w is the part of the spectrum that the fit has left, frequency by frequency; the estimated
+//! spectrum is divided by it. This is exact for white noise, and for any other whose spectrum hardly changes over the
+//! transform of w, which is what w is chosen for.
+//!
+//! The effective number of independent pixels is N / (sum of C w / C(0)).
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | r | `rest` | (ny, nx) | nm |
+//! | C w | `spectrum`, its transform | (2 ny, 2 nx) about | nm^2 |
+//! | L | `window_mm` | | mm |
+//! | l | `length_mm` | | mm |
+
+use std::f64::consts::PI;
+
+use ndarray::{Array2, s};
+use planish_numerics::fft::{pair_convolution::quick_size, transform};
+use planish_types::Grid;
+use serde::Serialize;
+
+/// Radius of the window over the correlation length.
+const WINDOW_OVER_LENGTH: f64 = 5.0;
+
+/// Most of the spectrum about zero frequency that the fit may have taken; the window is no larger than that.
+const LARGEST_LOST: f64 = 0.5;
+
+/// What is known of the noise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Noise {
+    /// RMS of what the fit leaves, nm.
+    pub rest_rms_nm: f64,
+    /// l, mm.
+    pub correlation_length_mm: f64,
+    /// L, mm.
+    pub window_mm: f64,
+    /// Whether the correlation goes on beyond the largest window: standard errors are then too small.
+    pub window_is_cut: bool,
+    /// Valid pixels.
+    pub pixels: usize,
+    /// How many independent ones would give the same variance of a mean.
+    pub effective_pixels: f64,
+    /// Part of the noise's spectrum at zero frequency that the fit took; made up for.
+    pub lost_to_the_fit: f64,
+}
+
+/// The covariance of the noise, ready to be applied.
+pub struct Covariance {
+    /// In numbers.
+    pub noise: Noise,
+    shape: (usize, usize),
+    /// Transform of C w, never negative, divided by what the fit has left of it (padded).
+    spectrum: Array2<f64>,
+}
+
+impl Covariance {
+    /// Of the `rest` of a fit of `terms` unknowns with these orthonormal `fields`, from which the part that it took is
+    /// known (without them nothing is made up for); all are 0 where `valid` is 0, which is 1 elsewhere.
+    pub fn of(
+        rest: &Array2<f64>,
+        valid: &Array2<f64>,
+        grid: &Grid,
+        terms: usize,
+        fields: &[Array2<f64>],
+    ) -> Self {
+        let (ny, nx) = rest.dim();
+        let size = (quick_size(2 * ny), quick_size(2 * nx));
+        let pairs = |map: &Array2<f64>| {
+            let power = transform::forward(padded(map, size).view());
+            transform::inverse(power.mapv(|v| (v.norm_sqr()).into()))
+        };
+        let (sum, count) = (pairs(rest), pairs(valid));
+        let pixels = count[[0, 0]].round().max(1.0);
+        let variance = sum[[0, 0]] / pixels;
+        // C(h) where at least one pair is
+        let mut covariance = sum;
+        covariance.zip_mut_with(&count, |c, n| *c = if *n > 0.5 { *c / n } else { 0.0 });
+        let lag_mm = |(r, c): (usize, usize)| {
+            let back = |k: usize, n: usize| k.min(n - k) as f64;
+            (back(r, size.0) * grid.y.step_mm()).hypot(back(c, size.1) * grid.x.step_mm())
+        };
+        let area = grid.pixel_mm2();
+        let sides = [grid.x, grid.y].map(|a| a.len() as f64 * a.step_mm());
+        // p sum(w) / N <= LARGEST_LOST, where sum(w) is the area of a disk of some 3/4 L
+        let most = LARGEST_LOST * pixels * area / (terms.max(1) as f64 * PI * 0.5625);
+        let largest = most.sqrt().min(0.5 * sides[0].max(sides[1]));
+        let (window_mm, window_is_cut) = window(&covariance, variance, area, largest, &lag_mm);
+        let taper = |mm: f64| match mm / window_mm {
+            part if part <= 0.5 => 1.0,
+            part if part < 1.0 => 0.5 * (1.0 + (PI * (2.0 * part - 1.0)).cos()),
+            _ => 0.0,
+        };
+        // What the fit took: sum_k u_k * u_k over the pairs
+        let mut taken = Array2::<f64>::zeros(size);
+        for field in fields {
+            taken += &transform::forward(padded(field, size).view()).mapv(|v| v.norm_sqr());
+        }
+        let mut taken = transform::inverse(taken.mapv(|v| v.into()));
+        taken.zip_mut_with(&count, |t, n| *t = if *n > 0.5 { *t / n } else { 0.0 });
+        for (at, c) in covariance.indexed_iter_mut() {
+            let w = taper(lag_mm(at));
+            *c *= w;
+            taken[at] *= w;
+        }
+        let taken = transform::forward(taken.view()).mapv(|v| v.re.clamp(0.0, LARGEST_LOST));
+        let mut spectrum = transform::forward(covariance.view()).mapv(|v| v.re.max(0.0));
+        spectrum.zip_mut_with(&taken, |s, t| *s /= 1.0 - t);
+        let lost = taken[[0, 0]];
+        let whole = spectrum[[0, 0]];
+        let ratio = if variance > 0.0 { (whole / variance).max(1e-12) } else { 1.0 };
+        let noise = Noise {
+            rest_rms_nm: variance.sqrt(),
+            correlation_length_mm: (ratio * area / PI).sqrt(),
+            window_mm,
+            window_is_cut,
+            pixels: pixels as usize,
+            // The sum of an estimated correlation scatters about that of white noise, too.
+            effective_pixels: (pixels / ratio).min(pixels),
+            lost_to_the_fit: lost,
+        };
+        Self { noise, shape: (ny, nx), spectrum }
+    }
+
+    /// C w applied to a field that is 0 where the map is invalid.
+    pub fn apply(&self, field: &Array2<f64>) -> Array2<f64> {
+        let mut transformed = transform::forward(padded(field, self.spectrum.dim()).view());
+        transformed.zip_mut_with(&self.spectrum, |v, s| *v *= *s);
+        let (ny, nx) = self.shape;
+        transform::inverse(transformed).slice(s![..ny, ..nx]).to_owned()
+    }
+}
+
+/// A map with zeros beyond its last row and column.
+fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
+    let (ny, nx) = map.dim();
+    let mut large = Array2::zeros(size);
+    large.slice_mut(s![..ny, ..nx]).assign(map);
+    large
+}
+
+/// The first L with `L >= 5 l(L)`, and whether it is beyond the largest.
+fn window(
+    covariance: &Array2<f64>,
+    variance: f64,
+    pixel_mm2: f64,
+    largest_mm: f64,
+    lag_mm: &impl Fn((usize, usize)) -> f64,
+) -> (f64, bool) {
+    // Two pixels, so that there is a taper
+    let least_mm = 2.0 * pixel_mm2.sqrt();
+    let largest_mm = largest_mm.max(least_mm);
+    let mut lags: Vec<(f64, f64)> = covariance
+        .indexed_iter()
+        .map(|(at, c)| (lag_mm(at), *c))
+        .filter(|(lag, _)| *lag <= largest_mm)
+        .collect();
+    lags.sort_by(|a, b| a.0.total_cmp(&b.0));
+    if variance <= 0.0 {
+        return (least_mm, false);
+    }
+    let mut sum = 0.0;
+    for (lag, c) in lags {
+        sum += c / variance;
+        let length = (sum.max(0.0) * pixel_mm2 / PI).sqrt();
+        if lag >= least_mm && lag >= WINDOW_OVER_LENGTH * length {
+            return (lag, false);
+        }
+    }
+    (largest_mm, true)
+}
+
+#[cfg(test)]
+mod tests {
+    use planish_types::Axis;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(0.0, 0.5, 120).unwrap(), y: Axis::new(0.0, 0.25, 90).unwrap() }
+    }
+
+    /// Uniform numbers, and their means over `side` x `side` pixels, of the variance one.
+    fn noise(seed: u64, side: usize) -> Array2<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (ny, nx) = grid().shape();
+        let fine = Array2::from_shape_simple_fn((ny + side, nx + side), || {
+            rng.random_range(-1.0..1.0) * 3.0_f64.sqrt()
+        });
+        let mean = |(r, c)| fine.slice(s![r..r + side, c..c + side]).sum() / side as f64;
+        Array2::from_shape_fn((ny, nx), mean)
+    }
+
+    #[test]
+    fn of_white_noise_every_pixel_counts_and_of_means_over_blocks_as_few_as_the_blocks() {
+        let valid = Array2::ones(grid().shape());
+        for side in [1, 4] {
+            let each: Vec<f64> = (0..40)
+                .map(|seed| {
+                    let found = Covariance::of(&noise(seed, side), &valid, &grid(), 0, &[]).noise;
+                    assert!(!found.window_is_cut);
+                    found.effective_pixels
+                })
+                .collect();
+            // A sum of side x side white numbers correlates over twice the triangle: its integral is side^2 pixels.
+            let mean = 40.0 / each.iter().map(|n| 1.0 / n).sum::<f64>();
+            let expected = 120.0 * 90.0 / (side * side) as f64;
+            // The window cuts a part of the triangles' corners, and 40 maps scatter by 3 %.
+            assert!((mean / expected - 1.0).abs() < 0.12, "{side}: {mean} {expected}");
+        }
+    }
+
+    /// The variance of the product with a field, against that over many maps.
+    #[test]
+    fn the_variance_of_a_sum_is_that_of_many_maps() {
+        let grid = grid();
+        let field = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            (0.1 * c as f64).sin() + 0.02 * r as f64 - 0.9
+        });
+        let valid = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            if (r as f64 - 45.0).hypot(c as f64 - 20.0) < 12.0 { 0.0 } else { 1.0 }
+        });
+        let masked = &field * &valid;
+        let (mut found, mut squares) = (0.0, 0.0);
+        let maps = 300;
+        for seed in 0..maps {
+            let rest = noise(1000 + seed, 3) * &valid;
+            let covariance = Covariance::of(&rest, &valid, &grid, 0, &[]);
+            found += (covariance.apply(&masked) * &masked).sum() / maps as f64;
+            squares += (&rest * &masked).sum().powi(2) / maps as f64;
+        }
+        // The mean of 300 squares of normal numbers scatters by sqrt(2 / 300) = 8 %: three of it.
+        assert!((found / squares - 1.0).abs() < 0.25, "{found} {squares}");
+    }
+}

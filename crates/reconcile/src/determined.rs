@@ -1,0 +1,193 @@
+//! Whether the data determine a parameter.
+//!
+//! A number is given where all of this holds, and otherwise the parameter is refused with the first that does not:
+//!
+//! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
+//!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
+//!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
+//! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates
+//!    (the piston apart, which every removal has a part of).
+//! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
+//!    process where one is given ([`crate::parameter`]).
+//! 4. The fit ended at a minimum.
+//! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
+//! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
+//!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
+//!    standard error or a hundredth of its scale. The move is a linear function of the data, the difference of the influence fields of both fits,
+//!    so its standard error takes the correlation of the noise into account as all others do (Hausman's test with the
+//!    sandwich covariance). Where the noise is correlated further than the map can tell, standard errors are lower
+//!    bounds, and a move beyond that of the parameter is enough.
+
+use ndarray::Array2;
+use planish_types::{End, text::significant};
+
+use crate::{
+    fit::{Data, Fit, Normal, dot},
+    metrology::terms,
+    parameter::Parameter,
+};
+
+/// Largest variance inflation.
+pub const LARGEST_INFLATION: f64 = 100.0;
+
+/// Largest correlation of two estimates.
+pub const LARGEST_CORRELATION: f64 = 0.99;
+
+/// Largest estimate over its scale.
+pub const BELIEVABLE: f64 = 3.0;
+
+/// A move by more standard errors than this is no chance.
+pub const SIGNIFICANT: f64 = 3.0;
+
+/// A move below this part of what is known beforehand matters to nobody, however small the noise is.
+const NEGLIGIBLE: f64 = 0.01;
+
+/// Least orders of the wider metrology along x and y, and how much further it goes than the fit's own.
+const WIDER: [usize; 2] = [4, 3];
+const FURTHER: usize = 1;
+
+/// How a parameter moves when more terms of the metrology are free.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move {
+    /// By how much.
+    pub by: f64,
+    /// Standard error of the move.
+    pub standard_error: f64,
+}
+
+/// The moves of every parameter of a fit with the orders `own`: to a wider metrology, and where it has more terms than
+/// piston, tilt and power, back to these (the power as the orders 1 x 1, which it is beyond).
+pub fn all_moves(
+    fit: &Fit,
+    data: &Data<'_>,
+    own: Option<[usize; 2]>,
+) -> Vec<Vec<(Move, [usize; 2])>> {
+    let orders = wider_orders(own);
+    let mut all: Vec<_> =
+        moves(fit, data, Some(orders)).into_iter().map(|m| vec![(m, orders)]).collect();
+    if own.is_some() {
+        for (each, back) in all.iter_mut().zip(moves(fit, data, None)) {
+            each.push((back, [1, 1]));
+        }
+    }
+    all
+}
+
+/// The orders of the wider metrology of a fit with the orders `own`.
+pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
+    let own = own.unwrap_or([0, 0]);
+    [0, 1].map(|axis| WIDER[axis].max(own[axis] + FURTHER))
+}
+
+/// How the parameters of a fit move with the terms of these orders free in the place of its own (`None`: piston, tilt
+/// and power), to first order at its minimum.
+pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
+    let maps: Vec<Array2<f64>> = terms(orders).into_iter().map(|t| t.map(data.grid)).collect();
+    let parameters = &fit.columns[..fit.parameters.len()];
+    let wider = Normal::new(parameters, &maps, &data.valid, fit.known.clone());
+    let inverse = wider.inverse();
+    // Its terms are found anew, so those of the fit are data again.
+    let data = &fit.rest + &(&fit.metrology * &data.valid);
+    let step = wider.step(&data, &fit.values, &inverse, 0.0);
+    let of = |i: usize| {
+        // Influence of the wider fit less that of the fit
+        let mut field = -fit.influence(i);
+        for (j, column) in wider.columns.iter().enumerate() {
+            let weight = inverse[(i, j)] / (wider.lengths[i] * wider.lengths[j]);
+            field.scaled_add(weight, column);
+        }
+        let variance = dot(&field, &fit.noise.apply(&field));
+        Move { by: step[i], standard_error: variance.max(0.0).sqrt() }
+    };
+    (0..fit.parameters.len()).map(of).collect()
+}
+
+/// Why the data do not determine parameter `i` of a fit; `None` where they do.
+pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<String> {
+    let parameter = fit.parameters[i];
+    let (value, error) = (fit.values[i], fit.standard_error(i));
+    let names = fit.names();
+    if fit.inflation[i] > LARGEST_INFLATION {
+        let inflation = match fit.inflation[i].is_finite() {
+            true => significant(fit.inflation[i], 3),
+            false => "infinite".into(),
+        };
+        return Some(format!(
+            "the data do not tell it from {}: variance inflation {inflation} (at most {LARGEST_INFLATION}), smallest \
+             singular value {}",
+            confounded(fit, i, &names),
+            significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
+        ));
+    }
+    let twin = (0..names.len())
+        .filter(|j| *j != i && names[*j] != "piston")
+        .find(|j| fit.correlation(i, *j).abs() > LARGEST_CORRELATION);
+    if let Some(j) = twin {
+        return Some(format!(
+            "its estimate correlates by {} with that of {}",
+            significant(fit.correlation(i, j), 4),
+            names[j]
+        ));
+    }
+    // 1 / error^2 = 1 / scale^2 + 1 / (that of the data)^2
+    if error > scale * std::f64::consts::FRAC_1_SQRT_2 {
+        let of_the_data = (error.powi(-2) - scale.powi(-2)).max(0.0).sqrt().recip();
+        let size = match of_the_data.is_finite() {
+            true => shown(parameter, of_the_data),
+            false => "nothing".into(),
+        };
+        return Some(format!(
+            "the data alone give it to {size}, beyond the {} that are known beforehand",
+            shown(parameter, scale)
+        ));
+    }
+    if fit.end != End::Converged {
+        return Some("the fit did not end at a minimum".into());
+    }
+    if value.abs() > BELIEVABLE * scale {
+        return Some(format!(
+            "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
+             that it takes up",
+            shown(parameter, scale)
+        ));
+    }
+    let cut = fit.noise.noise.window_is_cut;
+    for (moved, orders) in moved {
+        let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
+        if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
+            return Some(format!(
+                "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors \
+                 of the move)",
+                orders[0],
+                orders[1],
+                shown(parameter, moved.by),
+                significant(moved.by.abs() / moved.standard_error, 2)
+            ));
+        }
+    }
+    None
+}
+
+/// A value of a parameter with its unit.
+pub fn shown(parameter: Parameter, value: f64) -> String {
+    let (unit, factor) = parameter.unit();
+    format!("{} {unit}", significant(value / factor, 3))
+}
+
+/// The other unknowns that together do what unknown `i` does, the largest parts first.
+fn confounded(fit: &Fit, i: usize, names: &[String]) -> String {
+    // The regression of a scaled column on the others has the coefficients -inverse_ij / inverse_ii; where it is
+    // dependent the null vectors say the same, which the cosines show.
+    // Of every column the part that is no piston: the inflation is without it, too.
+    let piston = names.iter().position(|n| n == "piston");
+    let centred = |j: usize| piston.map_or(1.0, |k| (1.0 - fit.cosines[(j, k)].powi(2)).max(0.0));
+    let part = |j: usize| match fit.inflation[i].is_finite() {
+        true => (fit.inverse[(i, j)] / fit.inverse[(i, i)]).abs() * centred(j).sqrt(),
+        false => fit.cosines[(i, j)].abs() * centred(j).sqrt(),
+    };
+    let mut others: Vec<usize> = (0..names.len()).filter(|j| *j != i).collect();
+    others.sort_by(|a, b| part(*b).total_cmp(&part(*a)));
+    let largest = others.first().map_or(0.0, |j| part(*j));
+    let main = others.iter().take(3).filter(|j| part(**j) > 0.2 * largest);
+    main.map(|j| names[*j].as_str()).collect::<Vec<_>>().join(" and ")
+}

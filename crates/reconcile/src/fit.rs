@@ -1,0 +1,436 @@
+//! Nonlinear least squares of (1) by Gauss and Newton's steps, and the covariance of what they find.
+//!
+//! ```text
+//! minimise |d - F(p) - Q c|^2 + sum_i k_i p_i^2 over the pixels that are valid in both maps
+//! step:        (J' J + K + lambda D) delta = J' r - K p,   J = [dF/dp, Q],  D = diag(J' J)
+//! covariance:  H^-1 (J' C J + v K) H^-1,  H = J' J + K     C of the noise, from the rest (the `correlation` module)
+//! ```
+//!
+//! k_i = v / s_i^2 is what is known beforehand as one more observation: p_i is 0, the plan, within s_i; v is the
+//! variance of the noise times the pixels over the effective ones, so that both count as they should. Where the data
+//! determine a parameter it changes nothing that is seen (1 % of the distance to the plan where the standard error is a
+//! tenth of s_i); where they do not it keeps the parameter near the plan, so that those that are determined are not
+//! fitted beside something absurd, and still carries its uncertainty into their standard errors.
+//!
+//! The problem is nearly linear: errors of a process change the derivatives by as little as they are. So the
+//! derivatives of one point serve several steps, and are computed anew once where these have ended; when the first
+//! step with them is small, this is the minimum. lambda is 0 unless a step makes the square larger (Levenberg and
+//! Marquardt). Where the rest has a part along the second derivatives, which the steps leave out, they go too far and
+//! back again by a ratio q < 0 of the way before; the first step from a new point is divided by 1 - q (Aitken).
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use ndarray::Array2;
+use planish_types::{End, Grid, Invalid};
+
+use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
+
+/// A step below this part of the standard errors is none: an interval of two standard errors that is off by it covers
+/// 3e-4 less. The removal has kinks where samples of Keys' convolution cross the pixels' centres, and steps much
+/// smaller than this would go from one to the next.
+const SMALL_STEP: f64 = 0.05;
+
+/// A step below this part of what is known beforehand is none either, however small the noise: of 0.5 mm it is 0.05 um.
+const NOTHING: f64 = 1e-4;
+
+/// Steps with the derivatives of one point, and how often they are computed anew.
+const MOST_STEPS: usize = 12;
+const MOST_POINTS: usize = 25;
+
+/// First and largest lambda.
+const LAMBDA: [f64; 2] = [1e-3, 1e6];
+
+/// Largest part of the way back that is taken for an oscillation.
+const LARGEST_RETURN: f64 = 0.9;
+
+/// Directions of the scaled normal matrix below this part of the largest eigenvalue are none: rounding, and the
+/// 2e-5 of the derivatives, would decide the step along them.
+const INDEPENDENT: f64 = 1e-9;
+
+/// The data of a fit.
+pub struct Data<'a> {
+    /// Pixels.
+    pub grid: &'a Grid,
+    /// before - after (ny, nx), nm; 0 where invalid.
+    pub data: Array2<f64>,
+    /// 1 where both maps are valid, else 0 (ny, nx).
+    pub valid: Array2<f64>,
+}
+
+/// What a fit found.
+pub struct Fit {
+    /// Parameters, in their order.
+    pub parameters: Vec<Parameter>,
+    /// Terms of the metrology, after the parameters.
+    pub terms: Vec<Term>,
+    /// p and c.
+    pub values: Vec<f64>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
+    /// The variance inflation of every unknown: how much larger the others make its variance with white noise than
+    /// a free piston alone does; infinite where it lies in a direction that does not change the removal.
+    pub inflation: Vec<f64>,
+    /// Scaled normal matrix: the cosines of the angles between the columns.
+    pub cosines: DMatrix<f64>,
+    /// Singular values of J with columns of the length one, descending.
+    pub singular_values: Vec<f64>,
+    /// Columns of J, 0 where invalid.
+    pub columns: Vec<Array2<f64>>,
+    /// Lengths of the columns.
+    pub lengths: Vec<f64>,
+    /// H^-1 with the scaled columns, along the directions that are independent.
+    pub inverse: DMatrix<f64>,
+    /// k, 0 for the terms of the metrology.
+    pub known: Vec<f64>,
+    /// F(p) (ny, nx), nm, on every pixel.
+    pub removal: Array2<f64>,
+    /// Q c (ny, nx), nm, on every pixel.
+    pub metrology: Array2<f64>,
+    /// d - F - Q c, 0 where invalid.
+    pub rest: Array2<f64>,
+    /// What is known of the noise.
+    pub noise: Covariance,
+    /// How it ended.
+    pub end: End,
+    /// Points at which derivatives were computed.
+    pub points: usize,
+}
+
+/// F and its derivatives at the plan, which no data change: for many fits of one plan.
+pub struct Start {
+    removal: Array2<f64>,
+    derivatives: Vec<Array2<f64>>,
+}
+
+impl Start {
+    /// Of a model.
+    pub fn new(model: &Model<'_>) -> Result<Self, Invalid> {
+        let (removal, derivatives) = model.linear(&vec![0.0; model.parameters.len()])?;
+        Ok(Self { removal, derivatives })
+    }
+}
+
+impl Fit {
+    /// Standard error of unknown `i`.
+    pub fn standard_error(&self, i: usize) -> f64 {
+        self.covariance[(i, i)].max(0.0).sqrt()
+    }
+
+    /// Correlation of two unknowns.
+    pub fn correlation(&self, i: usize, j: usize) -> f64 {
+        let scale = self.standard_error(i) * self.standard_error(j);
+        if scale > 0.0 { self.covariance[(i, j)] / scale } else { 0.0 }
+    }
+
+    /// Names of the unknowns.
+    pub fn names(&self) -> Vec<String> {
+        let parameters = self.parameters.iter().map(|p| p.name().to_string());
+        parameters.chain(self.terms.iter().map(|t| t.name())).collect()
+    }
+
+    /// Field by which unknown `i` is estimated: its value is the sum of the data times it (to first order).
+    pub fn influence(&self, i: usize) -> Array2<f64> {
+        let mut field = Array2::zeros(self.rest.dim());
+        for (j, column) in self.columns.iter().enumerate() {
+            let weight = self.inverse[(i, j)] / (self.lengths[i] * self.lengths[j]);
+            field.scaled_add(weight, column);
+        }
+        field
+    }
+}
+
+/// Sum of the products over the map.
+pub fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    let rows = a.outer_iter().zip(b.outer_iter());
+    rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>()).sum()
+}
+
+/// The normal matrix at one point.
+pub(crate) struct Normal {
+    /// Columns of J, 0 where invalid.
+    pub columns: Vec<Array2<f64>>,
+    /// Their lengths.
+    pub lengths: Vec<f64>,
+    cosines: DMatrix<f64>,
+    /// k, as far as there is one.
+    known: Vec<f64>,
+}
+
+impl Normal {
+    /// Of derivatives and terms.
+    pub fn new(
+        derivatives: &[Array2<f64>],
+        terms: &[Array2<f64>],
+        valid: &Array2<f64>,
+        known: Vec<f64>,
+    ) -> Self {
+        let columns: Vec<Array2<f64>> =
+            derivatives.iter().chain(terms).map(|column| column * valid).collect();
+        let n = columns.len();
+        // A column of nothing has the length one, and no direction.
+        let length = |c: &Array2<f64>| Some(dot(c, c).sqrt()).filter(|l| *l > 0.0).unwrap_or(1.0);
+        let lengths: Vec<f64> = columns.iter().map(length).collect();
+        let mut cosines = DMatrix::zeros(n, n);
+        for i in 0..n {
+            for j in 0..=i {
+                let v = dot(&columns[i], &columns[j]) / (lengths[i] * lengths[j]);
+                cosines[(i, j)] = v;
+                cosines[(j, i)] = v;
+            }
+        }
+        Self { columns, lengths, cosines, known }
+    }
+
+    /// H in scaled columns.
+    fn matrix(&self) -> DMatrix<f64> {
+        let mut matrix = self.cosines.clone();
+        for (i, k) in self.known.iter().enumerate() {
+            matrix[(i, i)] += k / (self.lengths[i] * self.lengths[i]);
+        }
+        matrix
+    }
+
+    /// Orthonormal fields of the span of the columns.
+    fn orthonormal(&self) -> Vec<Array2<f64>> {
+        let Some(first) = self.columns.first() else { return Vec::new() };
+        let eigen = SymmetricEigen::new(self.cosines.clone());
+        let least = INDEPENDENT * eigen.eigenvalues.max();
+        let field = |k: usize| {
+            let mut field = Array2::zeros(first.dim());
+            for (j, column) in self.columns.iter().enumerate() {
+                let weight = eigen.eigenvectors[(j, k)] / eigen.eigenvalues[k].sqrt();
+                field.scaled_add(weight / self.lengths[j], column);
+            }
+            field
+        };
+        (0..self.columns.len()).filter(|k| eigen.eigenvalues[*k] > least).map(field).collect()
+    }
+
+    /// The inverse of H along the independent directions.
+    pub fn inverse(&self) -> DMatrix<f64> {
+        inverted(&self.matrix()).inverse
+    }
+
+    /// The step that `rest` asks for where the unknowns are `values`, which is at least as long as k.
+    pub fn step(
+        &self,
+        rest: &Array2<f64>,
+        values: &[f64],
+        inverse: &DMatrix<f64>,
+        lambda: f64,
+    ) -> DVector<f64> {
+        let n = self.lengths.len();
+        // J' r - K p
+        let known = |i: usize| self.known.get(i).map_or(0.0, |k| k * values[i]);
+        let right =
+            DVector::from_fn(n, |i, _| (dot(&self.columns[i], rest) - known(i)) / self.lengths[i]);
+        let damped = || {
+            let mut matrix = self.matrix();
+            (0..n).for_each(|i| matrix[(i, i)] += lambda);
+            matrix.cholesky().map(|c| c.solve(&right))
+        };
+        let scaled = match lambda > 0.0 {
+            true => damped().unwrap_or_else(|| inverse * &right),
+            false => inverse * &right,
+        };
+        DVector::from_fn(n, |i, _| scaled[i] / self.lengths[i])
+    }
+}
+
+/// A symmetric matrix, decomposed.
+struct Inverted {
+    /// Along the independent directions.
+    inverse: DMatrix<f64>,
+    /// Eigenvalues, descending.
+    eigenvalues: Vec<f64>,
+    /// Which unknowns have a part in the others.
+    is_dependent: Vec<bool>,
+}
+
+fn inverted(matrix: &DMatrix<f64>) -> Inverted {
+    let n = matrix.nrows();
+    if n == 0 {
+        return Inverted { inverse: matrix.clone(), eigenvalues: vec![], is_dependent: vec![] };
+    }
+    let eigen = SymmetricEigen::new(matrix.clone());
+    let least = INDEPENDENT * eigen.eigenvalues.max();
+    let mut inverse = DMatrix::zeros(n, n);
+    let mut is_dependent = vec![false; n];
+    for (k, value) in eigen.eigenvalues.iter().enumerate() {
+        let vector = eigen.eigenvectors.column(k);
+        if *value > least {
+            inverse += vector * vector.transpose() / *value;
+        } else {
+            // A direction has length one: of n unknowns one has 1 / sqrt(n) at least.
+            let flags = is_dependent.iter_mut().zip(vector.iter());
+            flags.for_each(|(flag, v)| *flag |= v.abs() > 0.1 / (n as f64).sqrt());
+        }
+    }
+    let mut eigenvalues: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
+    eigenvalues.sort_unstable_by(|a, b| b.total_cmp(a));
+    Inverted { inverse, eigenvalues, is_dependent }
+}
+
+/// Fits `model` and these terms to `data`; `start` is the model at the plan.
+pub fn fit(
+    model: &Model<'_>,
+    terms: &[Term],
+    data: &Data<'_>,
+    start: &Start,
+) -> Result<Fit, Invalid> {
+    let maps: Vec<Array2<f64>> = terms.iter().map(|t| t.map(data.grid)).collect();
+    let p = model.parameters.len();
+    let rest_of = |removal: &Array2<f64>, values: &DVector<f64>| {
+        (&data.data - removal - sum_of(&maps, &values.as_slice()[p..], removal.dim())) * &data.valid
+    };
+    let mut values = DVector::zeros(p + maps.len());
+    let (mut removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
+    // The terms of the metrology first: a piston of the whole removal is no noise
+    let mut rest = rest_of(&removal, &values);
+    let linear = Normal::new(&[], &maps, &data.valid, Vec::new());
+    let terms_alone = linear.step(&rest, &[], &linear.inverse(), 0.0);
+    values.rows_mut(p, maps.len()).copy_from(&terms_alone);
+    rest = rest_of(&removal, &values);
+    // v, and k = v / s^2
+    let weigh = |rest: &Array2<f64>| {
+        let noise = Covariance::of(rest, &data.valid, data.grid, p + maps.len(), &[]).noise;
+        let v = noise.rest_rms_nm.powi(2) * noise.pixels as f64 / noise.effective_pixels;
+        (v, model.scales.iter().map(|s| v / (s * s)).collect::<Vec<f64>>())
+    };
+    let (mut variance, mut known) = weigh(&rest);
+    let mut normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
+    let (mut points, mut end) = (1, End::RoundLimit);
+    let mut way: Option<DVector<f64>> = None;
+    loop {
+        let here = values.clone();
+        let inverse = normal.inverse();
+        let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
+            dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
+        };
+        let (mut lambda, mut first_was_small) = (0.0, false);
+        for k in 0..MOST_STEPS {
+            let mut step = normal.step(&rest, values.as_slice(), &inverse, lambda);
+            let error = |i: usize| {
+                let error = (variance * inverse[(i, i)].max(0.0)).sqrt() / normal.lengths[i];
+                error.max(f64::MIN_POSITIVE)
+            };
+            // The terms of the metrology are linear: they follow.
+            let small = (0..p).all(|i| {
+                step[i].abs() <= SMALL_STEP * error(i) || step[i].abs() <= NOTHING * model.scales[i]
+            });
+            if let (0, Some(way)) = (k, &way) {
+                // In standard errors: q = step . way / |way|^2
+                let of = |a: &DVector<f64>| {
+                    (0..a.len()).map(|i| a[i] * way[i] / error(i).powi(2)).sum::<f64>()
+                };
+                let q = (of(&step) / of(way).max(f64::MIN_POSITIVE)).clamp(-LARGEST_RETURN, 0.0);
+                step /= 1.0 - q;
+            }
+            first_was_small |= k == 0 && small;
+            let tried = &values + &step;
+            let possible = model.is_possible(&tried.as_slice()[..p]);
+            let after = match possible {
+                true => Some(model.removal_nm(&tried.as_slice()[..p])?),
+                false => None,
+            };
+            let better = after.map(|r| (rest_of(&r, &tried), r));
+            match better {
+                Some((r, f)) if objective(&r, &tried) <= objective(&rest, &values) => {
+                    (values, rest, removal) = (tried, r, f);
+                    lambda = if lambda > LAMBDA[0] { 0.1 * lambda } else { 0.0 };
+                }
+                // Derivatives of a point that is left: new ones rather than a shorter step
+                _ if k > 0 && lambda == 0.0 => break,
+                _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
+            }
+            if small || lambda > LAMBDA[1] {
+                break;
+            }
+        }
+        if points > 1 && first_was_small {
+            end = End::Converged;
+            break;
+        }
+        if points == MOST_POINTS {
+            break;
+        }
+        points += 1;
+        way = Some(&values - &here);
+        (removal, derivatives) = model.linear(&values.as_slice()[..p])?;
+        rest = rest_of(&removal, &values);
+        (variance, known) = weigh(&rest);
+        normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
+    }
+    let metrology = sum_of(&maps, &values.as_slice()[p..], data.data.dim());
+    let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
+    let maps = (removal, metrology, rest);
+    Ok(finished(model, terms, values, normal, maps, (noise, variance), end, points))
+}
+
+/// Q c.
+fn sum_of(maps: &[Array2<f64>], c: &[f64], shape: (usize, usize)) -> Array2<f64> {
+    let mut sum = Array2::zeros(shape);
+    for (map, c) in maps.iter().zip(c) {
+        sum.scaled_add(*c, map);
+    }
+    sum
+}
+
+/// The covariance, and all that is said of the fit.
+#[allow(clippy::too_many_arguments)] // the parts of a fit, each made once
+fn finished(
+    model: &Model<'_>,
+    terms: &[Term],
+    values: DVector<f64>,
+    normal: Normal,
+    (removal, metrology, rest): (Array2<f64>, Array2<f64>, Array2<f64>),
+    (noise, variance): (Covariance, f64),
+    end: End,
+    points: usize,
+) -> Fit {
+    let inverse = normal.inverse();
+    // What the data alone say
+    let alone = inverted(&normal.cosines);
+    let n = values.len();
+    // H^-1 (J' C J + v K) H^-1, in scaled columns
+    let applied: Vec<Array2<f64>> = normal.columns.iter().map(|c| noise.apply(c)).collect();
+    let mut middle = DMatrix::from_fn(n, n, |i, j| {
+        dot(&normal.columns[i], &applied[j]) / (normal.lengths[i] * normal.lengths[j])
+    });
+    for (i, k) in normal.known.iter().enumerate() {
+        middle[(i, i)] += variance * k / (normal.lengths[i] * normal.lengths[i]);
+    }
+    let scaled = &inverse * middle * &inverse;
+    let covariance = DMatrix::from_fn(n, n, |i, j| {
+        0.5 * (scaled[(i, j)] + scaled[(j, i)]) / (normal.lengths[i] * normal.lengths[j])
+    });
+    // Of the part of a column that is no piston: every removal has a mean, which says nothing of anything
+    let piston = terms.iter().position(|t| *t == Term::Legendre(0, 0));
+    let piston = piston.map(|k| model.parameters.len() + k);
+    let centred = |i: usize| match piston {
+        Some(k) if k != i => 1.0 - normal.cosines[(i, k)].powi(2),
+        _ => 1.0,
+    };
+    let inflation = (0..n).map(|i| match alone.is_dependent[i] {
+        true => f64::INFINITY,
+        false => alone.inverse[(i, i)] * centred(i),
+    });
+    Fit {
+        parameters: model.parameters.clone(),
+        terms: terms.to_vec(),
+        values: values.iter().copied().collect(),
+        covariance,
+        inflation: inflation.collect(),
+        singular_values: alone.eigenvalues.iter().map(|v| v.max(0.0).sqrt()).collect(),
+        cosines: normal.cosines,
+        columns: normal.columns,
+        lengths: normal.lengths,
+        inverse,
+        known: normal.known,
+        removal,
+        metrology,
+        rest,
+        noise,
+        end,
+        points,
+    }
+}

@@ -1,0 +1,45 @@
+//! What a run teaches: the true rate, place, width and shape of the tool from the maps before and after it.
+//!
+//! ```text
+//! d = before - after = (1 + a) R(s, theta, m, w, e) + Q c + n                                 (1)
+//! ```
+//!
+//! R is the removal of the executed motion with its deviations (`planish_simulate::runs`, the model by which
+//! `planish-tolerance` judges a plan and the virtual machine runs it), Q the low-order terms that an interferometer
+//! does not measure (piston, tilt, power; more where asked for), n noise of any correlation. Least squares over the
+//! pixels that are valid in both maps, by Gauss and Newton's steps, give all unknowns together ([`fit`]).
+//!
+//! * **Standard errors** do not count pixels: the rest of the fit is correlated, and its autocovariance goes into the
+//!   covariance of the estimate ([`correlation`]).
+//! * **A number is given where the data determine it.** Otherwise the parameter is refused by name, with the reason
+//!   ([`determined`]): it cannot be told from other terms, its standard error is beyond what anybody would believe
+//!   beforehand, or it depends on terms of the metrology that were taken as known.
+//!
+//! Source of the covariance: H. White, Econometrica 48 (1980) 817; W. Newey, K. West, Econometrica 55 (1987) 703; of
+//! the window: N. Madras, A. Sokal, J. Stat. Phys. 50 (1988) 109; of the comparison of two fits: J. Hausman,
+//! Econometrica 46 (1978) 1251.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | d | `data` | (ny, nx) | nm |
+//! | R | `planish_simulate::runs::Runs::removal_nm` | (ny, nx) | nm |
+//! | a, s, theta, m, w, e | `parameter::Parameter` | | 1, mm, rad |
+//! | Q | `metrology::Term` | (ny, nx) | 1 |
+//! | c | | | nm |
+
+pub mod bands;
+pub mod correlation;
+pub mod determined;
+pub mod draw;
+pub mod fit;
+pub mod metrology;
+pub mod model;
+pub mod parameter;
+mod reconcile;
+pub mod report;
+mod settings;
+
+pub use crate::{
+    reconcile::{Comparison, Reconciled, reconcile},
+    settings::Settings,
+};

@@ -1,0 +1,90 @@
+//! What an interferometer does not know of a map: its mean, its tilt, its power, and more where somebody says so.
+//!
+//! Every term has the RMS one over the rectangle of the map, so that its coefficient is in nm RMS. The Legendre
+//! polynomials P_i(u) P_j(v) times sqrt((2 i + 1)(2 j + 1)), with u and v from -1 to 1 over the rectangle; the power is
+//! the part of x^2 + y^2 that has no mean.
+
+use ndarray::Array2;
+use planish_simulate::sample::legendre_terms;
+use planish_types::{Axis, Grid};
+
+/// A low-order term of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Term {
+    /// x^2 + y^2 without its mean.
+    Power,
+    /// P_i along x times P_j along y.
+    Legendre(usize, usize),
+}
+
+/// Names of the terms that are always there.
+pub const NAMES: [&str; 4] = ["piston", "tilt_x", "tilt_y", "power"];
+
+impl Term {
+    /// Its name on the command line and in the manifest.
+    pub fn name(self) -> String {
+        match self {
+            Self::Power => "power".into(),
+            Self::Legendre(0, 0) => "piston".into(),
+            Self::Legendre(1, 0) => "tilt_x".into(),
+            Self::Legendre(0, 1) => "tilt_y".into(),
+            Self::Legendre(i, j) => format!("legendre_{i}_{j}"),
+        }
+    }
+
+    /// Its values (ny, nx), of RMS one over the rectangle.
+    pub fn map(self, grid: &Grid) -> Array2<f64> {
+        match self {
+            Self::Legendre(i, j) => legendre_terms(grid, &[(i, j)]).swap_remove(0),
+            Self::Power => {
+                let from_middle = |a: &Axis, i: usize| a.at(i) - 0.5 * (a.start_mm() + a.end_mm());
+                let square =
+                    |(r, c)| from_middle(&grid.x, c).powi(2) + from_middle(&grid.y, r).powi(2);
+                let mut map = Array2::from_shape_fn(grid.shape(), square);
+                map -= map.mean().unwrap_or(0.0);
+                let rms = (map.iter().map(|v| v * v).sum::<f64>() / map.len() as f64).sqrt();
+                map / rms
+            }
+        }
+    }
+}
+
+/// Piston, tilt and power, and Legendre terms up to the orders [along x, along y] where they are given. Where both
+/// squares are among these the power is their sum, and is left out.
+pub fn terms(order: Option<[usize; 2]>) -> Vec<Term> {
+    let [m, n] = order.unwrap_or([0, 0]).map(|k| k.max(1));
+    let mut terms = vec![Term::Legendre(0, 0), Term::Legendre(1, 0), Term::Legendre(0, 1)];
+    if m < 2 || n < 2 {
+        terms.push(Term::Power);
+    }
+    let all = (0..=m + n).flat_map(|d| (0..=d).map(move |j| (d - j, j)));
+    // Without an order the astigmatism P_1 P_1 is known, too.
+    let more = all.filter(|(i, j)| order.is_some() && i + j > 1 && *i <= m && *j <= n);
+    terms.extend(more.map(|(i, j)| Term::Legendre(i, j)));
+    terms
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn terms_have_an_rms_of_one_and_are_each_there_once() {
+        let grid =
+            Grid { x: Axis::new(3.0, 0.1, 200).unwrap(), y: Axis::new(-1.0, 0.1, 100).unwrap() };
+        for term in terms(Some([3, 1])) {
+            let map = term.map(&grid);
+            let rms = (map.iter().map(|v| v * v).sum::<f64>() / map.len() as f64).sqrt();
+            // A sum over pixels for an integral to the edge: 2 i + 1 over the pixels along an axis.
+            assert!((rms - 1.0).abs() < 0.06, "{} {rms}", term.name());
+        }
+        let names = |order| terms(order).into_iter().map(Term::name).collect::<Vec<_>>();
+        assert_eq!(names(None), NAMES);
+        assert_eq!(
+            names(Some([2, 1])),
+            ["piston", "tilt_x", "tilt_y", "power", "legendre_2_0", "legendre_1_1", "legendre_2_1"]
+        );
+        assert_eq!(names(Some([4, 3])).len(), 20);
+        assert!(!names(Some([4, 3])).contains(&String::from("power")));
+    }
+}

@@ -1,0 +1,123 @@
+//! The removal and its derivatives at any parameters.
+//!
+//! ```text
+//! F(p) = (1 + a) R(q),   dF/da = R(q),   dF/dq_i = (1 + a) (R(q + h_i) - R(q - h_i)) / (2 h_i)
+//! ```
+//!
+//! with q all parameters but the rate a. A step h_i moves the tool, or changes the TIF, by 4 % of its width:
+//! what a central difference has wrong is (h/sigma)^2 / 6 = 3e-4 of the derivative. A smaller step would see the kinks of
+//! a sampled TIF (Keys' convolution has a continuous slope and no more), which change from one point to the next.
+
+use ndarray::Array2;
+use planish_simulate::{deviation::Deviation, process::Scalar, runs::Runs};
+use planish_types::{Invalid, Tif};
+use rayon::prelude::*;
+
+use crate::parameter::Parameter;
+
+/// Steps of the differences over the width of the TIF.
+pub const STEP: f64 = 0.04;
+
+/// Largest change of a parameter that the model can take, in widths of the TIF (of a TIF: half of it): beyond it the
+/// plan and the run have nothing in common.
+const LARGEST_IN_WIDTHS: f64 = 20.0;
+const LARGEST_PART: f64 = 0.5;
+
+/// The executed plan, and what its removal depends on.
+pub struct Model<'a> {
+    /// Ready to run.
+    pub runs: &'a Runs<'a>,
+    /// The TIF that errors move.
+    pub tif: &'a Tif,
+    /// What is free.
+    pub parameters: Vec<Parameter>,
+    /// What is known of each beforehand: the standard deviation about the plan.
+    pub scales: Vec<f64>,
+    /// Part of the TIF's width by which the differences move the tool: [`STEP`].
+    pub step: f64,
+}
+
+impl<'a> Model<'a> {
+    /// With these parameters free, known beforehand as `scale` says.
+    pub fn new(
+        runs: &'a Runs<'a>,
+        tif: &'a Tif,
+        parameters: Vec<Parameter>,
+        scale: impl Fn(Parameter) -> f64,
+    ) -> Self {
+        let scales = parameters.iter().map(|p| scale(*p)).collect();
+        Self { runs, tif, parameters, scales, step: STEP }
+    }
+
+    /// Change of a parameter that moves the tool by `mm`.
+    fn per_mm(&self, effect: Scalar, mm: f64) -> f64 {
+        mm / self.runs.displacement_per_size(effect)
+    }
+
+    /// Whether the parameters can be simulated.
+    pub fn is_possible(&self, values: &[f64]) -> bool {
+        let width = self.tif.width_mm();
+        self.parameters.iter().zip(values).all(|(parameter, value)| {
+            let largest = match (parameter, parameter.effect()) {
+                (Parameter::OffsetX | Parameter::OffsetY, Some(effect))
+                | (Parameter::Rotation | Parameter::Magnification, Some(effect)) => {
+                    self.per_mm(effect, LARGEST_IN_WIDTHS * width)
+                }
+                _ => LARGEST_PART,
+            };
+            value.abs() <= largest
+        })
+    }
+
+    fn split(&self, values: &[f64]) -> (f64, Deviation) {
+        let (mut rate, mut run) = (0.0, Deviation::default());
+        for (parameter, value) in self.parameters.iter().zip(values) {
+            match parameter.effect() {
+                None => rate += value,
+                Some(effect) => run.add(effect, *value),
+            }
+        }
+        (1.0 + rate, run)
+    }
+
+    /// F (ny, nx), nm.
+    pub fn removal_nm(&self, values: &[f64]) -> Result<Array2<f64>, Invalid> {
+        let (factor, run) = self.split(values);
+        Ok(self.runs.removal_nm(&run)? * factor)
+    }
+
+    /// F, and its derivatives by every parameter, nm per size.
+    pub fn linear(&self, values: &[f64]) -> Result<(Array2<f64>, Vec<Array2<f64>>), Invalid> {
+        let (factor, run) = self.split(values);
+        let removal = self.runs.removal_nm(&run)?;
+        let derivative = |parameter: &Parameter| -> Result<Array2<f64>, Invalid> {
+            let Some(effect) = parameter.effect() else { return Ok(removal.clone()) };
+            let h = self.per_mm(effect, self.step * self.tif.width_mm());
+            let side = |h: f64| {
+                let mut run = run.clone();
+                run.add(effect, h);
+                self.runs.moved_nm(&run)
+            };
+            Ok((side(h)? - side(-h)?) * (factor / (2.0 * h)))
+        };
+        let derivatives: Vec<Result<_, Invalid>> =
+            self.parameters.par_iter().map(derivative).collect();
+        let derivatives = derivatives.into_iter().collect::<Result<_, _>>()?;
+        Ok((removal * factor, derivatives))
+    }
+
+    /// The TIF with the rate and the shape that `values` (of the parameters `known`) say, from `tif`.
+    pub fn corrected_tif(tif: &Tif, known: &[(Parameter, f64)]) -> Result<Tif, Invalid> {
+        let (mut factor, mut run) = (1.0, Deviation::default());
+        for (parameter, value) in known {
+            match (parameter, parameter.effect()) {
+                (Parameter::RateScale, _) => factor += value,
+                (_, Some(effect)) => run.add(effect, *value),
+                (_, None) => {}
+            }
+        }
+        let shaped = run.tif(tif)?;
+        let rate = shaped.as_ref().unwrap_or(tif).rate_nm_per_s() * factor;
+        Tif::new(*tif.grid(), rate)
+    }
+}

@@ -1,0 +1,127 @@
+//! What is learnt of machine and tool.
+
+use planish_simulate::process::{Effect, Process, Scalar};
+use planish_types::Invalid;
+use serde::Serialize;
+
+/// A number that machine and tool have; the meaning and the sign are those of the error of the same name in a
+/// process file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Parameter {
+    /// The rate is larger by this part.
+    RateScale,
+    /// The tool is displaced along x against the map, mm.
+    OffsetX,
+    /// The tool is displaced along y against the map, mm.
+    OffsetY,
+    /// The axes are rotated against the map, from x to y, about its middle, rad.
+    Rotation,
+    /// The machine's lengths are larger than those of the map by this part.
+    Magnification,
+    /// The TIF is wider by this part, at the same volumetric removal rate.
+    TifWidth,
+    /// The TIF is longer along x by half of this part, and shorter along y.
+    TifEllipticity,
+    /// The TIF is longer along the diagonal (from lower left to upper right) by half of this part, and shorter across.
+    TifDiagonalEllipticity,
+}
+
+/// All of them, in the order of the report.
+pub const ALL: [Parameter; 8] = [
+    Parameter::RateScale,
+    Parameter::OffsetX,
+    Parameter::OffsetY,
+    Parameter::Rotation,
+    Parameter::Magnification,
+    Parameter::TifWidth,
+    Parameter::TifEllipticity,
+    Parameter::TifDiagonalEllipticity,
+];
+
+impl Parameter {
+    /// Its name on the command line and in the manifest.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RateScale => "rate_scale",
+            Self::OffsetX => "offset_x",
+            Self::OffsetY => "offset_y",
+            Self::Rotation => "rotation",
+            Self::Magnification => "magnification",
+            Self::TifWidth => "tif_width",
+            Self::TifEllipticity => "tif_ellipticity",
+            Self::TifDiagonalEllipticity => "tif_diagonal_ellipticity",
+        }
+    }
+
+    /// The unit that people read, and its value in the unit of the calculation.
+    pub fn unit(self) -> (&'static str, f64) {
+        match self {
+            Self::OffsetX | Self::OffsetY => ("mm", 1.0),
+            Self::Rotation => ("deg", std::f64::consts::PI / 180.0),
+            _ => ("%", 0.01),
+        }
+    }
+
+    /// What it does to a run; of the rate nothing: it is a factor of the removal.
+    pub fn effect(self) -> Option<Scalar> {
+        Some(match self {
+            Self::RateScale => return None,
+            Self::OffsetX => Scalar::OffsetX,
+            Self::OffsetY => Scalar::OffsetY,
+            Self::Rotation => Scalar::Rotation,
+            Self::Magnification => Scalar::Magnification,
+            Self::TifWidth => Scalar::TifWidth,
+            Self::TifEllipticity => Scalar::TifEllipticity,
+            Self::TifDiagonalEllipticity => Scalar::TifDiagonalEllipticity,
+        })
+    }
+
+    /// What anybody would believe beforehand without knowing the machine: a standard error beyond it says less than
+    /// that. A rate off by 10 %, a part misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF
+    /// wider or longer by 10 %.
+    pub fn usual_scale(self) -> f64 {
+        match self {
+            Self::RateScale | Self::TifWidth | Self::TifEllipticity => 0.1,
+            Self::TifDiagonalEllipticity => 0.1,
+            Self::OffsetX | Self::OffsetY => 0.5,
+            Self::Rotation => 0.5 * std::f64::consts::PI / 180.0,
+            Self::Magnification => 0.01,
+        }
+    }
+
+    /// The scale that a process states for it: the sizes of its errors together; the usual one where it states none.
+    pub fn scale_in(self, process: &Process) -> f64 {
+        let same = |scalar: Scalar| match self.effect() {
+            Some(effect) if self == Self::TifDiagonalEllipticity => {
+                scalar == effect || scalar == Scalar::TifEllipticity
+            }
+            Some(effect) => scalar == effect,
+            None => scalar == Scalar::RateScale,
+        };
+        let square = |e: &Effect, size: f64| match e {
+            Effect::Scalar(scalar) if same(*scalar) => size * size,
+            _ => 0.0,
+        };
+        let sum: f64 = process.errors.iter().map(|e| square(&e.effect, e.size)).sum();
+        if sum > 0.0 { sum.sqrt() } else { self.usual_scale() }
+    }
+
+    /// By its name.
+    pub fn named(name: &str) -> Option<Self> {
+        ALL.into_iter().find(|p| p.name() == name)
+    }
+}
+
+/// Those of `names` (a setting of this name), each once; a name that is none is refused.
+pub fn parse(setting: &'static str, names: &[String]) -> Result<Vec<String>, Invalid> {
+    let terms = crate::metrology::NAMES;
+    for (i, name) in names.iter().enumerate() {
+        if Parameter::named(name).is_none() && !terms.contains(&name.as_str()) {
+            let known: Vec<&str> = ALL.iter().map(|p| p.name()).chain(terms).collect();
+            let remedy = format!("give one of {}", known.join(", "));
+            return Err(Invalid::at(setting, i, format!("is {name:?}"), remedy));
+        }
+    }
+    Ok(names.to_vec())
+}

@@ -1,0 +1,265 @@
+//! From two maps and a plan to what the run taught.
+
+use nalgebra::Matrix2;
+use ndarray::Array2;
+use planish_simulate::{process::Process, runs::Runs, tool::smooth};
+use planish_types::{Axis, Invalid, Surface, Tif, Trajectory};
+
+use crate::{
+    bands::{Maps, bands},
+    determined::{all_moves, refusal, wider_orders},
+    fit::{Data, Fit, Start, fit},
+    metrology,
+    model::Model,
+    parameter::{ALL, Parameter},
+    report::{Ellipse, Estimate, Fitted, Outcome},
+    settings::Settings,
+};
+
+/// Pixels of both maps are the same where they are no further apart than this part of a step.
+const SAME_PLACE: f64 = 1e-3;
+
+/// Fewest valid pixels for every unknown.
+const LEAST_PIXELS_PER_UNKNOWN: f64 = 20.0;
+
+/// Standard errors from none within which an ellipticity has no direction.
+const NO_DIRECTION: f64 = 2.0;
+
+/// The maps before and after a run, and what was planned.
+#[derive(Clone, Copy, Debug)]
+pub struct Comparison<'a> {
+    /// Measured before the run.
+    pub before: &'a Surface,
+    /// Measured after it, on the same pixels.
+    pub after: &'a Surface,
+    /// The motion, as planned or as it was traced.
+    pub trajectory: &'a Trajectory,
+    /// The TIF of the plan.
+    pub tif: &'a Tif,
+    /// Where it is known: what is believed beforehand.
+    pub process: Option<&'a Process>,
+}
+
+/// What a run taught.
+pub struct Reconciled {
+    /// The numbers.
+    pub outcome: Outcome,
+    /// Correlations of all unknowns, in the order of `outcome.correlation_of`.
+    pub correlation: Array2<f64>,
+    /// before - after without the terms of the metrology (ny, nx), nm; NaN where a map is invalid.
+    pub measured_nm: Array2<f64>,
+    /// The removal that the plan promised (ny, nx), nm.
+    pub planned_nm: Array2<f64>,
+    /// The removal with all unknowns (ny, nx), nm.
+    pub predicted_nm: Array2<f64>,
+    /// The terms of the metrology (ny, nx), nm.
+    pub metrology_nm: Array2<f64>,
+    /// What is left (ny, nx), nm; NaN where a map is invalid.
+    pub rest_nm: Array2<f64>,
+    /// The TIF with the rate and the shape that are determined.
+    pub tif: Tif,
+    /// Why the verdict is negative, where it is: a parameter that was asked for by name is refused, or all are.
+    pub drawback: Option<String>,
+}
+
+impl<'a> Comparison<'a> {
+    /// The TIF that errors move.
+    pub fn moved_tif(&self, settings: &Settings) -> Result<Tif, Invalid> {
+        match settings.tif_as_sampled {
+            true => Ok(self.tif.clone()),
+            false => smooth(self.tif, self.tif.width_mm()),
+        }
+    }
+
+    /// before - after on the pixels that are valid in both.
+    pub fn data(&self, unknowns: usize) -> Result<Data<'a>, Invalid> {
+        let (a, b) = (self.before.grid(), self.after.grid());
+        for (name, a, b) in [("x_mm", a.x, b.x), ("y_mm", a.y, b.y)] {
+            if !are_same(&a, &b) {
+                let problem = format!(
+                    "of the map after are {} from {} to {} mm, of the map before {} from {} to {} mm",
+                    b.len(),
+                    b.start_mm(),
+                    b.end_mm(),
+                    a.len(),
+                    a.start_mm(),
+                    a.end_mm()
+                );
+                let remedy = "register and resample one map on the pixels of the other first";
+                return Err(Invalid::whole(name, problem, remedy));
+            }
+        }
+        let mut data = self.before.height_nm() - self.after.height_nm();
+        let valid = data.mapv(|v| if v.is_nan() { 0.0 } else { 1.0 });
+        data.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
+        let least = LEAST_PIXELS_PER_UNKNOWN * unknowns.max(1) as f64;
+        if valid.sum() < least {
+            let problem = format!("has {} pixels that are valid in both maps", valid.sum().round());
+            let remedy = format!("give maps with at least {least} in common, or hold parameters");
+            return Err(Invalid::whole("height_nm", problem, remedy));
+        }
+        Ok(Data { grid: a, data, valid })
+    }
+}
+
+fn are_same(a: &Axis, b: &Axis) -> bool {
+    let near = |a: f64, b: f64, step: f64| (a - b).abs() <= SAME_PLACE * step;
+    a.len() == b.len()
+        && near(a.start_mm(), b.start_mm(), a.step_mm())
+        && near(a.end_mm(), b.end_mm(), a.step_mm())
+}
+
+/// What the run taught.
+pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
+    let (parameters, terms) = settings.chosen()?;
+    let data = comparison.data(parameters.len() + terms.len())?;
+    let moved = comparison.moved_tif(settings)?;
+    let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
+    let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
+    let model = Model::new(&runs, &moved, parameters, scale);
+
+    // (1), by Gauss and Newton
+    let found = fit(&model, &terms, &data, &Start::new(&model)?)?;
+
+    // What of it the data determine
+    let orders = wider_orders(settings.metrology_order);
+    let moved_by = all_moves(&found, &data, settings.metrology_order);
+    let refusals: Vec<Option<String>> = (0..found.parameters.len())
+        .map(|i| refusal(&found, i, scale(found.parameters[i]), &moved_by[i]))
+        .collect();
+    let known: Vec<(Parameter, f64)> = (0..found.parameters.len())
+        .filter(|i| refusals[*i].is_none())
+        .map(|i| (found.parameters[i], found.values[i]))
+        .collect();
+
+    let measured = &data.data - &found.metrology;
+    let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
+    let less_planned = &measured - &runs.executed;
+    let n = found.values.len();
+    let outcome = Outcome {
+        parameters: ALL.into_iter().map(|p| estimate(&found, p, scale(p), &refusals)).collect(),
+        metrology: metrology_estimates(&found, settings),
+        ellipse: ellipse(&found, &refusals),
+        correlation_of: found.names(),
+        singular_values: found.singular_values.clone(),
+        noise: found.noise.noise,
+        fitted: Fitted {
+            measured_removal_rms_nm: rms(&measured, &data.valid),
+            measured_less_planned_rms_nm: rms(&less_planned, &data.valid),
+            rest_rms_nm: rms(&found.rest, &data.valid),
+        },
+        bands: bands(&maps, &data.valid, data.grid, comparison.tif.width_mm()),
+        end: found.end.to_string(),
+        points: found.points,
+        tried_orders: orders,
+    };
+    let with_nan = |map: &Array2<f64>| {
+        let mut map = map.clone();
+        map.zip_mut_with(&data.valid, |v, valid| {
+            if *valid == 0.0 {
+                *v = f64::NAN;
+            }
+        });
+        map
+    };
+    Ok(Reconciled {
+        drawback: drawback(settings, &found, &refusals),
+        correlation: Array2::from_shape_fn((n, n), |(i, j)| found.correlation(i, j)),
+        measured_nm: with_nan(&measured),
+        planned_nm: runs.executed.clone(),
+        predicted_nm: found.removal.clone(),
+        metrology_nm: found.metrology.clone(),
+        rest_nm: with_nan(&found.rest),
+        tif: Model::corrected_tif(comparison.tif, &known)?,
+        outcome,
+    })
+}
+
+/// RMS over the valid pixels, mean removed.
+fn rms(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
+    let count = valid.sum();
+    let mean = (map * valid).sum() / count;
+    let square = map.iter().zip(valid).map(|(v, w)| w * (v - mean).powi(2)).sum::<f64>();
+    (square / count).sqrt()
+}
+
+fn estimate(fit: &Fit, parameter: Parameter, scale: f64, refusals: &[Option<String>]) -> Estimate {
+    let (unit, factor) = parameter.unit();
+    let at = fit.parameters.iter().position(|p| *p == parameter);
+    let refused = at.and_then(|i| refusals[i].clone());
+    let inflation = at.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
+    Estimate {
+        name: parameter.name().into(),
+        unit,
+        value: at.filter(|_| refused.is_none()).map(|i| fit.values[i] / factor),
+        standard_error: at.filter(|_| inflation.is_some()).map(|i| fit.standard_error(i) / factor),
+        known_beforehand: Some(scale / factor),
+        variance_inflation: inflation,
+        refused,
+        held: at.is_none(),
+    }
+}
+
+fn metrology_estimates(fit: &Fit, settings: &Settings) -> Vec<Estimate> {
+    let all = metrology::terms(settings.metrology_order);
+    let one = |term: metrology::Term| {
+        let at = fit.terms.iter().position(|t| *t == term).map(|k| fit.parameters.len() + k);
+        let inflation = at.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
+        let refused = at.filter(|_| inflation.is_none());
+        let refused = refused.map(|_| String::from("the data do not tell it from the others"));
+        Estimate {
+            name: term.name(),
+            unit: "nm RMS",
+            value: at.filter(|_| inflation.is_some()).map(|i| fit.values[i]),
+            standard_error: at.filter(|_| inflation.is_some()).map(|i| fit.standard_error(i)),
+            known_beforehand: None,
+            variance_inflation: inflation,
+            refused,
+            held: at.is_none(),
+        }
+    };
+    all.into_iter().map(one).collect()
+}
+
+/// e = (E^2 + D^2)^1/2 along phi = atan2(D, E) / 2, and their standard errors to first order.
+fn ellipse(fit: &Fit, refusals: &[Option<String>]) -> Option<Ellipse> {
+    let at = |p: Parameter| {
+        let i = fit.parameters.iter().position(|q| *q == p)?;
+        refusals[i].is_none().then_some(i)
+    };
+    let i = at(Parameter::TifEllipticity)?;
+    let j = at(Parameter::TifDiagonalEllipticity)?;
+    let (e, d) = (fit.values[i], fit.values[j]);
+    let size = e.hypot(d);
+    if size == 0.0 {
+        return None;
+    }
+    let c = &fit.covariance;
+    let covariance = Matrix2::new(c[(i, i)], c[(i, j)], c[(i, j)], c[(j, j)]);
+    let error = |along: [f64; 2]| {
+        let v = nalgebra::Vector2::from(along);
+        (v.transpose() * covariance * v)[0].max(0.0).sqrt()
+    };
+    let standard_error = error([e / size, d / size]);
+    let has_direction = size > NO_DIRECTION * standard_error;
+    Some(Ellipse {
+        ellipticity_percent: 100.0 * size,
+        standard_error_percent: 100.0 * standard_error,
+        direction_deg: has_direction.then(|| (0.5 * d.atan2(e)).to_degrees()),
+        direction_standard_error_deg: has_direction
+            .then(|| (0.5 * error([-d / size, e / size]) / size).to_degrees()),
+    })
+}
+
+fn drawback(settings: &Settings, fit: &Fit, refusals: &[Option<String>]) -> Option<String> {
+    let wanted = |p: &Parameter| settings.free.iter().any(|name| name == p.name());
+    let refused: Vec<&str> = (0..refusals.len())
+        .filter(|i| refusals[*i].is_some() && wanted(&fit.parameters[*i]))
+        .map(|i| fit.parameters[i].name())
+        .collect();
+    if !refused.is_empty() {
+        return Some(format!("the data do not determine {}", refused.join(", ")));
+    }
+    let all = !refusals.is_empty() && refusals.iter().all(Option::is_some);
+    all.then(|| "the data determine none of the parameters".into())
+}

@@ -1,0 +1,78 @@
+//! What a reconciliation says, for the manifest.
+
+use serde::Serialize;
+
+use crate::{bands::Band, correlation::Noise};
+
+/// One unknown.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Its name.
+    pub name: String,
+    /// Its unit: that of the file of a process, or nm RMS.
+    pub unit: &'static str,
+    /// What was found; `null` where it is refused or held.
+    pub value: Option<f64>,
+    /// Standard error; `null` where it is held, or the removal does not depend on it.
+    pub standard_error: Option<f64>,
+    /// What is known beforehand, in the same unit; `null` of the metrology, of which nothing is.
+    pub known_beforehand: Option<f64>,
+    /// How much larger the other unknowns make its variance.
+    pub variance_inflation: Option<f64>,
+    /// Why the data do not determine it.
+    pub refused: Option<String>,
+    /// Whether it was held at its value in the plan.
+    pub held: bool,
+}
+
+/// Magnitude and direction of the TIF's ellipticity, from its two components.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Ellipse {
+    /// Difference of the lengths along and across, over their mean, %.
+    pub ellipticity_percent: f64,
+    /// Its standard error, %.
+    pub standard_error_percent: f64,
+    /// Direction of the longer axis from x towards y, degrees; `null` where the ellipticity is within two standard
+    /// errors of none, which has no direction.
+    pub direction_deg: Option<f64>,
+    /// Its standard error, degrees.
+    pub direction_standard_error_deg: Option<f64>,
+}
+
+/// RMS values, nm, with the terms of the metrology removed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Fitted {
+    /// Of the measured removal.
+    pub measured_removal_rms_nm: f64,
+    /// Of what the plan did not predict of it.
+    pub measured_less_planned_rms_nm: f64,
+    /// Of what is left with what was learnt.
+    pub rest_rms_nm: f64,
+}
+
+/// All of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outcome {
+    /// Machine and tool.
+    pub parameters: Vec<Estimate>,
+    /// Low-order terms of the metrology.
+    pub metrology: Vec<Estimate>,
+    /// The TIF's ellipticity, where both components are determined.
+    pub ellipse: Option<Ellipse>,
+    /// Names of the rows and columns of the correlation matrix.
+    pub correlation_of: Vec<String>,
+    /// Singular values of the derivatives, columns of length one.
+    pub singular_values: Vec<f64>,
+    /// The noise.
+    pub noise: Noise,
+    /// RMS values.
+    pub fitted: Fitted,
+    /// Predicted against measured.
+    pub bands: Vec<Band>,
+    /// How the fit ended, and at how many points derivatives were computed.
+    pub end: String,
+    /// Points at which derivatives were computed.
+    pub points: usize,
+    /// Orders of the Legendre terms by which the dependence on the metrology was tried.
+    pub tried_orders: [usize; 2],
+}

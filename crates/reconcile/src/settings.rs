@@ -1,0 +1,54 @@
+//! What is free, and by what it is judged.
+
+use planish_types::Invalid;
+use serde::Serialize;
+
+use crate::{
+    metrology::{self, Term},
+    parameter::{self, Parameter},
+};
+
+/// Largest order of Legendre polynomials along an axis: beyond it they are what a map measures.
+const LARGEST_ORDER: usize = 12;
+
+/// What is free, and by what it is judged.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Settings {
+    /// Names of what is free; all where none is given. Who names a parameter wants its number: where the data do not
+    /// determine it, the verdict is negative.
+    pub free: Vec<String>,
+    /// Names of what is held at its value in the plan.
+    pub hold: Vec<String>,
+    /// Legendre terms of the metrology up to these orders along x and y that are free beside piston, tilt and power.
+    pub metrology_order: Option<[usize; 2]>,
+    /// Whether errors move the TIF with the noise and the border of its measurement.
+    pub tif_as_sampled: bool,
+}
+
+impl Settings {
+    /// What is free: parameters and terms of the metrology.
+    pub fn chosen(&self) -> Result<(Vec<Parameter>, Vec<Term>), Invalid> {
+        let free = parameter::parse("free", &self.free)?;
+        let hold = parameter::parse("hold", &self.hold)?;
+        if let Some((i, name)) = hold.iter().enumerate().find(|(_, n)| free.contains(n)) {
+            let remedy = "a parameter is free or held; leave one out";
+            return Err(Invalid::at("hold", i, format!("is {name:?}, which is free"), remedy));
+        }
+        if let Some(orders) = self.metrology_order
+            && let Some(axis) = orders.iter().position(|n| *n > LARGEST_ORDER)
+        {
+            let remedy = format!("give at most {LARGEST_ORDER}");
+            let problem = format!("is {}", orders[axis]);
+            return Err(Invalid::at("metrology_order", axis, problem, remedy));
+        }
+        // Terms of the metrology stay free where parameters are named: no map has the piston of another.
+        let named = |name: &str, names: &[String]| names.iter().any(|n| n == name);
+        let parameters_named = free.iter().any(|n| Parameter::named(n).is_some());
+        let parameters = parameter::ALL
+            .into_iter()
+            .filter(|p| (!parameters_named || named(p.name(), &free)) && !named(p.name(), &hold));
+        let terms = metrology::terms(self.metrology_order);
+        let terms = terms.into_iter().filter(|t| !named(&t.name(), &hold)).collect();
+        Ok((parameters.collect(), terms))
+    }
+}

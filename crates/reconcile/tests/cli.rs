@@ -1,0 +1,102 @@
+//! The binary from its flags to its files and exit codes.
+
+mod example;
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use example::{before, gaussian, grid, planned};
+use planish_simulate::{Settings, simulate};
+use planish_testkit::program::{text, write};
+use planish_types::{Axis, Grid, Surface};
+use serde_json::Value;
+
+fn prepare(dir: &Path) {
+    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), Settings::Gridded);
+    write(dir, "trajectory", &planned());
+    write(dir, "tif", &gaussian(1.0, 1.0, 1.0, 0.0));
+    write(dir, "before", &before());
+    write(dir, "after", run.unwrap().removal.residual());
+}
+
+fn run_on(threads: &str, dir: &Path, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-reconcile"))
+        .current_dir(dir)
+        .env("RAYON_NUM_THREADS", threads)
+        .args(["--before", "before", "--trajectory", "trajectory", "--tif", "tif"])
+        .args(if more.contains(&"--after") { &[][..] } else { &["--after", "after"] })
+        .args(if more.contains(&"--out") { &[][..] } else { &["--out", "out"] })
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_table_the_artifact_and_the_corrected_tool_say_the_same_on_any_number_of_threads() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    for (threads, out, tool) in [("1", "one", "tool1"), ("2", "two", "tool2")] {
+        let ended = run_on(threads, dir, &["--out", out, "--corrected-tif", tool]);
+        assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+        assert!(text(&ended.stdout).contains("rate_scale"), "{}", text(&ended.stdout));
+    }
+    for file in ["rest_nm.npy", "predicted_nm.npy", "correlation.npy", "reconcile.svg"] {
+        let read = |out: &str| fs::read(dir.join(out).join(file)).unwrap();
+        assert!(read("one") == read("two"), "{file}");
+    }
+    let manifest = |name: &str| -> Value {
+        let text = fs::read_to_string(dir.join(name).join("manifest.json")).unwrap();
+        serde_json::from_str(&text).unwrap()
+    };
+    let found = &manifest("one")["outcome"];
+    let rate = &found["parameters"][0];
+    assert_eq!(rate["name"], "rate_scale");
+    assert!((rate["value"].as_f64().unwrap() - 3.0).abs() < 0.05, "{rate}");
+    let vrr = manifest("tool1")["outcome"]["vrr_nm_mm2_per_s"].as_f64().unwrap();
+    let planned = gaussian(1.0, 1.0, 1.0, 0.0).vrr_nm_mm2_per_s();
+    assert!((vrr / planned - 1.03).abs() < 5e-4, "{vrr}");
+    assert!(
+        fs::read_to_string(dir.join("one/reconcile.svg")).unwrap().contains("measured removal")
+    );
+}
+
+#[test]
+fn a_parameter_that_was_asked_for_and_is_not_determined_ends_with_1() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let flags = ["--free", "rate_scale", "--metrology-order", "10", "8"];
+    let ended = run_on("2", tmp.path(), &flags);
+    let (said, stderr) = (text(&ended.stdout), text(&ended.stderr));
+    assert_eq!(ended.status.code(), Some(1), "{said}{stderr}");
+    assert!(said.contains("not determined") && stderr.contains("rate_scale"), "{said}{stderr}");
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let moved = Grid { x: Axis::new(-1.9, 0.3, 61).unwrap(), ..grid() };
+    write(dir, "moved", &Surface::new(moved, before().height_nm().clone()).unwrap());
+    let mut few = before().height_nm().clone();
+    few.iter_mut().skip(100).for_each(|v| *v = f64::NAN);
+    write(dir, "few", &Surface::new(grid(), few).unwrap());
+    for (flags, message) in [
+        (&["--after", "moved"][..], "resample"),
+        (&["--after", "few"], "valid in both maps"),
+        (&["--free", "wobble"], "free[0]: is \"wobble\"; give one of rate_scale, offset_x"),
+        (&["--free", "rotation", "--hold", "rotation"], "is free or held"),
+        (&["--metrology-order", "3", "90"], "metrology_order[1]: is 90; give at most 12"),
+        (&["--process", "none.json"], "none.json"),
+    ] {
+        let ended = run_on("2", dir, flags);
+        let said = text(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(2), "{said}");
+        assert!(said.contains(message), "{message}: {said}");
+        assert!(!dir.join("out").exists(), "{said}");
+    }
+}

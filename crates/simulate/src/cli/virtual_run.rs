@@ -1,0 +1,93 @@
+//! A run with hidden errors, and the map that is measured after it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
+    say, task,
+};
+use planish_simulate::{
+    process::ProcessFile,
+    virtual_machine::{Settings, run},
+};
+use planish_types::{Removal, Surface, plausible};
+
+#[derive(Args)]
+pub struct VirtualRun {
+    /// Run with hidden errors of this process, drawn with the seed: --out is the truth, and --measured the map
+    /// measured after the run [JSON]
+    #[arg(long, value_name = "FILE", requires = "measured")]
+    process: Option<PathBuf>,
+    /// Map measured after the run with errors [surface artifact]
+    #[arg(long, value_name = "DIR", requires = "process")]
+    measured: Option<PathBuf>,
+    /// Random seed of the hidden errors
+    #[arg(long, value_name = "S", requires = "process", default_value_t = 1)]
+    seed: u64,
+    /// Move the TIF with its noise and the step at its border, which the tool has not
+    #[arg(long, requires = "process")]
+    tif_as_sampled: bool,
+}
+
+impl VirtualRun {
+    /// Whether a process and a place for the map were given.
+    pub fn asked(&self) -> Option<(&PathBuf, &PathBuf)> {
+        self.process.as_ref().zip(self.measured.as_ref())
+    }
+
+    pub fn run(
+        &self,
+        (process, measured): (&PathBuf, &PathBuf),
+        trajectory: &TrajectoryArgs,
+        mirror: &MirrorArgs,
+        output: &OutputArgs,
+    ) -> Result<Status, Failure> {
+        let settings = Settings { seed: self.seed, tif_as_sampled: self.tif_as_sampled };
+        let mut inputs = Inputs::new();
+        let (trajectory, tif, before) = trajectory.read_over(mirror, &mut inputs)?;
+        let file: ProcessFile = inputs.read_json("process", process)?;
+        let in_file = |e| Failure::new(format!("{}: {e}", process.display()));
+        let errors = file.checked().map_err(in_file)?;
+        let to = Output::directory(output, Removal::KIND).and_directory(
+            "--measured",
+            measured,
+            Surface::KIND,
+        );
+        let mut writer = match to.begin(&task!("virtual-machine", settings), &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(writer) => writer,
+        };
+        plausible::check_tool(&before, &tif)?;
+
+        let run =
+            run(&trajectory, &tif, &before, &errors, &settings).map_err(|e| match e.array {
+                "errors" => in_file(e),
+                _ => Failure::with_flags(e),
+            })?;
+
+        // What is hidden stands in the manifest of the truth alone.
+        let statistics = run.measured.statistics();
+        let seen = serde_json::json!({ "rms_nm": statistics.rms, "pv_nm": statistics.pv });
+        writer.write(&run.measured, seen, &Status::Done)?;
+        let remains = run.removal.residual().statistics();
+        let truth = serde_json::json!({
+            "rms_nm": remains.rms,
+            "pv_nm": remains.pv,
+            "total_time_s": trajectory.total_time_s(),
+            "hidden": run.hidden,
+        });
+        writer.write(&run.removal, truth, &Status::Done)?;
+        say(format!(
+            "measured {:.4} nm RMS, {:.2} nm PV after a run of {} with seed {} -> {}; the truth -> {}",
+            statistics.rms,
+            statistics.pv,
+            errors.name,
+            self.seed,
+            measured.display(),
+            output.out.display()
+        ));
+        Ok(Status::Done)
+    }
+}

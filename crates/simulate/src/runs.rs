@@ -1,0 +1,129 @@
+//! A plan, and what runs of it remove whose motion and TIF are not those of the plan.
+//!
+//! ```text
+//! R(run) = R + (S(run) - S(no error))
+//! ```
+//!
+//! R is executed with the TIF of the plan, S with the TIF that errors move ([`crate::tool`]): the noise of a measured
+//! TIF and the step where its samples end belong to its measurement, and a displacement must not move them over the
+//! pixels. Where the TIF of the plan is moved as it is, R(run) is S(run).
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | R | `executed` | (ny, nx) | nm |
+//! | S(no error) | `unchanged` | (ny, nx) | nm |
+
+use ndarray::Array2;
+use planish_types::{Grid, Invalid, Tif, Trajectory, text::significant};
+
+use crate::{
+    Plan, Settings,
+    deviation::Deviation,
+    motion::Motion,
+    process::{Effect, Noise, Process, Scalar},
+};
+
+/// A displacement of the tool beyond the size of the TIF is no error of a process.
+const LARGEST_DISPLACEMENT: f64 = 1.0;
+
+/// Pieces of the motion are at most this many widths of the TIF long, so that one place stands for each.
+const LONGEST_OVER_WIDTH: f64 = 0.5;
+
+/// A plan on the pixels of a map, ready for runs with errors.
+pub struct Runs<'a> {
+    tif: &'a Tif,
+    grid: Grid,
+    plan: Plan<'a>,
+    /// Its motion in pieces.
+    pub motion: Motion,
+    /// R (ny, nx), nm.
+    pub executed: Array2<f64>,
+    /// S(no error) (ny, nx), nm.
+    pub unchanged: Array2<f64>,
+    width_mm: f64,
+}
+
+impl<'a> Runs<'a> {
+    /// Of `trajectory` with `tif` on `grid`; errors are computed with `moved`, which may be `tif` itself. Refuses a log
+    /// with a rate of its own, because the pieces of a motion with errors have that of the TIF.
+    pub fn new(
+        trajectory: &Trajectory,
+        tif: &Tif,
+        moved: &'a Tif,
+        grid: &'a Grid,
+    ) -> Result<Self, Invalid> {
+        trajectory.check_rate_is_constant()?;
+        let width_mm = tif.width_mm();
+        let motion = Motion::new(trajectory, LONGEST_OVER_WIDTH * width_mm)?;
+        let executed = Plan::new(tif, grid, Settings::Gridded)?.removal_nm(trajectory)?.0;
+        let plan = Plan::new(moved, grid, Settings::Gridded)?;
+        let as_planned = Deviation::default().trajectory(&motion, grid)?;
+        let unchanged = plan.removal_nm(&as_planned)?.0;
+        Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
+    }
+
+    /// S(run) (ny, nx), nm.
+    pub fn moved_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
+        let trajectory = run.trajectory(&self.motion, &self.grid)?;
+        Ok(match run.tif(self.tif)? {
+            Some(tif) => Plan::new(&tif, &self.grid, Settings::Gridded)?.removal_nm(&trajectory)?.0,
+            None => self.plan.removal_nm(&trajectory)?.0,
+        })
+    }
+
+    /// R(run) (ny, nx), nm.
+    pub fn removal_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
+        Ok(&self.executed + &(self.moved_nm(run)? - &self.unchanged))
+    }
+
+    /// Half the diagonal of the map, mm.
+    fn reach_mm(&self) -> f64 {
+        let size = [self.grid.x, self.grid.y].map(|a| a.end_mm() - a.start_mm());
+        0.5 * size[0].hypot(size[1])
+    }
+
+    /// How far the tool moves, in mm (a TIF's change: times its width), per size of an effect.
+    pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
+        match effect {
+            Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => 0.0,
+            Scalar::OffsetX | Scalar::OffsetY | Scalar::Backlash => 1.0,
+            Scalar::Rotation | Scalar::Magnification | Scalar::Shear => self.reach_mm(),
+            Scalar::TifWidth
+            | Scalar::TifEllipticity
+            | Scalar::TifDiagonalEllipticity
+            | Scalar::TifRotation => self.width_mm,
+            Scalar::VelocityLag | Scalar::ServoFirstOrder | Scalar::ServoSecondOrder { .. } => {
+                self.motion.largest_speed_mm_per_s()
+            }
+        }
+    }
+
+    /// Refuses displacements that are no errors, and fixed sizes of which the first order has no meaning.
+    pub fn check_sizes(&self, process: &Process) -> Result<(), Invalid> {
+        let [x, y] = self.tif.half_size_mm();
+        let largest = LARGEST_DISPLACEMENT * 2.0 * x.max(y);
+        for (i, error) in process.errors.iter().enumerate() {
+            let moved = match error.effect {
+                Effect::Scalar(effect) => self.displacement_per_size(effect) * error.size,
+                Effect::Noise(Noise::Position) => error.size,
+                _ => 0.0,
+            };
+            if moved.abs() > largest {
+                let stated = &error.stated;
+                let problem = format!(
+                    "{} of {} {} moves the tool by {moved:.3e} mm, and the TIF is {largest:.3e} mm wide",
+                    stated.kind.name(),
+                    stated.size,
+                    stated.unit
+                );
+                let most = significant(largest / moved.abs() * stated.size.abs(), 3);
+                let remedy = format!(
+                    "give at most {most} {}: an error moves the tool by less than the TIF is wide",
+                    stated.unit
+                );
+                return Err(Invalid::at("errors", i, problem, remedy));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,225 @@
+//! The virtual machine: what is hidden does what its equation says, and is drawn as the process states.
+
+use std::{fs, path::Path, process::Command};
+
+use ndarray::Array2;
+use planish_simulate::{
+    Settings as Simulation,
+    deviation::Deviation,
+    process::{Process, ProcessFile, Scalar},
+    runs::Runs,
+    simulate,
+    virtual_machine::{Run, Settings, draw_run, run},
+};
+use planish_testkit::program::{text, write};
+use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
+use serde_json::{Value, json};
+
+const SIGMA_MM: f64 = 1.0;
+
+fn before() -> Surface {
+    let axis = |n| Axis::new(0.0, 0.25, n).unwrap();
+    let grid = Grid { x: axis(49), y: axis(33) };
+    let mut height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        30.0 + (0.4 * grid.x.at(c)).sin() + 0.05 * grid.x.at(c) * grid.y.at(r)
+    });
+    height[[5, 9]] = f64::NAN;
+    Surface::new(grid, height).unwrap()
+}
+
+/// Round, out to 6 sigma.
+fn tif() -> Tif {
+    let axis = Axis::new(-6.0, 0.125, 97).unwrap();
+    let grid = Grid { x: axis, y: axis };
+    let rate = |(r, c): (usize, usize)| {
+        8.0 * (-(axis.at(c).powi(2) + axis.at(r).powi(2)) / (2.0 * SIGMA_MM * SIGMA_MM)).exp()
+    };
+    Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
+}
+
+/// Lines 1 mm apart whose feeds differ, displaced by `by_mm`.
+fn raster(by_mm: [f64; 2]) -> Trajectory {
+    let mut motion = TrajectoryBuilder::default();
+    for line in 0..13 {
+        let y = f64::from(line) - 2.0 + by_mm[1];
+        let speed = 4.0 + f64::from(line % 3);
+        let (from, way) = if line % 2 == 0 { (-3.0, 18.0) } else { (15.0, -18.0) };
+        let h = 18.0 / speed;
+        motion.push(h, [[from + by_mm[0], way / h, 0.0, 0.0], [y, 0.0, 0.0, 0.0]], true, None);
+    }
+    motion.build().unwrap()
+}
+
+fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
+    json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
+}
+
+fn process(errors: &[Value]) -> Process {
+    let file: ProcessFile =
+        serde_json::from_value(json!({ "name": "test", "errors": errors })).unwrap();
+    file.checked().unwrap()
+}
+
+fn of(errors: &[Value], seed: u64) -> Run {
+    let settings = Settings { seed, tif_as_sampled: true };
+    run(&raster([0.0; 2]), &tif(), &before(), &process(errors), &settings).unwrap()
+}
+
+fn removal(trajectory: &Trajectory) -> Array2<f64> {
+    let found = simulate(trajectory, &tif(), &before(), Simulation::Gridded).unwrap();
+    found.removal.removal_nm().clone()
+}
+
+/// Largest difference over the pixels that are valid in both.
+fn apart(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).filter(|d| !d.is_nan()).fold(0.0, f64::max)
+}
+
+#[test]
+fn without_errors_the_map_after_is_the_map_before_less_the_removal() {
+    let found = of(&[error("rate_scale", 0.0, "%", "normal")], 3);
+    let expected = before().height_nm() - &removal(&raster([0.0; 2]));
+    assert!(apart(found.measured.height_nm(), &expected) == 0.0);
+    assert!(found.measured.height_nm()[[5, 9]].is_nan());
+}
+
+#[test]
+fn a_rate_and_a_displacement_do_what_they_say() {
+    // 5 % more rate removes 5 % more: sums of some thousand terms, relative to 20 nm.
+    let rate = of(&[error("rate_scale", 5.0, "%", "fixed")], 3);
+    let plan = removal(&raster([0.0; 2]));
+    assert!(apart(rate.removal.removal_nm(), &(1.05 * &plan)) < 1e-9);
+    assert_eq!(rate.hidden.truth.rate_scale, 0.05);
+    // The tool 0.1 mm further along x and -0.2 mm along y is another trajectory.
+    let errors =
+        [error("offset_x", 100.0, "um", "fixed"), error("tif_offset_y", -0.2, "mm", "fixed")];
+    let moved = of(&errors, 3);
+    assert!(apart(moved.removal.removal_nm(), &removal(&raster([0.1, -0.2]))) < 1e-9);
+    assert!(apart(moved.removal.removal_nm(), &removal(&raster([-0.1, 0.2]))) > 0.1);
+    assert!((moved.hidden.truth.offset_y_mm + 0.2).abs() < 1e-15);
+}
+
+#[test]
+fn errors_are_drawn_as_the_process_states_and_anew_for_every_seed() {
+    let errors =
+        [error("rate_scale", 2.0, "%", "normal"), error("offset_x", 50.0, "um", "uniform")];
+    let (tif, before) = (tif(), before());
+    let prepared = Runs::new(&raster([0.0; 2]), &tif, &tif, before.grid()).unwrap();
+    let draw = |seed| draw_run(&prepared, &before, &process(&errors), seed).unwrap();
+    let runs: Vec<Run> = (0..100).map(draw).collect();
+    let square = |of: &dyn Fn(&Run) -> f64| {
+        runs.iter().map(|r| of(r).powi(2)).sum::<f64>() / runs.len() as f64
+    };
+    // The mean square of 100 normal numbers scatters by sqrt(2 / 100) = 14 %, of uniform ones by 9 %: three of each.
+    let rate = square(&|r| r.hidden.truth.rate_scale / 0.02);
+    let offset = square(&|r| r.hidden.truth.offset_x_mm / 0.05) * 3.0;
+    assert!((rate - 1.0).abs() < 0.42 && (offset - 1.0).abs() < 0.27, "{rate} {offset}");
+    let again = of(&errors, 7);
+    assert_eq!(again.hidden, runs[7].hidden);
+    // Numbers of their own: an error added at the end changes none of the others.
+    let more = of(&[&errors[..], &[error("rotation", 1.0, "mrad", "normal")]].concat(), 7);
+    assert_eq!(more.hidden.errors[..2], again.hidden.errors[..]);
+}
+
+#[test]
+fn both_measurements_have_noise_of_their_own() {
+    let noisy = of(&[error("map_noise", 0.3, "nm", "normal")], 5);
+    let valid = |map: &Array2<f64>| map.iter().copied().filter(|v| !v.is_nan()).collect::<Vec<_>>();
+    let plan = removal(&raster([0.0; 2]));
+    let true_before = noisy.removal.residual().height_nm() + &plan;
+    let m_1 = valid(&(&true_before - before().height_nm()));
+    let m_2 = valid(&(noisy.removal.residual().height_nm() - noisy.measured.height_nm()));
+    let dot =
+        |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / a.len() as f64;
+    // 1616 pixels: a variance scatters by sqrt(2 / 1616) = 3.5 %, a correlation by 2.5 %; three of each.
+    for m in [&m_1, &m_2] {
+        assert!((dot(m, m) / 0.09 - 1.0).abs() < 0.11);
+    }
+    assert!((dot(&m_1, &m_2) / 0.09).abs() < 0.075);
+}
+
+/// A round TIF stretched along the diagonal, by its own equation and by the turned stretch along x.
+#[test]
+fn a_diagonal_ellipticity_is_one_along_x_turned_by_45_degrees() {
+    let mut diagonal = Deviation::default();
+    diagonal.add(Scalar::TifDiagonalEllipticity, 0.1);
+    diagonal.add(Scalar::TifWidth, 0.03);
+    let mut turned = Deviation::default();
+    turned.add(Scalar::TifEllipticity, 0.1);
+    turned.add(Scalar::TifWidth, 0.03);
+    turned.add(Scalar::TifRotation, std::f64::consts::FRAC_PI_4);
+    let tif = tif();
+    let [diagonal, turned] = [diagonal, turned].map(|d| d.tif(&tif).unwrap().unwrap());
+    // Keys' convolution of a Gaussian of eight samples per sigma errs by 1e-4 of its peak.
+    let difference = apart(diagonal.rate_nm_per_s(), turned.rate_nm_per_s());
+    assert!(difference < 2e-4 * 8.0, "{difference}");
+    // It is longer from lower left to upper right.
+    let at = |x: f64, y: f64| diagonal.rate_at(x, y);
+    assert!(at(1.0, 1.0) > 1.1 * at(1.0, -1.0));
+    assert!((diagonal.vrr_nm_mm2_per_s() / tif.vrr_nm_mm2_per_s() - 1.0).abs() < 1e-12);
+}
+
+fn program(threads: &str, dir: &Path, more: &[&str]) -> std::process::Output {
+    let errors = [error("rate_scale", 2.0, "%", "normal"), error("map_noise", 0.1, "nm", "normal")];
+    let file = json!({ "name": "test", "errors": errors });
+    fs::write(dir.join("process.json"), file.to_string()).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_planish-simulate"))
+        .current_dir(dir)
+        .env("RAYON_NUM_THREADS", threads)
+        .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_program_hides_the_truth_from_the_reader_of_the_map() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write(dir, "trajectory", &raster([0.0; 2]));
+    write(dir, "tif", &tif());
+    write(dir, "surface", &before());
+    let out = |k: &str| [format!("after{k}"), format!("truth{k}")];
+    for (threads, k) in [("1", "1"), ("2", "2")] {
+        let [after, truth] = out(k);
+        let flags =
+            ["--process", "process.json", "--seed", "9", "--measured", &after, "--out", &truth];
+        let ended = program(threads, dir, &flags);
+        assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    }
+    for file in ["after1/height_nm.npy", "truth1/removal_nm.npy", "truth1/residual_nm.npy"] {
+        let other = file.replace('1', "2");
+        assert!(fs::read(dir.join(file)).unwrap() == fs::read(dir.join(other)).unwrap(), "{file}");
+    }
+    let manifest = |name: &str| -> Value {
+        let text = fs::read_to_string(dir.join(name).join("manifest.json")).unwrap();
+        serde_json::from_str(&text).unwrap()
+    };
+    let (after, truth) = (manifest("after1"), manifest("truth1"));
+    assert_eq!(after["settings"]["seed"], 9);
+    assert!(!after.to_string().contains("hidden"), "{after}");
+    assert!(truth["outcome"]["hidden"]["truth"]["rate_scale"].as_f64().unwrap() != 0.0);
+}
+
+#[test]
+fn what_is_no_run_is_refused_and_writes_nothing() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write(dir, "trajectory", &raster([0.0; 2]));
+    write(dir, "tif", &tif());
+    write(dir, "surface", &before());
+    let both = ["--process", "process.json", "--measured", "after", "--out", "truth"];
+    for (flags, said) in [
+        (&both[..2], "--measured"),
+        (&["--measured", "after", "--out", "truth"], "--process"),
+        (&[&both[..], &["--frames", "3"]].concat(), "--frames"),
+        (&["--process", "none.json", "--measured", "after", "--out", "truth"], "none.json"),
+        (&["--process", "process.json", "--measured", "truth/in", "--out", "truth"], "--measured"),
+    ] {
+        let ended = program("2", dir, flags);
+        let stderr = text(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(said), "{said}: {stderr}");
+        assert!(!dir.join("after").exists() && !dir.join("truth").exists(), "{stderr}");
+    }
+}
