@@ -56,6 +56,14 @@ RECIPE = {
     "tif": {"peak_nm_per_s": 10.0, "half_size_mm": 2.0, "shape": {"gaussian": {"sigma_mm": 0.6}}},
 }
 
+# Four corners of a part that lies 100 mm along x and 50 mm along y from the origin of the machine.
+FIDUCIALS = """map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm
+0,0,100,50,0.005
+8,0,108,50,0.005
+8,6,108,56,0.005
+0,6,100,56,0.005
+"""
+
 # How the base is made; {name} is a path in it. The order matters, each line writes what later ones read.
 # What has no --out writes nothing that others read.
 BASE = """
@@ -105,6 +113,11 @@ planish-import program {p.trj} --controller xps --about {p.trj.json} --out {from
 planish-import program {p.pmc} --controller pmac --about {p.pmc.json} --out {from-pmac}
 planish-import program {p.ngc} --controller gcode --out {from-gcode}
 planish-import program {p.csv} --controller csv --out {from-csv}
+planish-import trace {p.csv} --tool-on tool_on --most-gap-s 5 --planned {run/methods/pvt/trajectory} --out {as-run}
+planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --measured {after} --out {truth}
+planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --out {reconciliation}
+planish-register fit {fiducials.csv} --out {where}
+planish-register apply --transform {where} --trajectory {run/methods/pvt/trajectory} --out {on-machine}
 planish-import surface {run/surface/height_nm.npy} --unit nm --pitch-mm 0.5 --picture {a.svg} --out {from-npy}
 planish-import surface {run/surface} --flip-x --out {from-directory}
 planish-import tif {tif/rate_nm_per_s.npy} --rate --unit nm --pitch-mm 0.5 --out {tif-from-npy}
@@ -176,6 +189,7 @@ def make_base(programs, base):
     fixtures = Path(__file__).resolve().parents[2] / "fixtures"
     shutil.copy(fixtures / "machines/ion-beam.json", base / "machine.json")
     shutil.copy(fixtures / "processes/ion-beam.json", base / "process.json")
+    (base / "fiducials.csv").write_text(FIDUCIALS)
     for line in BASE.split("\n"):
         if not line:
             continue
@@ -217,7 +231,7 @@ class Case:
             if name is None:
                 continue
             place = at / name.replace("/", "-")
-            if words[i - 1] in ("--out", "--picture"):
+            if words[i - 1] in ("--out", "--picture", "--measured"):
                 self.outputs.append(place)
             else:
                 # A file keeps its name: an ending tells the format.
