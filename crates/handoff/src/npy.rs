@@ -122,8 +122,11 @@ pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffErr
     Ok(file.expect("it was written").finish())
 }
 
-/// The BLAKE3 of the file `path`.
+/// The BLAKE3 of the regular file `path`: a pipe or a device would never end.
 pub(crate) fn hash(path: &Path) -> io::Result<String> {
+    if !path.metadata()?.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a file"));
+    }
     let mut file = Hashed::new(File::open(path)?);
     io::copy(&mut file, &mut io::sink())?;
     Ok(file.finish())
@@ -448,6 +451,14 @@ mod tests {
     use super::*;
     use ndarray::array;
     use proptest::prelude::*;
+
+    #[test]
+    #[cfg(unix)]
+    fn what_is_no_file_has_no_hash() {
+        // It would never end.
+        assert!(hash(Path::new("/dev/zero")).is_err());
+        assert!(hash(Path::new("/")).is_err());
+    }
 
     /// A `.npy` file of version 1 with this header dictionary and data.
     fn file(dictionary: &str, data: &[u8]) -> Vec<u8> {
