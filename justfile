@@ -122,6 +122,10 @@ reference-mirror out:
 reproduce paper="all":
     @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ quote(paper) }}
 
+# What is here, in which version, and what needs it: versions, cores, memory, disk, optional programs
+@doctor:
+    pipelines/doctor.sh
+
 # Between two edits: format, lint and test the crates that changed since the last commit
 check:
     #!/bin/sh
