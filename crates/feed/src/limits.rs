@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use crate::{
     curve::Curve,
-    mesh::{Mesh, Span},
+    mesh::{Kinematics, Mesh, Span},
 };
 
 /// Turn between two places of (1) on a clothoid, rad: a component of the acceleration has its largest value before the
@@ -142,42 +142,57 @@ impl<'a> Rows<'a> {
 
     /// c of every row.
     pub fn slacks(&self, density: &[f64]) -> Vec<f64> {
-        let of = |row: &Row| {
-            let span = &self.mesh.spans[row.span];
-            row.on.derivatives(span, span.densities(density)).0
-        };
-        self.rows.par_iter().map(of).collect()
+        let places = self.rows.par_chunk_by(Row::are_at_one_place);
+        let all = places.flat_map_iter(|rows| {
+            let (span, on) = (&self.mesh.spans[rows[0].span], rows[0].on);
+            let densities = span.densities(density);
+            let at = on.motion(span, densities);
+            rows.iter().map(move |row| row.on.derivatives(&at, densities).0)
+        });
+        all.collect()
     }
 
     /// Every row with its derivatives.
     pub fn constraints(&self, density: &[f64]) -> Vec<Constraint> {
-        let of = |row: &Row| {
-            let span = &self.mesh.spans[row.span];
+        let places = self.rows.par_chunk_by(Row::are_at_one_place);
+        let all = places.flat_map_iter(|rows| {
+            let (span, on) = (&self.mesh.spans[rows[0].span], rows[0].on);
             let densities = span.densities(density);
-            let (slack, by) = row.on.derivatives(span, densities);
-            if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
-                return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
-            }
-            // Second derivatives as differences of the first ones
-            let mut second = [[0.0; 2]; 2];
-            for k in 0..2 {
-                if let Some(d) = densities[k] {
-                    let moved = |factor: f64| {
-                        let mut moved = densities;
-                        moved[k] = Some(d * factor);
-                        row.on.derivatives(span, moved).1
-                    };
-                    let (plus, minus) = (moved(1.0 + DIFFERENCE), moved(1.0 - DIFFERENCE));
-                    for e in 0..2 {
-                        second[k][e] = (plus[e] - minus[e]) / (2.0 * DIFFERENCE * d);
+            let at = on.motion(span, densities);
+            // Of the densities a little higher and a little lower, one by one; where a row asks for it
+            let mut around = None;
+            let of = move |row: &Row| {
+                let (slack, by) = row.on.derivatives(&at, densities);
+                if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
+                    return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
+                }
+                let around = around.get_or_insert_with(|| {
+                    [0, 1].map(|k| {
+                        [1.0 + DIFFERENCE, 1.0 - DIFFERENCE].map(|factor| {
+                            let mut moved = densities;
+                            moved[k] = moved[k].map(|d| d * factor);
+                            (on.motion(span, moved), moved)
+                        })
+                    })
+                });
+                // Second derivatives as differences of the first ones
+                let mut second = [[0.0; 2]; 2];
+                for k in 0..2 {
+                    if let Some(d) = densities[k] {
+                        let [plus, minus] =
+                            [0, 1].map(|i| row.on.derivatives(&around[k][i].0, around[k][i].1).1);
+                        for e in 0..2 {
+                            second[k][e] = (plus[e] - minus[e]) / (2.0 * DIFFERENCE * d);
+                        }
                     }
                 }
-            }
-            let off = 0.5 * (second[0][1] + second[1][0]);
-            let bend = positive_part([-second[0][0], -off, -second[1][1]]);
-            Constraint { nodes: span.nodes, slack, by, bend }
-        };
-        self.rows.par_iter().map(of).collect()
+                let off = 0.5 * (second[0][1] + second[1][0]);
+                let bend = positive_part([-second[0][0], -off, -second[1][1]]);
+                Constraint { nodes: span.nodes, slack, by, bend }
+            };
+            rows.iter().map(of)
+        });
+        all.collect()
     }
 
     /// Asks less of the spans whose motion uses more than all of a limit: by so much less.
@@ -211,16 +226,37 @@ impl<'a> Rows<'a> {
     }
 }
 
+impl Row {
+    /// Whether two rows ask about the same motion.
+    fn are_at_one_place(&self, other: &Self) -> bool {
+        let same = match (self.on, other.on) {
+            (On::Line { tau: a, .. }, On::Line { tau: b, .. }) => a == b,
+            (On::Place { s_mm: a, .. }, On::Place { s_mm: b, .. }) => a == b,
+            _ => false,
+        };
+        same && self.span == other.span
+    }
+}
+
 impl On {
-    /// c and its derivatives by the densities of the two nodes.
-    fn derivatives(&self, span: &Span, densities: [Option<f64>; 2]) -> (f64, [f64; 2]) {
-        let (across, along, at) = match *self {
+    /// The motion that is limited; of a ratio of densities any.
+    fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
+        match *self {
+            Self::Ratio { .. } => span.at(0.0, densities),
+            Self::Line { tau, .. } => span.at(tau, densities),
+            Self::Place { s_mm, .. } => span.at_place(s_mm, densities),
+        }
+    }
+
+    /// c and its derivatives by the densities of the two nodes, for the motion there.
+    fn derivatives(&self, at: &Kinematics, densities: [Option<f64>; 2]) -> (f64, [f64; 2]) {
+        let (across, along) = match *self {
             Self::Ratio { by } => {
                 let d = densities.map(|d| d.unwrap_or(0.0));
                 return (by[0] * d[0] + by[1] * d[1], by);
             }
-            Self::Line { tau, along } => (0.0, along, span.at(tau, densities)),
-            Self::Place { s_mm, across, along } => (across, along, span.at_place(s_mm, densities)),
+            Self::Line { along, .. } => (0.0, along),
+            Self::Place { across, along, .. } => (across, along),
         };
         let slack = 1.0 - across * at.feed_mm_per_s.powi(2) - along * at.acceleration_mm_per_s2;
         let by = |k: usize| {
