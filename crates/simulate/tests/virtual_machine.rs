@@ -61,7 +61,7 @@ fn process(errors: &[Value]) -> Process {
 }
 
 fn of(errors: &[Value], seed: u64) -> Run {
-    let settings = Settings { seed, tif_as_sampled: true };
+    let settings = Settings { seed, run: 1, known: false, tif_as_sampled: true };
     run(&raster([0.0; 2]), &tif(), &before(), &process(errors), &settings).unwrap()
 }
 
@@ -105,7 +105,7 @@ fn errors_are_drawn_as_the_process_states_and_anew_for_every_seed() {
         [error("rate_scale", 2.0, "%", "normal"), error("offset_x", 50.0, "um", "uniform")];
     let (tif, before) = (tif(), before());
     let prepared = Runs::new(&raster([0.0; 2]), &tif, &tif, before.grid()).unwrap();
-    let draw = |seed| draw_run(&prepared, &before, &process(&errors), seed).unwrap();
+    let draw = |seed| draw_run(&prepared, &before, &process(&errors), seed, 1).unwrap();
     let runs: Vec<Run> = (0..100).map(draw).collect();
     let square = |of: &dyn Fn(&Run) -> f64| {
         runs.iter().map(|r| of(r).powi(2)).sum::<f64>() / runs.len() as f64
