@@ -10,6 +10,7 @@
 #                   plan, tolerance, decision; from the second run on the motion that is commanded
 #   without/K       run K without learning: measured, truth, the next plan
 #   known/K         the same on a machine whose tool and place are those of the plan
+#   alike           another mirror like the first, and its first run in each chain, after all that was learnt
 #   report          the table as a page
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
@@ -122,7 +123,7 @@ quiet() {
 plan() {
     plan_at=$1 plan_map=$2 plan_tool=$3
     shift 3
-    quiet "$root/pipelines/start.sh" run "$pipeline" frames=0 "$@" "surface=$plan_map" "tif=$plan_tool" "out=$plan_at"
+    quiet "$root/pipelines/start.sh" run "$pipeline" frames=0 plan_feed=no "$@" "surface=$plan_map" "tif=$plan_tool" "out=$plan_at"
 }
 
 # machine_runs AT K MEASURED MOTION FLAGS...: run K of the virtual machine, which has the true tool
@@ -140,7 +141,7 @@ fi
 quiet planish-campaign measure --surface "$surface" --process "$process" --seed="$seed" --out "$out/measured" --force
 plan "$out/first" "$out/measured" "$tif" "$@"
 # The method of a run that is to be executed, as pipelines/stages.just has it
-planned=$(just --justfile "$file" --working-directory . --evaluate "$@" planned)
+planned=$(just --justfile "$file" --working-directory . --evaluate plan_feed=no "$@" planned)
 
 for chain in without known; do
     map=$out/measured run=$out/first flag=
@@ -186,5 +187,16 @@ while [ "$k" -le "$runs" ]; do
         --out "$at/decision" --force
     k=$((k + 1))
 done
+
+quiet planish-campaign measure --surface "$surface" --process "$process" --seed="$seed" --run="$k" \
+    --out "$out/alike/measured" --force
+motion=methods/$planned/trajectory
+plan "$out/alike/first" "$out/alike/measured" "$tif" "$@"
+machine_runs "$out/alike/without" "$k" "$out/alike/measured" "$out/alike/first/$motion"
+machine_runs "$out/alike/known" "$k" "$out/alike/measured" "$out/alike/first/$motion" --known
+plan "$out/alike/plan" "$out/alike/measured" "$tool" "$@"
+quiet planish-register apply --transform "$out/learning/$runs/transform" --trajectory "$out/alike/plan/$motion" \
+    --out "$out/alike/commanded" --force
+machine_runs "$out/alike/learning" "$k" "$out/alike/measured" "$out/alike/commanded"
 
 planish-campaign report "$out" --surface "$surface" --runs="$runs" --mirror="$name" --out "$out/report" --force

@@ -112,14 +112,14 @@ go_on planish-reconcile --before "$before" --after "$after" --trajectory "$traje
 
 # The next plan, whose pages and tables are its own
 status=0
-"$root/pipelines/start.sh" run "$pipeline" frames=0 "$@" "surface=$after" "tif=$out/tif" "out=$out/plan" > "$log" 2>&1 ||
+"$root/pipelines/start.sh" run "$pipeline" frames=0 plan_feed=no "$@" "surface=$after" "tif=$out/tif" "out=$out/plan" > "$log" 2>&1 ||
     status=$?
 [ "$status" -le 1 ] || {
     cat "$log" >&2
     exit "$status"
 }
 # The method of a run that is to be executed, as pipelines/stages.just has it
-planned=$(just --justfile "$file" --working-directory . --evaluate "$@" planned)
+planned=$(just --justfile "$file" --working-directory . --evaluate plan_feed=no "$@" planned)
 motion=$out/plan/methods/$planned/trajectory
 
 go_on planish-register apply --transform "$out/transform" --trajectory "$motion" --out "$out/commanded" --force

@@ -9,7 +9,7 @@ use planish_handoff::{Failure, Status};
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Measure a mirror before the first run of a virtual machine: its map with the errors of a measurement
+    /// Measure a mirror before a run of a virtual machine: its map with the errors of a measurement
     Measure(measure::Measure),
     /// Say whether the next run is worth it: what it would gain, how sure that is, and how long it takes
     Decide(decide::Decide),
@@ -20,7 +20,7 @@ pub enum Command {
 impl Command {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
-            Self::Measure(arguments) => arguments.run(),
+            Self::Measure(arguments) => arguments.write(),
             Self::Decide(arguments) => arguments.run(),
             Self::Report(arguments) => arguments.run(),
         }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use planish_draw::{Frame, Scale, Svg, colour::LINES, frame::range};
 use planish_types::text::{escaped, significant};
 
-use crate::summary::{Campaign, Learnt};
+use crate::summary::{Campaign, Chains, Learnt};
 
 /// Height of the texts, px, and size of the plot, px.
 const FONT_PX: f64 = 14.0;
@@ -29,7 +29,11 @@ pub fn picture(campaign: &Campaign) -> String {
         let runs = campaign.runs.iter().map(|r| [r.number as f64, of(r)]);
         [[0.0, campaign.before_rms_nm]].into_iter().chain(runs).collect()
     };
-    let lines = [line(|r| r.learning.rms_nm), line(|r| r.without.rms_nm), line(|r| r.known.rms_nm)];
+    let lines = [
+        line(|r| r.left.learning.rms_nm),
+        line(|r| r.left.without.rms_nm),
+        line(|r| r.left.known.rms_nm),
+    ];
     let all = lines.iter().flatten().map(|p| p[1]).filter(|v| *v > 0.0);
     let [low, high] = range(all);
     let scales = [
@@ -69,24 +73,19 @@ pub fn page(campaign: &Campaign) -> String {
     let each = format!("<td>{before}</td><td></td>").repeat(CHAINS.len());
     let _ = writeln!(out, "<tr><td>before</td>{each}<td></td><td></td></tr>");
     for run in &campaign.runs {
-        let _ = write!(out, "<tr><td>{}</td>", run.number);
-        for left in [run.learning, run.without, run.known] {
-            let minutes = left.total_time_s / 60.0;
-            let _ = write!(out, "<td>{:.4}</td><td>{minutes:.1}</td>", left.rms_nm);
-        }
-        let ratio = |v: f64| v / run.known.rms_nm;
-        let (a, b) = (ratio(run.learning.rms_nm), ratio(run.without.rms_nm));
-        let _ = writeln!(out, "<td>{a:.3}</td><td>{b:.3}</td></tr>");
+        row(&mut out, &run.number.to_string(), &run.left);
     }
+    row(&mut out, "another mirror like it", &campaign.alike);
     out += "</table></div>\n";
     out += &picture(campaign);
     out += "<p class=\"note\">RMS of what is truly on the mirror, its mean removed, which only the virtual machine knows. \
-            The first run is the same with and without learning.</p>\n<h2>What was decided</h2>\n\
+            The first run is the same with and without learning. The last row is the first run on another mirror like this \
+            one, after all that was learnt.</p>\n<h2>What was decided</h2>\n\
             <div class=\"scroll\"><table>\n<tr><th>after run</th><th>measured, nm</th><th>expected of the next run, nm \
             (95 %)</th><th>it left, nm</th><th>decision</th></tr>\n";
     for (k, run) in campaign.runs.iter().enumerate() {
         let [median, low, high] = run.expected_nm;
-        let left = campaign.runs.get(k + 1).map(|next| format!("{:.4}", next.learning.rms_nm));
+        let left = campaign.runs.get(k + 1).map(|next| format!("{:.4}", next.left.learning.rms_nm));
         let _ = writeln!(
             out,
             "<tr><td>{}</td><td>{:.4}</td><td>{median:.4} ({low:.4} to {high:.4})</td><td>{}</td>\
@@ -123,6 +122,16 @@ pub fn page(campaign: &Campaign) -> String {
     out
 }
 
+/// A row of the table of residuals.
+fn row(out: &mut String, name: &str, chains: &Chains) {
+    let _ = write!(out, "<tr><td>{name}</td>");
+    for left in chains.each() {
+        let _ = write!(out, "<td>{:.4}</td><td>{:.1}</td>", left.rms_nm, left.total_time_s / 60.0);
+    }
+    let [learning, without] = chains.over_known();
+    let _ = writeln!(out, "<td>{learning:.3}</td><td>{without:.3}</td></tr>");
+}
+
 /// Value with its standard error, and how many of these it is off by.
 pub fn shown(learnt: &Learnt) -> (String, String) {
     let (Some(value), Some(error)) = (learnt.value, learnt.standard_error) else {
@@ -141,11 +150,16 @@ pub fn answer(campaign: &Campaign) -> String {
         1 => "1 run".into(),
         n => format!("{n} runs"),
     };
+    let [learning, without] = campaign.alike.over_known();
     format!(
-        "{} nm RMS before; after {count} {:.4} nm with learning, {:.4} nm without, {:.4} nm with a tool that is known",
+        "{} nm RMS before; after {count} {:.4} nm with learning, {:.4} nm without, {:.4} nm with a tool that is known. \
+         The first run on another mirror like it leaves {:.4} nm with what was learnt ({learning:.2} times what the known \
+         tool leaves) and {:.4} nm without ({without:.2} times)",
         significant(campaign.before_rms_nm, 5),
-        last.learning.rms_nm,
-        last.without.rms_nm,
-        last.known.rms_nm
+        last.left.learning.rms_nm,
+        last.left.without.rms_nm,
+        last.left.known.rms_nm,
+        campaign.alike.learning.rms_nm,
+        campaign.alike.without.rms_nm
     )
 }

@@ -8,6 +8,10 @@
 //! | `without` | each with the tool and the place of the first plan |
 //! | `known` | as without, on a machine whose tool and place are those of the plan |
 //!
+//! On one mirror learning gains little: every map shows what the errors of the run before left, and a rate that is off by
+//! some percent is off by some percent of that. What was learnt is worth most on the next mirror, where the whole figure
+//! is to be removed. So after the last run another mirror, like the first, has one run of each chain (`alike`).
+//!
 //! What a run finds is the deviation from the tool that it was planned with, so parameters add up from run to run:
 //! factors (rate, magnification, width) by products, the rest, which is small, by sums.
 
@@ -72,15 +76,34 @@ pub struct Left {
     pub total_time_s: f64,
 }
 
-/// One run of a campaign, as it was read.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RunRecord {
+/// What a run of each chain left.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Chains {
     /// Of the chain that learns.
     pub learning: Left,
     /// Of the chain that does not.
     pub without: Left,
     /// Of the chain whose tool is known.
     pub known: Left,
+}
+
+impl Chains {
+    /// All three.
+    pub fn each(&self) -> [Left; 3] {
+        [self.learning, self.without, self.known]
+    }
+
+    /// RMS with and without learning over that of the known tool.
+    pub fn over_known(&self) -> [f64; 2] {
+        [self.learning, self.without].map(|left| left.rms_nm / self.known.rms_nm)
+    }
+}
+
+/// One run of a campaign, as it was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunRecord {
+    /// What it left.
+    pub left: Chains,
     /// What the chain that learns found in this run.
     pub found: Vec<Found>,
     /// RMS of the map that it measured after it, nm.
@@ -117,12 +140,9 @@ pub struct Learnt {
 pub struct Run {
     /// From 1.
     pub number: usize,
-    /// Of the chain that learns.
-    pub learning: Left,
-    /// Of the chain that does not.
-    pub without: Left,
-    /// Of the chain whose tool is known.
-    pub known: Left,
+    /// What it left.
+    #[serde(flatten)]
+    pub left: Chains,
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
     /// What is known after the run.
@@ -146,6 +166,8 @@ pub struct Campaign {
     pub before_rms_nm: f64,
     /// Its runs.
     pub runs: Vec<Run>,
+    /// The first run on another mirror like it, after all of them.
+    pub alike: Chains,
 }
 
 impl Campaign {
@@ -156,25 +178,23 @@ impl Campaign {
         before_rms_nm: f64,
         truth: &Truth,
         records: Vec<RunRecord>,
+        alike: Chains,
     ) -> Self {
         let mut runs: Vec<Run> = Vec::new();
         for record in records {
             let before = runs.last().map_or(&[][..], |run| &run.parameters);
             let parameters = record.found.iter().map(|f| after(before, f, truth)).collect();
-            let RunRecord { learning, without, known, measured_rms_nm, verdict, .. } = record;
             runs.push(Run {
                 number: runs.len() + 1,
-                learning,
-                without,
-                known,
-                measured_rms_nm,
+                left: record.left,
+                measured_rms_nm: record.measured_rms_nm,
                 parameters,
-                verdict,
+                verdict: record.verdict,
                 reason: record.reason,
                 expected_nm: record.expected_nm,
             });
         }
-        Self { mirror: mirror.into(), seed, before_rms_nm, runs }
+        Self { mirror: mirror.into(), seed, before_rms_nm, runs, alike }
     }
 }
 
@@ -222,10 +242,9 @@ mod tests {
     fn factors_multiply_shifts_add_and_a_run_that_says_nothing_changes_nothing() {
         let truth = Truth { rate_scale: 0.05, offset_x_mm: 0.1, ..Truth::default() };
         let left = Left { rms_nm: 1.0, total_time_s: 60.0 };
+        let chains = Chains { learning: left, without: left, known: left };
         let run = |rate, offset| RunRecord {
-            learning: left,
-            without: left,
-            known: left,
+            left: chains,
             found: vec![found("rate_scale", rate, 0.3), found("offset_x", offset, 0.002)],
             measured_rms_nm: 1.1,
             verdict: "stop".into(),
@@ -234,7 +253,7 @@ mod tests {
         };
         let records =
             vec![run(None, Some(0.08)), run(Some(10.0), Some(0.03)), run(Some(-5.0), None)];
-        let campaign = Campaign::new("coupon", 7, 10.0, &truth, records);
+        let campaign = Campaign::new("coupon", 7, 10.0, &truth, records, chains);
         let of = |k: usize, p: usize| campaign.runs[k].parameters[p].value;
         assert_eq!((of(0, 0), of(1, 0)), (None, Some(10.0)));
         // 1.1 x 0.95

@@ -15,7 +15,7 @@
 //! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]): an error that one number
 //! decides is the same in all of its runs, noise is new in each, and the map after a run is the map before the next
 //! one, with the same error of its measurement. So the measurements of a campaign are counted: run k is between the
-//! measurements k - 1 and k, and [`measure`] makes the first.
+//! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
 use planish_types::{Invalid, Removal, Surface, Tif, Trajectory};
@@ -91,15 +91,19 @@ pub fn run(
     process: &Process,
     settings: &Settings,
 ) -> Result<Run, Invalid> {
-    if !(1..=MOST_RUNS).contains(&settings.run) {
-        let remedy = format!("give 1 to {MOST_RUNS}");
-        return Err(Invalid::whole("run", format!("is {}", settings.run), remedy));
-    }
+    check_run(settings.run)?;
     let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, tif.width_mm())? };
     let runs = Runs::new(trajectory, tif, &moved, before.grid())?;
     runs.check_sizes(process)?;
     let known = if settings.known { without_what_is_learnt(process) } else { process.clone() };
     draw_run(&runs, before, &known, settings.seed, settings.run)
+}
+
+fn check_run(run: u64) -> Result<(), Invalid> {
+    match (1..=MOST_RUNS).contains(&run) {
+        true => Ok(()),
+        false => Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}"))),
+    }
 }
 
 /// The process with the sizes of what can be learnt from maps at zero, each error at its place.
@@ -113,10 +117,19 @@ fn without_what_is_learnt(process: &Process) -> Process {
     process
 }
 
-/// The map that is measured of `mirror` before the first run of the machine of `seed`, whose map before it is.
-pub fn measure(mirror: &Surface, process: &Process, seed: u64) -> Result<Surface, Invalid> {
+/// The map that is measured of `mirror` before run `run` of the machine of `seed`.
+pub fn measure(
+    mirror: &Surface,
+    process: &Process,
+    seed: u64,
+    run: u64,
+) -> Result<Surface, Invalid> {
+    check_run(run)?;
     // true before = measured before + m_1
-    Surface::new(*mirror.grid(), mirror.height_nm() - &measurement_error(mirror, process, seed, 0))
+    Surface::new(
+        *mirror.grid(),
+        mirror.height_nm() - &measurement_error(mirror, process, seed, run - 1),
+    )
 }
 
 /// [`run`] of a plan that is ready, for many seeds.

@@ -6,7 +6,7 @@ use clap::Args;
 use planish_campaign::{
     decision::Decision,
     page::{answer, page, picture},
-    summary::{Campaign, Found, Left, RunRecord, Truth},
+    summary::{Campaign, Chains, Found, Left, RunRecord, Truth},
 };
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status, artifact::Manifest, flags::OutputArgs, kind, say, task,
@@ -45,13 +45,12 @@ impl Report {
         let mut records = Vec::new();
         let mut hidden: Option<(u64, Truth)> = None;
         for k in 1..=self.runs {
-            let mut chains = Vec::new();
-            for chain in ["learning", "without", "known"] {
-                let left = self.left(&mut inputs, chain, k, &mut hidden)?;
-                chains.push(left);
-            }
-            records.push(self.record(&mut inputs, k, [chains[0], chains[1], chains[2]])?);
+            let place = |chain: &str| Path::new(chain).join(k.to_string());
+            let left = self.chains(&mut inputs, place, k, &mut hidden)?;
+            records.push(self.record(&mut inputs, k, left)?);
         }
+        let place = |chain: &str| Path::new("alike").join(chain);
+        let alike = self.chains(&mut inputs, place, self.runs + 1, &mut hidden)?;
         let settings = json!({ "mirror": self.mirror, "runs": self.runs });
         let output = Output::directory(&self.output, &kind::CAMPAIGN);
         let mut output = match output.begin(&task!("report", settings), &inputs)? {
@@ -60,7 +59,7 @@ impl Report {
         };
         let (seed, truth) = hidden.unwrap_or_default();
         let before = mirror.statistics().rms;
-        let campaign = Campaign::new(&self.mirror, seed, before, &truth, records);
+        let campaign = Campaign::new(&self.mirror, seed, before, &truth, records, alike);
         let beside = [
             ("campaign.html", page(&campaign).into_bytes()),
             ("campaign.svg", picture(&campaign).into_bytes()),
@@ -72,33 +71,45 @@ impl Report {
         Ok(Status::Done)
     }
 
-    /// Of an artifact of one run of a chain.
+    /// Of an artifact of one run, which is at `place`.
     fn manifest(
         &self,
         inputs: &mut Inputs,
-        chain: &str,
-        k: usize,
+        place: &Path,
         name: &str,
         kind: &'static kind::Kind,
     ) -> Result<(PathBuf, Manifest), Failure> {
-        let dir = self.dir.join(chain).join(k.to_string()).join(name);
-        let manifest = inputs.read_manifest(&format!("{chain}/{k}/{name}"), &dir, kind)?;
+        let dir = self.dir.join(place).join(name);
+        let manifest = inputs.read_manifest(&place.join(name).to_string_lossy(), &dir, kind)?;
         Ok((dir, manifest))
+    }
+
+    /// What run `k` of each chain left.
+    fn chains(
+        &self,
+        inputs: &mut Inputs,
+        place: impl Fn(&str) -> PathBuf,
+        k: usize,
+        hidden: &mut Option<(u64, Truth)>,
+    ) -> Result<Chains, Failure> {
+        let mut of = |chain: &str| self.left(inputs, &place(chain), k, chain == "known", hidden);
+        Ok(Chains { learning: of("learning")?, without: of("without")?, known: of("known")? })
     }
 
     /// What a run of a chain truly left; all runs are of the same machine, whose truth is kept.
     fn left(
         &self,
         inputs: &mut Inputs,
-        chain: &str,
+        place: &Path,
         k: usize,
+        is_known: bool,
         hidden: &mut Option<(u64, Truth)>,
     ) -> Result<Left, Failure> {
-        let (dir, manifest) = self.manifest(inputs, chain, k, "truth", &kind::REMOVAL)?;
+        let (dir, manifest) = self.manifest(inputs, place, "truth", &kind::REMOVAL)?;
         let settings: Made = part(&dir, &manifest.settings)?;
-        let is_known = chain == "known";
         if settings.run != k as u64 || settings.known != is_known {
-            let problem = format!("is not run {k} of a machine of the chain {chain}");
+            let which = if is_known { "a machine that is known" } else { "a machine with errors" };
+            let problem = format!("is not run {k} of {which}");
             return Err(Failure::new(format!("{}: {problem}; run it again", dir.display())));
         }
         let outcome: Outcome = part(&dir, &manifest.outcome)?;
@@ -115,25 +126,19 @@ impl Report {
         Ok(Left { rms_nm: outcome.rms_nm, total_time_s: outcome.total_time_s })
     }
 
-    fn record(
-        &self,
-        inputs: &mut Inputs,
-        k: usize,
-        [learning, without, known]: [Left; 3],
-    ) -> Result<RunRecord, Failure> {
+    fn record(&self, inputs: &mut Inputs, k: usize, left: Chains) -> Result<RunRecord, Failure> {
+        let place = Path::new("learning").join(k.to_string());
         let (dir, found) =
-            self.manifest(inputs, "learning", k, "reconciliation", &kind::RECONCILIATION)?;
+            self.manifest(inputs, &place, "reconciliation", &kind::RECONCILIATION)?;
         let found: Vec<Found> = part(&dir, &found.outcome["parameters"])?;
-        let (dir, measured) = self.manifest(inputs, "learning", k, "measured", &kind::SURFACE)?;
+        let (dir, measured) = self.manifest(inputs, &place, "measured", &kind::SURFACE)?;
         let measured_rms_nm: f64 = part(&dir, &measured.outcome["rms_nm"])?;
-        let (dir, decision) = self.manifest(inputs, "learning", k, "decision", &kind::DECISION)?;
+        let (dir, decision) = self.manifest(inputs, &place, "decision", &kind::DECISION)?;
         let verdict: String = part(&dir, &decision.outcome["verdict"])?;
         let decision: Decision = part(&dir, &decision.outcome)?;
         let [low, high] = decision.next.interval_95_percent_nm;
         Ok(RunRecord {
-            learning,
-            without,
-            known,
+            left,
             found,
             measured_rms_nm,
             verdict,
@@ -177,18 +182,19 @@ fn table(campaign: &Campaign) -> String {
     let mut lines = vec![
         format!("{}: {}", campaign.mirror, answer(campaign)),
         String::new(),
-        "residual on the mirror    with learning           without        known tool   over the known tool".into(),
-        "run                      nm RMS     min     nm RMS     min     nm RMS     min   learning   without".into(),
+        "residual on the mirror     with learning          without       known tool   over the known tool".into(),
+        "run                       nm RMS     min    nm RMS     min    nm RMS     min   learning   without".into(),
     ];
-    for run in &campaign.runs {
-        let mut line = format!("{:<20}", run.number);
-        for left in [run.learning, run.without, run.known] {
-            line += &format!(" {:>10.4} {:>7.1}", left.rms_nm, left.total_time_s / 60.0);
+    let row = |name: String, chains: &Chains| {
+        let mut line = format!("{name:<22}");
+        for left in chains.each() {
+            line += &format!(" {:>9.4} {:>7.1}", left.rms_nm, left.total_time_s / 60.0);
         }
-        let ratio = |v: f64| v / run.known.rms_nm;
-        let (a, b) = (ratio(run.learning.rms_nm), ratio(run.without.rms_nm));
-        lines.push(line + &format!(" {a:>10.3} {b:>9.3}"));
-    }
+        let [learning, without] = chains.over_known();
+        line + &format!(" {learning:>10.3} {without:>9.3}")
+    };
+    lines.extend(campaign.runs.iter().map(|run| row(run.number.to_string(), &run.left)));
+    lines.push(row("another mirror like it".into(), &campaign.alike));
     lines.push(String::new());
     lines.push("learnt, with its standard error (in brackets: by an earlier run), and how many of them it is off".into());
     let mut head = format!("{:<32} {:>10}", "parameter", "truth");
