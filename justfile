@@ -43,6 +43,14 @@ tolerance *words: build
 campaign *words: build
     @{{ quote(justfile_directory() / "pipelines/campaign.sh") }} "$@"
 
+# How the results of campaigns scatter over this many seeds: just campaign-spread coupon seeds=20 runs=2; each campaign is in
+# out/campaign-spread/MIRROR/SEED, or in OUT/SEED
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+campaign-spread *words: build
+    @{{ quote(justfile_directory() / "pipelines/campaign-spread.sh") }} "$@"
+
 # What the last run taught, the next plan, and whether it is worth it: just next-run before=DIR after=DIR trajectory=DIR
 # tif=DIR [machine=FILE process=FILE transform=DIR specification=FILE out=DIR] (docs/campaign.md)
 [no-cd]

@@ -3,6 +3,7 @@
 mod decide;
 mod measure;
 mod report;
+mod spread;
 
 use clap::Subcommand;
 use planish_handoff::{Failure, Status};
@@ -15,6 +16,8 @@ pub enum Command {
     Decide(decide::Decide),
     /// Print and draw what a campaign left, run by run, with and without learning, and what it learnt
     Report(report::Report),
+    /// Print how the results of several campaigns, of other seeds, scatter
+    Spread(spread::Spread),
 }
 
 impl Command {
@@ -23,6 +26,7 @@ impl Command {
             Self::Measure(arguments) => arguments.write(),
             Self::Decide(arguments) => arguments.run(),
             Self::Report(arguments) => arguments.run(),
+            Self::Spread(arguments) => arguments.run(),
         }
     }
 }

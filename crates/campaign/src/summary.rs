@@ -68,7 +68,7 @@ impl Truth {
 }
 
 /// What a run truly left, as the virtual machine says.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Left {
     /// RMS of what remains on the mirror, nm.
     pub rms_nm: f64,
@@ -77,7 +77,7 @@ pub struct Left {
 }
 
 /// What a run of each chain left.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Chains {
     /// Of the chain that learns.
     pub learning: Left,
@@ -117,7 +117,7 @@ pub struct RunRecord {
 }
 
 /// A parameter after some runs.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Learnt {
     /// Its name.
     pub name: String,
@@ -136,7 +136,7 @@ pub struct Learnt {
 }
 
 /// One run of a campaign.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     /// From 1.
     pub number: usize,
@@ -156,7 +156,7 @@ pub struct Run {
 }
 
 /// A campaign.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Campaign {
     /// Name of the mirror.
     pub mirror: String,
