@@ -1,7 +1,7 @@
 #!/bin/sh
 # A campaign on the virtual machine: plan, run, measure, reconcile, plan again; with learning, without, and on a machine
 # that is known: campaign.sh [FIXTURE] [runs=3] [seed=1] [process=FILE] [pipeline=raster] [least_gain_percent=5]
-# [NAME=VALUE...]. The other settings are those of `just run`; a mirror of one's own is surface=DIR tif=DIR, two artifacts,
+# [reconcile=FLAGS] [NAME=VALUE...]. The other settings are those of `just run`; a mirror of one's own is surface=DIR tif=DIR, two artifacts,
 # and its map is taken for the mirror itself. Everything goes to out/campaign/MIRROR, or to OUT where out=OUT is given:
 #
 #   measured        the map before the first run
@@ -31,7 +31,7 @@ fi
 
 if [ "$(pwd -P)" = "$root" ]; then here= ; else here=$root/; fi
 fixture=coupon surface= tif= machine= out= process=${here}fixtures/processes/hidden.json
-runs=3 seed=1 pipeline=raster least_gain_percent=5 specification=
+runs=3 seed=1 pipeline=raster least_gain_percent=5 specification= reconcile=
 for word in "$@"; do
     case $word in
     fixture=*) fixture=${word#*=} ;;
@@ -44,6 +44,7 @@ for word in "$@"; do
     seed=*) seed=${word#*=} ;;
     pipeline=*) pipeline=${word#*=} ;;
     least_gain_percent=*) least_gain_percent=${word#*=} ;;
+    reconcile=*) reconcile=${word#*=} ;;
     specification=*) specification=${word#*=} ;;
     export=*) refuse 'a campaign writes no programs; leave export out' ;;
     *=*) ;;
@@ -70,7 +71,7 @@ while [ "$remaining" -gt 0 ]; do
     shift
     remaining=$((remaining - 1))
     case $word in
-    fixture=* | surface=* | tif=* | out=* | process=* | runs=* | seed=* | pipeline=* | least_gain_percent=*) ;;
+    fixture=* | surface=* | tif=* | out=* | process=* | runs=* | seed=* | pipeline=* | least_gain_percent=* | reconcile=*) ;;
     *=*) set -- "$@" "$word" ;;
     esac
 done
@@ -97,14 +98,11 @@ recipe=${here}fixtures/$fixture.json
 
 if [ "$held" = no ]; then
     [ -f "$process" ] || refuse "process $process is no file; give the errors of the virtual machine (docs/tolerance.md)"
-    again="fixture=$fixture"
-    set -- "$root/pipelines/campaign.sh" held "$@" "$again" "runs=$runs" "seed=$seed" "process=$process" "out=$out" \
-        "pipeline=$pipeline" "least_gain_percent=$least_gain_percent"
-    if [ -z "$surface$tif" ]; then
-        exec planish-run start --out="$out" --pipeline=campaign --fixture="$recipe" --machine="$machine" -- "$@"
-    fi
-    set -- "$@" "surface=$surface" "tif=$tif"
-    exec planish-run start --out="$out" --pipeline=campaign --surface="$surface" --tif="$tif" --machine="$machine" -- "$@"
+    set -- "$root/pipelines/campaign.sh" held "$@" "fixture=$fixture" "runs=$runs" "seed=$seed" "process=$process" "out=$out" \
+        "pipeline=$pipeline" "least_gain_percent=$least_gain_percent" "reconcile=$reconcile"
+    set -- --out="$out" --pipeline=campaign --machine="$machine" --flags="reconcile=$reconcile" -- "$@"
+    [ -n "$surface$tif" ] || exec planish-run start --fixture="$recipe" "$@"
+    exec planish-run start ${surface:+"--surface=$surface"} ${tif:+"--tif=$tif"} "$@" "surface=$surface" "tif=$tif"
 fi
 
 log=$(mktemp) && trap 'rm -f "$log"' EXIT
@@ -132,6 +130,13 @@ machine_runs() {
     shift 4
     quiet planish-simulate --trajectory "$run_motion" --tif "$tif" --surface "$run_map" --process "$process" \
         --seed="$seed" --run="$run_number" "$@" --measured "$run_at/measured" --out "$run_at/truth" --force
+}
+
+# learn FLAGS...: what the run taught, with the flags in the setting `reconcile` taken apart as a shell would do it
+learn() {
+    words=$(planish-run words -- "$reconcile")
+    eval "set -- \"\$@\" $words"
+    quiet planish-reconcile "$@"
 }
 
 if [ -z "$surface$tif" ]; then
@@ -170,7 +175,7 @@ while [ "$k" -le "$runs" ]; do
         quiet planish-register apply --transform "$place" --trajectory "$motion" --out "$commanded" --force
     fi
     machine_runs "$at" "$k" "$map" "$commanded"
-    quiet planish-reconcile --before "$map" --after "$at/measured" --trajectory "$motion" --tif "$tool" \
+    learn --before "$map" --after "$at/measured" --trajectory "$motion" --tif "$tool" \
         --process "$knowledge" ${place:+--transform "$place"} --out "$at/reconciliation" --corrected-tif "$at/tif" \
         --corrected-transform "$at/transform" --learnt-process "$at/process.json" --force
     map=$at/measured run=$at/plan tool=$at/tif knowledge=$at/process.json

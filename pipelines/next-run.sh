@@ -1,6 +1,6 @@
 #!/bin/sh
 # From the maps before and after a run to the next one: next-run.sh before=DIR after=DIR trajectory=DIR tif=DIR
-# [transform=DIR] [process=FILE] [machine=FILE] [pipeline=raster] [least_gain_percent=5] [NAME=VALUE...]. The maps, the
+# [transform=DIR] [process=FILE] [machine=FILE] [pipeline=raster] [least_gain_percent=5] [reconcile=FLAGS] [NAME=VALUE...]. The maps, the
 # motion (planned or traced, in the coordinates of the part) and the tool are artifacts; transform is what took the plan
 # to the machine in that run, process the errors that are known beforehand (docs/campaign.md). The other settings are those
 # of `just run`. Everything goes to out/next-run/MAP, or to OUT where out=OUT is given:
@@ -30,6 +30,7 @@ fi
 
 if [ "$(pwd -P)" = "$root" ]; then here= ; else here=$root/; fi
 before= after= trajectory= tif= transform= process= machine= out= specification= pipeline=raster least_gain_percent=5
+reconcile=
 for word in "$@"; do
     case $word in
     before=*) before=${word#*=} ;;
@@ -43,6 +44,7 @@ for word in "$@"; do
     specification=*) specification=${word#*=} ;;
     pipeline=*) pipeline=${word#*=} ;;
     least_gain_percent=*) least_gain_percent=${word#*=} ;;
+    reconcile=*) reconcile=${word#*=} ;;
     surface=* | fixture=*) refuse "the map of the next plan is after=DIR; leave ${word%%=*} out" ;;
     export=*) refuse 'the program is that of the commanded motion; leave export out, and give planish-export OUT/commanded' ;;
     *=*) ;;
@@ -55,6 +57,8 @@ for given in "before=$before" "after=$after" "trajectory=$trajectory" "tif=$tif"
     [ ! -f "$value" ] || refuse "${given%%=*} $value is a file; read it with planish-import, and give the directory"
     [ -d "$value" ] || refuse "${given%%=*} $value is not there; give a directory"
 done
+[ -z "$transform" ] || [ -d "$transform" ] || refuse "transform $transform is not there; give a directory"
+[ -z "$process" ] || [ -f "$process" ] || refuse "process $process is no file; give the errors that are known beforehand"
 file=$root/pipelines/$pipeline.just
 case $pipeline in
 stages | compare-dwell | */*) file= ;;
@@ -69,6 +73,7 @@ while [ "$remaining" -gt 0 ]; do
     remaining=$((remaining - 1))
     case $word in
     before=* | after=* | trajectory=* | tif=* | transform=* | process=* | out=* | pipeline=* | least_gain_percent=*) ;;
+    reconcile=*) ;;
     *) set -- "$@" "$word" ;;
     esac
 done
@@ -92,9 +97,10 @@ case $process in -*) process=./$process ;; esac
 case $machine in -*) machine=./$machine ;; esac
 
 if [ "$held" = no ]; then
-    exec planish-run start --out="$out" --pipeline=next-run --surface="$after" --tif="$tif" --machine="$machine" -- \
-        "$root/pipelines/next-run.sh" held "$@" "before=$before" "after=$after" "trajectory=$trajectory" "tif=$tif" \
-        "transform=$transform" "process=$process" "out=$out" "pipeline=$pipeline" "least_gain_percent=$least_gain_percent"
+    exec planish-run start --out="$out" --pipeline=next-run --surface="$after" --tif="$tif" --machine="$machine" \
+        --flags="reconcile=$reconcile" -- "$root/pipelines/next-run.sh" held "$@" "before=$before" "after=$after" \
+        "trajectory=$trajectory" "tif=$tif" "transform=$transform" "process=$process" "out=$out" "pipeline=$pipeline" \
+        "least_gain_percent=$least_gain_percent" "reconcile=$reconcile"
 fi
 
 log=$(mktemp) && trap 'rm -f "$log"' EXIT
@@ -106,7 +112,14 @@ go_on() {
     [ "$status" -le 1 ] || exit "$status"
 }
 
-go_on planish-reconcile --before "$before" --after "$after" --trajectory "$trajectory" --tif "$tif" \
+# learn FLAGS...: what the run taught, with the flags in the setting `reconcile` taken apart as a shell would do it
+learn() {
+    words=$(planish-run words -- "$reconcile")
+    eval "set -- \"\$@\" $words"
+    go_on planish-reconcile "$@"
+}
+
+learn --before "$before" --after "$after" --trajectory "$trajectory" --tif "$tif" \
     ${process:+--process "$process"} ${transform:+--transform "$transform"} --out "$out/reconciliation" \
     --corrected-tif "$out/tif" --corrected-transform "$out/transform" --learnt-process "$out/process.json" --force
 
