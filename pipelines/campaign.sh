@@ -199,8 +199,8 @@ motion=methods/$planned/trajectory
 plan "$out/alike/first" "$out/alike/measured" "$tif" "$@"
 machine_runs "$out/alike/without" "$k" "$out/alike/measured" "$out/alike/first/$motion"
 machine_runs "$out/alike/known" "$k" "$out/alike/measured" "$out/alike/first/$motion" --known
-plan "$out/alike/plan" "$out/alike/measured" "$tool" "$@"
-quiet planish-register apply --transform "$out/learning/$runs/transform" --trajectory "$out/alike/plan/$motion" \
+plan "$out/alike/plan-after-$runs" "$out/alike/measured" "$tool" "$@"
+quiet planish-register apply --transform "$out/learning/$runs/transform" --trajectory "$out/alike/plan-after-$runs/$motion" \
     --out "$out/alike/commanded" --force
 machine_runs "$out/alike/learning" "$k" "$out/alike/measured" "$out/alike/commanded"
 

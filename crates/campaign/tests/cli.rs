@@ -69,7 +69,7 @@ fn a_measurement_has_the_noise_of_the_process_and_its_own_for_every_run() {
     // 1199 pixels: a variance scatters by sqrt(2 / 1199) = 4 %, a correlation by 3 %; three of each.
     assert!((dot(&b, &b) / 0.16 - 1.0).abs() < 0.13 && (dot(&b, &c) / 0.16).abs() < 0.09);
     let message = said(&run(dir, &format!("{command} --run 0 --out d")), 2);
-    assert!(message.contains("--run: is 0; give 1 to 1000000"), "{message}");
+    assert!(message.contains("run: is 0; give 1 to 1000000"), "{message}");
     let message = said(&run(dir, "measure --surface mirror --process none.json --out d"), 2);
     assert!(message.contains("none.json") && !dir.join("d").exists(), "{message}");
 }
@@ -157,7 +157,7 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
     let words = said(&run(dir, &format!("{decide} --out c/learning/1/decision")), 0);
     assert!(words.contains("RUN AGAIN: half of the runs would gain"), "{words}");
     let message = said(&run(dir, &format!("{decide} --least-gain-percent 101 --out no")), 2);
-    assert!(message.contains("--least-gain-percent: is 101"), "{message}");
+    assert!(message.contains("least_gain_percent: is 101"), "{message}");
     // What the numbers are made of
     let (decision, tolerance) =
         (manifest(&dir.join("c/learning/1/decision")), manifest(&dir.join("tolerance")));

@@ -491,7 +491,10 @@ fn a_campaign_and_the_next_run_of_a_lab_take_any_names_and_keep_to_their_directo
     let said = ended_with(&run(dir.path(), &next), 0);
     assert!(said.contains("RUN AGAIN") || said.contains("STOP"), "{said}");
     let own = dir.path().join("next $(touch PWNED)");
-    assert_eq!(manifest(&own.join("commanded"))["frame"], "machine coordinates; the last axis is [x, y]");
+    assert_eq!(
+        manifest(&own.join("commanded"))["frame"],
+        "machine coordinates; the last axis is [x, y]"
+    );
     for part in ["reconciliation", "tif", "transform", "verdict", "tolerance", "decision"] {
         assert!(own.join(part).join("manifest.json").exists(), "{part}");
     }
