@@ -35,6 +35,30 @@ compare fixture="flat-92x16" *settings: build
 tolerance *words: build
     @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
 
+# A campaign on the virtual machine: plan, run, measure, learn, plan again, beside the same without learning and with a
+# tool that is known: just campaign coupon runs=3 seed=7 process=fixtures/processes/hidden.json (docs/campaign.md)
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+campaign *words: build
+    @{{ quote(justfile_directory() / "pipelines/campaign.sh") }} "$@"
+
+# How the results of campaigns scatter over this many seeds: just campaign-spread coupon seeds=20 runs=2; each campaign is in
+# out/campaign-spread/MIRROR/SEED, or in OUT/SEED
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+campaign-spread *words: build
+    @{{ quote(justfile_directory() / "pipelines/campaign-spread.sh") }} "$@"
+
+# What the last run taught, the next plan, and whether it is worth it: just next-run before=DIR after=DIR trajectory=DIR
+# tif=DIR [machine=FILE process=FILE transform=DIR specification=FILE out=DIR] (docs/campaign.md)
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+next-run *words: build
+    @{{ quote(justfile_directory() / "pipelines/next-run.sh") }} "$@"
+
 # How often the truth is within two standard errors of planish-reconcile: 500 runs of the virtual machine on the fixture
 # coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
 learn-coverage runs="500": build

@@ -116,6 +116,9 @@ planish-import program {p.csv} --controller csv --out {from-csv}
 planish-import trace {p.csv} --tool-on tool_on --most-gap-s 5 --planned {run/methods/pvt/trajectory} --out {as-run}
 planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --measured {after} --out {truth}
 planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --out {reconciliation}
+planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --process {process.json} --corrected-tif {learnt-tif} --corrected-transform {learnt-place} --learnt-process {learnt.json} --out {learnt}
+planish-campaign measure --surface {run/surface} --process {process.json} --out {measured}
+planish-campaign decide --surface {run/surface} --trajectory {run/methods/pvt/trajectory} --tolerance {tolerance} --out {decision}
 planish-register fit {fiducials.csv} --out {where}
 planish-register apply --transform {where} --trajectory {run/methods/pvt/trajectory} --out {on-machine}
 planish-import surface {run/surface/height_nm.npy} --unit nm --pitch-mm 0.5 --picture {a.svg} --out {from-npy}
@@ -130,6 +133,9 @@ planish-compare report {run} --measured {mirror/surface} --out {report}
 # Most of what users get wrong, and what breaks arithmetic.
 NUMBERS = """0 -0 -1 1 2 0.5 nan inf -inf 1e-300 1e-9 1e-3 1e3 1e6 1e9 1e300 -1e300 1000000 4294967296
 9007199254740993 18446744073709551615 99999999999999999999 1,2 ,""".split() + ["", "x", "\x1b[2J", "\u00b5"]
+
+# Flags that say where something goes.
+OUTPUTS = ("--out", "--picture", "--measured", "--corrected-tif", "--corrected-transform", "--learnt-process")
 
 # What flags take that count something.
 COUNTS = "0 1 2 3 7 20 100 10000 1000000 4294967295 18446744073709551615".split()
@@ -231,7 +237,7 @@ class Case:
             if name is None:
                 continue
             place = at / name.replace("/", "-")
-            if words[i - 1] in ("--out", "--picture", "--measured"):
+            if words[i - 1] in OUTPUTS:
                 self.outputs.append(place)
             else:
                 # A file keeps its name: an ending tells the format.

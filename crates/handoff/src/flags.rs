@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath, Trajectory};
 
-use crate::{Artifact, HandoffError, Inputs, OutputFile};
+use crate::{Artifact, HandoffError, Inputs, Manifest, OutputFile};
 
 /// The mirror: what is to be removed, and the tool that removes it.
 #[derive(Clone, Debug, Args)]
@@ -91,6 +91,25 @@ impl TrajectoryArgs {
         mirror: &MirrorArgs,
         inputs: &mut Inputs,
     ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
+        let (trajectory, manifest) = self.read_on_part(inputs)?;
+        Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
+    }
+
+    /// Reads it with the mirror, as a machine does: also in the machine's own coordinates.
+    pub fn read_on_machine(
+        &self,
+        mirror: &MirrorArgs,
+        inputs: &mut Inputs,
+    ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
+        let (trajectory, manifest) = inputs.read_with_manifest("trajectory", &self.trajectory)?;
+        Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
+    }
+
+    /// Reads a motion in the coordinates of the part, with its manifest; refuses one in those of a machine.
+    pub fn read_on_part(
+        &self,
+        inputs: &mut Inputs,
+    ) -> Result<(Trajectory, Option<Manifest>), HandoffError> {
         let (trajectory, manifest): (Trajectory, _) =
             inputs.read_with_manifest("trajectory", &self.trajectory)?;
         if let Some(other) = manifest.as_ref().filter(|m| m.frame != Trajectory::KIND.frame) {
@@ -101,10 +120,19 @@ impl TrajectoryArgs {
             );
             return Err(HandoffError::new(&self.trajectory, problem));
         }
+        Ok((trajectory, manifest))
+    }
+
+    fn read_mirror(
+        trajectory: Trajectory,
+        manifest: Option<&Manifest>,
+        mirror: &MirrorArgs,
+        inputs: &mut Inputs,
+    ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
         let (tif, surface) =
             (inputs.read("tif", &mirror.tif)?, inputs.read("surface", &mirror.surface)?);
         for other in ["tif", "surface"] {
-            inputs.warn_unrelated("trajectory", manifest.as_ref(), other);
+            inputs.warn_unrelated("trajectory", manifest, other);
         }
         Ok((trajectory, tif, surface))
     }

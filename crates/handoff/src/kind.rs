@@ -564,6 +564,29 @@ pub const RECONCILIATION: Kind = Kind {
     files: &["reconcile.svg"],
 };
 
+/// Run again, or stop.
+pub const DECISION: Kind = Kind {
+    name: "decision",
+    version: 1,
+    doc: "Whether another run is worth it: what is on the mirror, what the next run is expected to leave, the gain, how \
+          sure it is and how long it takes; everything is in the manifest's outcome.",
+    frame: MAP_FRAME,
+    arrays: &[],
+    files: &[],
+};
+
+/// Runs in a row.
+pub const CAMPAIGN: Kind = Kind {
+    name: "campaign",
+    version: 1,
+    doc: "A campaign on the virtual machine, run by run: what remains with learning, without, and with a tool that is \
+          known, what was learnt beside the hidden truth, and what was decided; the numbers are in the manifest's \
+          outcome.",
+    frame: MAP_FRAME,
+    arrays: &[],
+    files: &["campaign.html", "campaign.svg"],
+};
+
 /// Numbers for people and programs.
 pub const REPORT: Kind = Kind {
     name: "report",
@@ -621,7 +644,7 @@ pub const FIGURES: Kind = Kind {
 };
 
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 17] = [
+pub const ALL: [&Kind; 19] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -635,6 +658,8 @@ pub const ALL: [&Kind; 17] = [
     &VERDICT,
     &TOLERANCE,
     &RECONCILIATION,
+    &DECISION,
+    &CAMPAIGN,
     &PSD,
     &SPECIFICATION,
     &REPORT,

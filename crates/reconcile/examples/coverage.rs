@@ -62,6 +62,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         trajectory: &trajectory,
         tif: &tif,
         process: None,
+        transform: None,
     };
     let moved = first.moved_tif(&settings)?;
     let runs = Runs::new(&trajectory, &tif, &moved, before.grid())?;
@@ -69,7 +70,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let start = Start::new(&model)?;
     let mut tally = vec![Tally::default(); parameters.len()];
     for seed in 0..count as u64 {
-        let run = draw_run(&runs, &before, &process, seed)?;
+        let run = draw_run(&runs, &before, &process, seed, 1)?;
         let mut after = run.measured.height_nm().clone();
         for k in 0..2 {
             if block > 1 {

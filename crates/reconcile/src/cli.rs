@@ -15,7 +15,7 @@ use planish_reconcile::{
     Comparison, Reconciled, Settings, draw::picture, reconcile, report::Estimate,
 };
 use planish_simulate::process::{Process, ProcessFile};
-use planish_types::{Surface, Tif, plausible, text::significant};
+use planish_types::{Surface, Tif, Transform, plausible, text::significant};
 
 #[derive(Args)]
 pub struct Reconcile {
@@ -48,9 +48,19 @@ pub struct Reconcile {
     /// Move the TIF with its noise and the step at its border, which the tool has not
     #[arg(long)]
     tif_as_sampled: bool,
+    /// What took the plan to the machine in this run [transform artifact]
+    #[arg(long, value_name = "DIR")]
+    transform: Option<PathBuf>,
     /// Also write the TIF with the rate and the shape that were learnt [tif artifact]
     #[arg(long, value_name = "DIR")]
     corrected_tif: Option<PathBuf>,
+    /// Also write what takes the next plan to the machine, so that the tool acts where it is planned [transform
+    /// artifact]
+    #[arg(long, value_name = "DIR")]
+    corrected_transform: Option<PathBuf>,
+    /// Also write the process as it is now: standard errors in the place of the errors that were learnt [JSON]
+    #[arg(long, value_name = "FILE")]
+    learnt_process: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -64,16 +74,25 @@ impl Reconcile {
             tif_as_sampled: self.tif_as_sampled,
         };
         let mut inputs = Inputs::new();
-        let (trajectory, manifest) =
-            inputs.read_with_manifest("trajectory", &self.trajectory.trajectory)?;
+        let (trajectory, manifest) = self.trajectory.read_on_part(&mut inputs)?;
         let tif: Tif = inputs.read("tif", &self.tif)?;
         inputs.warn_unrelated("trajectory", manifest.as_ref(), "tif");
         let before: Surface = inputs.read("before", &self.before)?;
         let after: Surface = inputs.read("after", &self.after)?;
         let process = self.read_process(&mut inputs)?;
+        let transform: Option<Transform> = match &self.transform {
+            Some(dir) => Some(inputs.read("transform", dir)?),
+            None => None,
+        };
         let mut output = Output::directory(&self.output, &kind::RECONCILIATION);
         if let Some(dir) = &self.corrected_tif {
             output = output.and_directory("--corrected-tif", dir, Tif::KIND);
+        }
+        if let Some(dir) = &self.corrected_transform {
+            output = output.and_directory("--corrected-transform", dir, Transform::KIND);
+        }
+        if let Some(file) = &self.learnt_process {
+            output = output.and_file("--learnt-process", file);
         }
         let mut output = match output.begin(&task!("reconcile", &settings), &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
@@ -86,6 +105,7 @@ impl Reconcile {
             trajectory: &trajectory,
             tif: &tif,
             process: process.as_ref(),
+            transform: transform.as_ref(),
         };
 
         let found = reconcile(&comparison, &settings).map_err(|e| match e.array {
@@ -117,6 +137,13 @@ impl Reconcile {
                 "width_mm": found.tif.width_mm(),
             });
             output.write(&found.tif, learnt, &status)?;
+        }
+        if self.corrected_transform.is_some() {
+            output.write(&found.transform, serde_json::json!({}), &status)?;
+        }
+        if let Some(file) = &self.learnt_process {
+            let text = format!("{}\n", serde_json::to_string_pretty(&found.process)?);
+            output.write_file(file, text.as_bytes())?;
         }
         say(table(&found));
         say(format!("-> {}", self.output.out.display()));

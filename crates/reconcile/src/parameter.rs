@@ -1,6 +1,6 @@
 //! What is learnt of machine and tool.
 
-use planish_simulate::process::{Effect, Process, Scalar};
+use planish_simulate::process::{Effect, Kind, Process, ProcessError, Scalar};
 use planish_types::Invalid;
 use serde::Serialize;
 
@@ -92,19 +92,35 @@ impl Parameter {
 
     /// The scale that a process states for it: the sizes of its errors together; the usual one where it states none.
     pub fn scale_in(self, process: &Process) -> f64 {
-        let same = |scalar: Scalar| match self.effect() {
-            Some(effect) if self == Self::TifDiagonalEllipticity => {
-                scalar == effect || scalar == Scalar::TifEllipticity
-            }
-            Some(effect) => scalar == effect,
-            None => scalar == Scalar::RateScale,
+        let stated = |scalar: Scalar| {
+            let of = |e: &&ProcessError| e.effect == Effect::Scalar(scalar);
+            process.errors.iter().filter(of).map(|e| e.size * e.size).sum::<f64>()
         };
-        let square = |e: &Effect, size: f64| match e {
-            Effect::Scalar(scalar) if same(*scalar) => size * size,
-            _ => 0.0,
+        // An ellipticity of no stated direction has that size along the diagonal, too.
+        let sum = match (stated(self.scalar()), self) {
+            (0.0, Self::TifDiagonalEllipticity) => stated(Scalar::TifEllipticity),
+            (sum, _) => sum,
         };
-        let sum: f64 = process.errors.iter().map(|e| square(&e.effect, e.size)).sum();
         if sum > 0.0 { sum.sqrt() } else { self.usual_scale() }
+    }
+
+    /// The effect of a process that it is.
+    pub fn scalar(self) -> Scalar {
+        self.effect().unwrap_or(Scalar::RateScale)
+    }
+
+    /// The kind of error of a process file that it is.
+    pub fn kind(self) -> Kind {
+        match self {
+            Self::RateScale => Kind::RateScale,
+            Self::OffsetX => Kind::OffsetX,
+            Self::OffsetY => Kind::OffsetY,
+            Self::Rotation => Kind::Rotation,
+            Self::Magnification => Kind::Magnification,
+            Self::TifWidth => Kind::TifWidth,
+            Self::TifEllipticity => Kind::TifEllipticity,
+            Self::TifDiagonalEllipticity => Kind::TifDiagonalEllipticity,
+        }
     }
 
     /// By its name.

@@ -2,16 +2,22 @@
 
 use nalgebra::Matrix2;
 use ndarray::Array2;
-use planish_simulate::{process::Process, runs::Runs, tool::smooth};
-use planish_types::{Axis, Invalid, Surface, Tif, Trajectory};
+use planish_simulate::{
+    process::{Process, ProcessFile},
+    runs::Runs,
+    tool::smooth,
+};
+use planish_types::{Axis, Invalid, Surface, Tif, Trajectory, Transform};
 
 use crate::{
     bands::{Maps, bands},
     determined::{all_moves, refusal, wider_orders},
     fit::{Data, Fit, Start, fit},
+    left::left,
     metrology,
     model::Model,
     parameter::{ALL, Parameter},
+    place::place,
     report::{Ellipse, Estimate, Fitted, Outcome},
     settings::Settings,
 };
@@ -38,6 +44,8 @@ pub struct Comparison<'a> {
     pub tif: &'a Tif,
     /// Where it is known: what is believed beforehand.
     pub process: Option<&'a Process>,
+    /// What took the plan to the machine, where anything did.
+    pub transform: Option<&'a Transform>,
 }
 
 /// What a run taught.
@@ -58,6 +66,10 @@ pub struct Reconciled {
     pub rest_nm: Array2<f64>,
     /// The TIF with the rate and the shape that are determined.
     pub tif: Tif,
+    /// What takes the next plan to the machine, by what is determined.
+    pub transform: Transform,
+    /// The errors of the next run.
+    pub process: ProcessFile,
     /// Why the verdict is negative, where it is: a parameter that was asked for by name is refused, or all are.
     pub drawback: Option<String>,
 }
@@ -132,6 +144,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         .map(|i| (found.parameters[i], found.values[i]))
         .collect();
 
+    let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
     let measured = &data.data - &found.metrology;
     let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
     let less_planned = &measured - &runs.executed;
@@ -171,6 +184,8 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         metrology_nm: found.metrology.clone(),
         rest_nm: with_nan(&found.rest),
         tif: Model::corrected_tif(comparison.tif, &known)?,
+        transform: place(comparison.transform, &found, &refused, scale, data.grid)?,
+        process: left(comparison.process, &found, &refused, scale),
         outcome,
     })
 }

@@ -34,8 +34,14 @@ fn after(removal: &Array2<f64>, more: impl Fn(f64, f64) -> f64) -> Surface {
 
 fn learnt(after: &Surface, settings: &Settings) -> Reconciled {
     let (before, trajectory, tif) = (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0));
-    let comparison =
-        Comparison { before: &before, after, trajectory: &trajectory, tif: &tif, process: None };
+    let comparison = Comparison {
+        before: &before,
+        after,
+        trajectory: &trajectory,
+        tif: &tif,
+        process: None,
+        transform: None,
+    };
     reconcile(&comparison, settings).unwrap()
 }
 
@@ -148,13 +154,14 @@ fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
     let start = Start::new(&model).unwrap();
     let (mut within, mut of, mut squares) = (0.0, 0.0, 0.0);
     for seed in 0..30 {
-        let run = draw_run(&runs, &before, &process, seed).unwrap();
+        let run = draw_run(&runs, &before, &process, seed, 1).unwrap();
         let comparison = Comparison {
             before: &before,
             after: &run.measured,
             trajectory: &trajectory,
             tif: &tif,
             process: None,
+            transform: None,
         };
         let found = fit(&model, &terms, &comparison.data(12).unwrap(), &start).unwrap();
         let t = run.hidden.truth;
@@ -228,6 +235,7 @@ fn a_move_with_the_metrology_is_that_of_the_wider_fit() {
         trajectory: &trajectory,
         tif: &tif,
         process: None,
+        transform: None,
     };
     let data = comparison.data(20).unwrap();
     let own = fit(&model, &terms(None), &data, &start).unwrap();

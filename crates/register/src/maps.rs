@@ -28,8 +28,15 @@
 //! h is by central differences, which do not correlate with the noise of z at their own pixel, and knows nothing
 //! of the noise of b. Noise of maps is correlated (air, camera, interpolation), so the standard errors are not from
 //! the number of pixels: with the sums of H'r over blocks of the map,
-//! C = (H'G)^-1 (sum over blocks of (H'r)(H'r)') (G'H)^-1 (the sandwich of H. White, Econometrica 48 (1980) 817, by
-//! clusters), which holds where the blocks are larger than the correlation length.
+//! C = f (H'G)^-1 (sum over blocks of (H'r)(H'r)') (G'H)^-1 (the sandwich of H. White, Econometrica 48 (1980) 817, by
+//! clusters), which holds where the blocks are larger than the correlation length. What correlates across the borders of
+//! blocks of X x Y pixels is lost, and made up for by the autocovariance A of r:
+//!
+//! ```text
+//! f = sum A(i, j) / sum A(i, j) (1 - |i| / X) (1 - |j| / Y)      over lags out to where A is not seen any more
+//! ```
+//!
+//! For noise averaged over 3 x 3 pixels in blocks of 17 x 10 that is a seventh of the variance.
 //!
 //! Whether the features determine a direction is asked of the features that the maps have *in common*: the
 //! correlation of the derivative of z with that of b along it, where the maps lie, against the same correlation at
@@ -40,6 +47,7 @@ mod field;
 mod search;
 
 use nalgebra::{DMatrix, DVector};
+use ndarray::Array2;
 use planish_numerics::orthogonal::legendre;
 use planish_types::{Invalid, Surface, Transform, text::significant};
 use rayon::prelude::*;
@@ -112,6 +120,9 @@ const CLOSEST_TO_ONE: f64 = 1.0 - 1e-9;
 
 /// Blocks of the map, along each side.
 const BLOCKS: usize = 6;
+
+/// A ring of lags correlates where its mean is above this many standard errors of that of white noise.
+const SEEN: f64 = 2.0;
 
 /// Fewest blocks with pixels, and pixels in common.
 const LEAST_BLOCKS: usize = 16;
@@ -191,6 +202,8 @@ struct Equations {
     right: DVector<f64>,
     /// H'r of every block that has pixels, without what the free terms take.
     scores: Vec<DVector<f64>>,
+    /// f: what the variance is with what correlates across the borders of blocks, over what it is without.
+    across_borders: f64,
     pixels: usize,
     squares: f64,
     correlation: f64,
@@ -291,7 +304,7 @@ impl<'a> Problem<'a> {
         let mut normal = DMatrix::<f64>::zeros(m, m);
         let mut sizes = [DVector::<f64>::zeros(m), DVector::zeros(m)];
         let mut right = DVector::<f64>::zeros(m);
-        let mut samples: Vec<(usize, Vec<f64>, f64, f64)> = Vec::new();
+        let mut samples: Vec<([usize; 2], Vec<f64>, f64, f64)> = Vec::new();
         let (mut of_h, mut of_g) = (vec![0.0; m], vec![0.0; m]);
         for (index, x, z) in self.after.valid_indexed() {
             let d = [0, 1].map(|a| x[a] - self.centre_mm[a] - pose[a]);
@@ -318,7 +331,7 @@ impl<'a> Problem<'a> {
                     normal[(i, j)] += of_h[i] * of_g[j];
                 }
             }
-            samples.push((self.block(index), of_h.clone(), z - b, z));
+            samples.push((index, of_h.clone(), z - b, z));
         }
         if samples.len() < LEAST_PIXELS.max(4 * m) {
             let problem =
@@ -333,7 +346,7 @@ impl<'a> Problem<'a> {
         normal: DMatrix<f64>,
         sizes: [DVector<f64>; 2],
         right: DVector<f64>,
-        samples: &[(usize, Vec<f64>, f64, f64)],
+        samples: &[([usize; 2], Vec<f64>, f64, f64)],
     ) -> Result<Equations, Invalid> {
         let m = right.len();
         // What remains with the free terms alone, at this place; and z itself without them.
@@ -353,7 +366,9 @@ impl<'a> Problem<'a> {
         let mut scores = vec![DVector::zeros(m); BLOCKS * BLOCKS];
         let mut filled = [false; BLOCKS * BLOCKS];
         let (mut squares, mut zz, mut bb, mut zb) = (0.0, 0.0, 0.0, 0.0);
-        for (block, row, rest, z) in samples {
+        let mut left = Array2::from_elem(self.after.grid().shape(), f64::NAN);
+        for (index, row, rest, z) in samples {
+            let block = self.block(*index);
             let low =
                 |a: &DVector<f64>| row[3..].iter().zip(a.iter()).map(|(q, a)| q * a).sum::<f64>();
             let r = rest - low(&a);
@@ -362,9 +377,10 @@ impl<'a> Problem<'a> {
             squares += r * r;
             (zz, bb, zb) = (zz + z * z, bb + b * b, zb + z * b);
             for i in 0..m {
-                scores[*block][i] += row[i] * r;
+                scores[block][i] += row[i] * r;
             }
-            filled[*block] = true;
+            filled[block] = true;
+            left[*index] = r;
         }
         let keep = |k: &usize| filled[*k];
         Ok(Equations {
@@ -372,10 +388,53 @@ impl<'a> Problem<'a> {
             sizes,
             right,
             scores: (0..BLOCKS * BLOCKS).filter(keep).map(|k| scores[k].clone()).collect(),
+            across_borders: self.across_borders(&left),
             pixels: samples.len(),
             squares,
             correlation: zb / (zz * bb).sqrt().max(f64::MIN_POSITIVE),
         })
+    }
+
+    /// f of what the fit leaves, NaN where there is none.
+    fn across_borders(&self, left: &Array2<f64>) -> f64 {
+        let (ny, nx) = left.dim();
+        let block = [ny, nx].map(|n| n as f64 / BLOCKS as f64);
+        let mean = |i: isize, j: isize| {
+            // Of one of the two halves of the lags, which are the same
+            let (rows, from) = (0..ny - i as usize, j.unsigned_abs());
+            let (mut sum, mut count) = (0.0, 0.0);
+            for r in rows {
+                for c in 0..nx - from {
+                    let (a, b) = if j < 0 { (c + from, c) } else { (c, c + from) };
+                    let product = left[[r, a]] * left[[r + i as usize, b]];
+                    if !product.is_nan() {
+                        sum += product;
+                        count += 1.0;
+                    }
+                }
+            }
+            (if count > 0.0 { sum / count } else { 0.0 }, count)
+        };
+        let (variance, pixels) = mean(0, 0);
+        let (mut all, mut within) = (variance, variance);
+        let most = (0.5 * block[0].min(block[1])) as isize;
+        for ring in 1..=most {
+            let (mut sum, mut tapered, mut lags) = (0.0, 0.0, 0.0);
+            let half = (-ring + 1..=ring).map(|j| (ring, j)).chain((0..ring).map(|i| (i, ring)));
+            for (i, j) in half.chain((1..=ring).map(|i| (i, -ring))) {
+                let (a, _) = mean(i, j);
+                sum += a;
+                tapered += a * (1.0 - i as f64 / block[0]) * (1.0 - j.abs() as f64 / block[1]);
+                lags += 1.0;
+            }
+            // The mean of so many covariances of white noise scatters by its variance over (pixels lags)^1/2.
+            if sum / lags <= SEEN * variance / (pixels * lags).sqrt() {
+                break;
+            }
+            all += 2.0 * sum;
+            within += 2.0 * tapered;
+        }
+        if within > 0.0 { all / within } else { 1.0 }
     }
 
     fn block(&self, [r, c]: [usize; 2]) -> usize {
@@ -578,7 +637,7 @@ impl Equations {
             middle += score * score.transpose();
         }
         // Blocks are few: the usual correction of their number.
-        let correction = blocks as f64 / (blocks as f64 - 3.0);
+        let correction = self.across_borders * blocks as f64 / (blocks as f64 - 3.0);
         let all = &inverse * middle * inverse.transpose() * correction;
         let unit = [1.0, 1.0, problem.half_diagonal_mm];
         Ok(DMatrix::from_fn(3, 3, |i, j| all[(i, j)] / (unit[i] * unit[j])))

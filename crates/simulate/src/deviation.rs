@@ -60,6 +60,7 @@ pub struct Truth {
     pub shear: f64,
     pub tif_width: f64,
     pub tif_ellipticity: f64,
+    pub tif_diagonal_ellipticity: f64,
     pub tif_rotation_rad: f64,
 }
 
@@ -128,6 +129,8 @@ impl Deviation {
                 *r *= 1.0 + self.time_of_stay_s[p.stay] / motion.stay_s[p.stay];
             }
         }
+        // What the beam did, where a log has it, is a factor of all of them.
+        rate.iter_mut().zip(&pieces).for_each(|(r, p)| *r *= p.rate_factor);
         let mut origin: Vec<usize> = (0..pieces.len()).collect();
         for servo in &self.servos {
             (pieces, origin) = servo.follow(&pieces, &origin);
@@ -163,7 +166,7 @@ impl Deviation {
             for axis in 0..2 {
                 c[axis][0] += middle[axis] + self.offset_mm[axis];
             }
-            // A run removes nothing in a time that noise takes away altogether.
+            // A run removes nothing in a time that noise takes away altogether, or with the beam off.
             let removes = r > 0.0;
             let end = breaks[breaks.len() - 1] + if removes { r * p.duration_s } else { 0.0 };
             if removes && end > breaks[breaks.len() - 1] {
@@ -187,6 +190,7 @@ impl Deviation {
             shear: self.shear,
             tif_width: self.tif_width,
             tif_ellipticity: self.tif_ellipticity,
+            tif_diagonal_ellipticity: self.tif_diagonal_ellipticity,
             tif_rotation_rad: self.tif_rotation_rad,
         }
     }

@@ -18,6 +18,8 @@ pub struct Piece {
     pub coefficient_mm: [[f64; 4]; 2],
     /// Whether the tool removes.
     pub tool_on: bool,
+    /// Removal rate of the tool relative to its TIF, from a log with the beam current; else 1.
+    pub rate_factor: f64,
     /// Index of the stay it belongs to.
     pub stay: usize,
 }
@@ -70,6 +72,7 @@ impl Motion {
                     duration_s,
                     coefficient_mm: segment.coefficient_mm.map(|c| shifted(&c, from)),
                     tool_on: segment.tool_on,
+                    rate_factor: segment.rate_factor,
                     stay,
                 });
             }

@@ -40,6 +40,8 @@ pub enum Kind {
     TifWidth,
     /// The TIF is longer along x by half of this, and shorter along y.
     TifEllipticity,
+    /// The TIF is longer along the diagonal (from lower left to upper right) by half of this, and shorter across.
+    TifDiagonalEllipticity,
     /// The TIF is rotated about the place of the tool, from x to y.
     TifRotation,
     /// The beam is beside the place of the tool along x.
@@ -159,9 +161,7 @@ pub enum Effect {
 pub enum Scalar {
     RateScale,
     RateDrift,
-    RateWarmUp {
-        time_constant_s: f64,
-    },
+    RateWarmUp { time_constant_s: f64 },
     OffsetX,
     OffsetY,
     Rotation,
@@ -169,15 +169,36 @@ pub enum Scalar {
     Shear,
     TifWidth,
     TifEllipticity,
-    /// Of no kind in a file, where an ellipticity is turned by `tif_rotation`: what is learnt needs it.
     TifDiagonalEllipticity,
     TifRotation,
     VelocityLag,
     ServoFirstOrder,
-    ServoSecondOrder {
-        damping_ratio: f64,
-    },
+    ServoSecondOrder { damping_ratio: f64 },
     Backlash,
+}
+
+impl Scalar {
+    /// Whether the maps before and after a run can tell it: rate, place, width and shape of the tool.
+    pub fn is_learnt(self) -> bool {
+        match self {
+            Self::RateScale
+            | Self::OffsetX
+            | Self::OffsetY
+            | Self::Rotation
+            | Self::Magnification
+            | Self::TifWidth
+            | Self::TifEllipticity
+            | Self::TifDiagonalEllipticity
+            | Self::TifRotation => true,
+            Self::RateDrift
+            | Self::RateWarmUp { .. }
+            | Self::Shear
+            | Self::VelocityLag
+            | Self::ServoFirstOrder
+            | Self::ServoSecondOrder { .. }
+            | Self::Backlash => false,
+        }
+    }
 }
 
 /// An effect of independent numbers along the run.
@@ -222,8 +243,15 @@ impl Kind {
     fn units(self) -> (&'static [Unit], f64) {
         use Kind::*;
         match self {
-            RateScale | RateDrift | RateWarmUp | RateNoise | Magnification | Shear | TifWidth
-            | TifEllipticity => (FRACTIONS, LARGEST_FRACTION),
+            RateScale
+            | RateDrift
+            | RateWarmUp
+            | RateNoise
+            | Magnification
+            | Shear
+            | TifWidth
+            | TifEllipticity
+            | TifDiagonalEllipticity => (FRACTIONS, LARGEST_FRACTION),
             OffsetX | OffsetY | TifOffsetX | TifOffsetY | PositionNoise | Backlash => {
                 (LENGTHS, LARGEST_LENGTH_MM)
             }
@@ -362,6 +390,7 @@ impl ErrorFile {
             Kind::Shear => Effect::Scalar(Scalar::Shear),
             Kind::TifWidth => Effect::Scalar(Scalar::TifWidth),
             Kind::TifEllipticity => Effect::Scalar(Scalar::TifEllipticity),
+            Kind::TifDiagonalEllipticity => Effect::Scalar(Scalar::TifDiagonalEllipticity),
             Kind::TifRotation => Effect::Scalar(Scalar::TifRotation),
             Kind::PositionNoise => Effect::Noise(Noise::Position),
             Kind::VelocityLag => Effect::Scalar(Scalar::VelocityLag),

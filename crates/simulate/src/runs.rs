@@ -44,15 +44,13 @@ pub struct Runs<'a> {
 }
 
 impl<'a> Runs<'a> {
-    /// Of `trajectory` with `tif` on `grid`; errors are computed with `moved`, which may be `tif` itself. Refuses a log
-    /// with a rate of its own, because the pieces of a motion with errors have that of the TIF.
+    /// Of `trajectory` with `tif` on `grid`; errors are computed with `moved`, which may be `tif` itself.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
         moved: &'a Tif,
         grid: &'a Grid,
     ) -> Result<Self, Invalid> {
-        trajectory.check_rate_is_constant()?;
         let width_mm = tif.width_mm();
         let motion = Motion::new(trajectory, LONGEST_OVER_WIDTH * width_mm)?;
         let executed = Plan::new(tif, grid, Settings::Gridded)?.removal_nm(trajectory)?.0;

@@ -182,6 +182,7 @@ mod tests {
             duration_s,
             coefficient_mm,
             tool_on: true,
+            rate_factor: 1.0,
             stay: 0,
         };
         vec![piece(0.0, 1.0, c), piece(1.0, 0.7, brake), piece(1.7, 2.0, rest)]
@@ -242,6 +243,7 @@ mod tests {
             duration_s: 5.0,
             coefficient_mm: [[1.0, 4.0, 0.0, 0.0], [0.0; 4]],
             tool_on: true,
+            rate_factor: 1.0,
             stay: 0,
         };
         for servo in [

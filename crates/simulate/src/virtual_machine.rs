@@ -12,7 +12,10 @@
 //! goes elsewhere, to be compared with what is learnt.
 //!
 //! Every error has random numbers of its own, by its place in the process file: an error added at the end of the file
-//! changes none of the others.
+//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]): an error that one number
+//! decides is the same in all of its runs, noise is new in each, and the map after a run is the map before the next
+//! one, with the same error of its measurement. So the measurements of a campaign are counted: run k is between the
+//! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
 use planish_types::{Invalid, Removal, Surface, Tif, Trajectory};
@@ -27,14 +30,24 @@ use crate::{
     tool::smooth,
 };
 
-/// Streams of random numbers of one error: of the run, of the map before, and of the map after.
+/// Streams of random numbers of one error: of the run, and of the measurements of even and of odd number.
 const STREAMS_PER_ERROR: u64 = 4;
+
+/// Distance between the streams of later runs, and of later pairs of measurements, of one machine.
+const STREAMS_PER_RUN: u64 = 1 << 32;
+
+/// Runs of one machine.
+const MOST_RUNS: u64 = 1_000_000;
 
 /// How the machine is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Random seed of what is hidden.
     pub seed: u64,
+    /// Which run of this machine it is, from 1.
+    pub run: u64,
+    /// Whether rate, place, width and shape of the tool are known, and corrected exactly: all other errors stay.
+    pub known: bool,
     /// Whether errors move the TIF with the noise and the border of its measurement, and not [`crate::tool`]'s.
     pub tif_as_sampled: bool,
 }
@@ -78,10 +91,45 @@ pub fn run(
     process: &Process,
     settings: &Settings,
 ) -> Result<Run, Invalid> {
+    check_run(settings.run)?;
     let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, tif.width_mm())? };
     let runs = Runs::new(trajectory, tif, &moved, before.grid())?;
     runs.check_sizes(process)?;
-    draw_run(&runs, before, process, settings.seed)
+    let known = if settings.known { without_what_is_learnt(process) } else { process.clone() };
+    draw_run(&runs, before, &known, settings.seed, settings.run)
+}
+
+fn check_run(run: u64) -> Result<(), Invalid> {
+    match (1..=MOST_RUNS).contains(&run) {
+        true => Ok(()),
+        false => Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}"))),
+    }
+}
+
+/// The process with the sizes of what can be learnt from maps at zero, each error at its place.
+fn without_what_is_learnt(process: &Process) -> Process {
+    let mut process = process.clone();
+    for error in &mut process.errors {
+        if matches!(error.effect, Effect::Scalar(effect) if effect.is_learnt()) {
+            (error.size, error.stated.size) = (0.0, 0.0);
+        }
+    }
+    process
+}
+
+/// The map that is measured of `mirror` before run `run` of the machine of `seed`.
+pub fn measure(
+    mirror: &Surface,
+    process: &Process,
+    seed: u64,
+    run: u64,
+) -> Result<Surface, Invalid> {
+    check_run(run)?;
+    // true before = measured before + m_1
+    Surface::new(
+        *mirror.grid(),
+        mirror.height_nm() - &measurement_error(mirror, process, seed, run - 1),
+    )
 }
 
 /// [`run`] of a plan that is ready, for many seeds.
@@ -90,12 +138,12 @@ pub fn draw_run(
     before: &Surface,
     process: &Process,
     seed: u64,
+    run: u64,
 ) -> Result<Run, Invalid> {
     let mut deviation = Deviation::default();
     let mut errors = Vec::with_capacity(process.errors.len());
-    let mut wrong = [0, 1].map(|_| Array2::zeros(before.grid().shape()));
     for (i, error) in process.errors.iter().enumerate() {
-        let of = |use_: u64| stream(seed, STREAMS_PER_ERROR * i as u64 + use_);
+        let of = |run: u64| stream(seed, STREAMS_PER_ERROR * i as u64 + run * STREAMS_PER_RUN);
         let mut value = None;
         match error.effect {
             Effect::Scalar(effect) => {
@@ -104,24 +152,33 @@ pub fn draw_run(
                 value = Some(eta * error.stated.size);
             }
             Effect::Noise(noise) => {
-                sample(noise, error.size, &runs.motion, &mut of(0), &mut deviation);
+                sample(noise, error.size, &runs.motion, &mut of(run - 1), &mut deviation);
             }
-            Effect::MapLowOrder { .. } | Effect::MapNoise => {
-                for (k, wrong) in wrong.iter_mut().enumerate() {
-                    *wrong += &map_error(error.effect, error.size, before, &mut of(1 + k as u64));
-                }
-            }
+            Effect::MapLowOrder { .. } | Effect::MapNoise => {}
         }
         let stated = &error.stated;
         errors.push(Drawn { kind: stated.kind.name(), value, unit: stated.unit.clone() });
     }
     let removal = runs.removal_nm(&deviation)?;
-    let [m_1, m_2] = wrong;
+    let [m_1, m_2] = [run - 1, run].map(|k| measurement_error(before, process, seed, k));
     // true before = measured before + m_1, true after = true before - R, measured after = true after - m_2
     let true_before = Surface::new(*before.grid(), before.height_nm() + &m_1)?;
     let removal = Removal::new(&true_before, removal)?;
     let measured = Surface::new(*before.grid(), removal.residual().height_nm() - &m_2)?;
     Ok(Run { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
+}
+
+/// What measurement `number` of the machine of a seed has wrong, nm.
+fn measurement_error(map: &Surface, process: &Process, seed: u64, number: u64) -> Array2<f64> {
+    let mut wrong = Array2::zeros(map.grid().shape());
+    for (i, error) in process.errors.iter().enumerate() {
+        if matches!(error.effect, Effect::MapLowOrder { .. } | Effect::MapNoise) {
+            let of_error = STREAMS_PER_ERROR * i as u64 + 1 + number % 2;
+            let mut rng = stream(seed, of_error + number / 2 * STREAMS_PER_RUN);
+            wrong += &map_error(error.effect, error.size, map, &mut rng);
+        }
+    }
+    wrong
 }
 
 /// What one measurement has wrong by one error of the map, nm.

@@ -9,7 +9,7 @@ use planish_simulate::{
     process::{Process, ProcessFile, Scalar},
     runs::Runs,
     simulate,
-    virtual_machine::{Run, Settings, draw_run, run},
+    virtual_machine::{Run, Settings, draw_run, measure, run},
 };
 use planish_testkit::program::{text, write};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
@@ -61,7 +61,7 @@ fn process(errors: &[Value]) -> Process {
 }
 
 fn of(errors: &[Value], seed: u64) -> Run {
-    let settings = Settings { seed, tif_as_sampled: true };
+    let settings = Settings { seed, run: 1, known: false, tif_as_sampled: true };
     run(&raster([0.0; 2]), &tif(), &before(), &process(errors), &settings).unwrap()
 }
 
@@ -105,7 +105,7 @@ fn errors_are_drawn_as_the_process_states_and_anew_for_every_seed() {
         [error("rate_scale", 2.0, "%", "normal"), error("offset_x", 50.0, "um", "uniform")];
     let (tif, before) = (tif(), before());
     let prepared = Runs::new(&raster([0.0; 2]), &tif, &tif, before.grid()).unwrap();
-    let draw = |seed| draw_run(&prepared, &before, &process(&errors), seed).unwrap();
+    let draw = |seed| draw_run(&prepared, &before, &process(&errors), seed, 1).unwrap();
     let runs: Vec<Run> = (0..100).map(draw).collect();
     let square = |of: &dyn Fn(&Run) -> f64| {
         runs.iter().map(|r| of(r).powi(2)).sum::<f64>() / runs.len() as f64
@@ -136,6 +136,79 @@ fn both_measurements_have_noise_of_their_own() {
         assert!((dot(m, m) / 0.09 - 1.0).abs() < 0.11);
     }
     assert!((dot(&m_1, &m_2) / 0.09).abs() < 0.075);
+}
+
+/// A mirror is measured, runs, is measured, runs again: what is on it goes on from run to run, and every error of one
+/// number is that of the machine.
+#[test]
+fn the_runs_of_one_machine_follow_each_other() {
+    let errors = process(&[
+        error("rate_scale", 2.0, "%", "normal"),
+        error("map_noise", 0.3, "nm", "normal"),
+        with_correlation(error("rate_noise", 1.0, "%", "normal"), 2.0),
+        with_degree(error("map_low_order", 0.2, "nm", "normal"), 2),
+    ]);
+    let mirror = before();
+    let ran = |map: &Surface, run_: u64, known: bool| {
+        let settings = Settings { seed: 11, run: run_, known, tif_as_sampled: true };
+        run(&raster([0.0; 2]), &tif(), map, &errors, &settings).unwrap()
+    };
+    let measured = measure(&mirror, &errors, 11, 1).unwrap();
+    let difference = measured.height_nm() - mirror.height_nm();
+    let values: Vec<f64> = difference.iter().copied().filter(|v| !v.is_nan()).collect();
+    let square = values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64;
+    // 0.3^2 + 0.2^2 times the mean of five squares, which scatters by sqrt(2 / 5): at most three of it.
+    assert!((0.08..0.21).contains(&square), "{square}");
+    let first = ran(&measured, 1, false);
+    let second = ran(&first.measured, 2, false);
+    let true_before = |run: &Run| run.removal.residual().height_nm() + run.removal.removal_nm();
+    // Sums of a few numbers of 30 nm, to rounding.
+    assert!(apart(&true_before(&first), mirror.height_nm()) < 1e-12);
+    assert!(apart(&true_before(&second), first.removal.residual().height_nm()) < 1e-12);
+    assert_eq!(first.hidden, second.hidden);
+    // The rate fluctuates anew, and the errors of the three measurements are three.
+    assert!(apart(first.removal.removal_nm(), second.removal.removal_nm()) > 0.01);
+    let wrong = |run: &Run| run.removal.residual().height_nm() - run.measured.height_nm();
+    assert!(apart(&wrong(&first), &-&difference) > 0.5);
+    assert!(apart(&wrong(&first), &wrong(&second)) > 0.5);
+    // Another mirror before the second run has the error of its own measurement.
+    let other = measure(&mirror, &errors, 11, 2).unwrap();
+    assert!(apart(&true_before(&ran(&other, 2, false)), mirror.height_nm()) < 1e-12);
+    // A tool that is known has the noise of the run, and nothing of the rate.
+    let known = ran(&measured, 1, true);
+    assert_eq!((known.hidden.truth.rate_scale, known.hidden.errors[0].value), (0.0, Some(0.0)));
+    let rate = 1.0 + first.hidden.truth.rate_scale;
+    let plan = removal(&raster([0.0; 2]));
+    // (rate + noise) R: the noise acts on the rate of the plan.
+    let expected = first.removal.removal_nm() - &((rate - 1.0) * &plan);
+    assert!(apart(known.removal.removal_nm(), &expected) < 1e-9);
+    let none = Settings { seed: 11, run: 0, known: false, tif_as_sampled: true };
+    let said = run(&raster([0.0; 2]), &tif(), &mirror, &errors, &none).unwrap_err().to_string();
+    assert!(said.contains("run: is 0; give 1 to 1000000"), "{said}");
+}
+
+fn with_correlation(mut error: Value, seconds: f64) -> Value {
+    error["correlation_s"] = json!(seconds);
+    error
+}
+
+fn with_degree(mut error: Value, degree: usize) -> Value {
+    error["degree"] = json!(degree);
+    error
+}
+
+/// A beam with half of its current removes half, also where other errors act.
+#[test]
+fn a_current_is_a_factor_of_every_rate() {
+    let half = raster([0.0; 2]).with_rate_factor(vec![0.5; 13]).unwrap();
+    let errors =
+        process(&[error("rate_scale", 4.0, "%", "fixed"), error("offset_x", 0.1, "mm", "fixed")]);
+    let settings = Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let ran = |motion: &Trajectory| {
+        run(motion, &tif(), &before(), &errors, &settings).unwrap().removal.removal_nm().clone()
+    };
+    assert!(apart(&(2.0 * ran(&half)), &ran(&raster([0.0; 2]))) < 1e-9);
+    assert!(apart(&ran(&half), &(0.52 * removal(&raster([0.1, 0.0])))) < 1e-9);
 }
 
 /// A round TIF stretched along the diagonal, by its own equation and by the turned stretch along x.

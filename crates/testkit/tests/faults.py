@@ -38,6 +38,14 @@ CALLS = ["mkdir", "write", "pwrite64", "ftruncate", "fdatasync", "fsync", "renam
 # Kills at one kind of call, in one stage: the calls after these are repetitions of the same kind.
 MOST_KILLS_PER_CALL = 12
 
+# Corners of the coupon on a machine, turned by a hundredth of a degree.
+FIDUCIALS = """map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm
+0,0,100,50,0.005
+20,0,120,50.0035,0.005
+20,12,119.998,62.0035,0.005
+0,12,99.998,62,0.005
+"""
+
 RECIPE = (ROOT / "fixtures/coupon.json").read_text()
 MACHINE = (ROOT / "fixtures/machines/ion-beam.json").read_text()
 
@@ -52,6 +60,8 @@ class Stage:
 # Every path is relative to a directory that holds `in` (read-only inputs) and `out`.
 PLAN = "--tool-path in/path --dwell in/dwell --machine in/machine.json"
 MAPS = "--surface in/surface --tif in/tif"
+LEARNT = "--out out/a --corrected-tif out/tif --corrected-transform out/place --learnt-process out/process.json --force"
+DECIDED = "--surface in/surface --trajectory in/trajectory --tolerance in/tolerance"
 STAGES = [
     Stage("fixture", "planish-fixture in/recipe.json --out out --force", "planish-fixture in/other.json --out out --force",
           "planish-toolpath raster --surface out/surface --tif out/tif --pitch-mm 2 --step-mm 2 --out read --force"),
@@ -90,6 +100,14 @@ STAGES = [
           "planish-verify --trajectory out/trajectory --machine in/machine.json --out read --force"),
     Stage("tolerance", "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --process in/process.json --simulated-runs 1 --out out/a --force",
           "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --process in/process.json --simulated-runs 2 --out out/a --force"),
+    Stage("register", "planish-register fit in/fiducials.csv --out out/a --force",
+          "planish-register fit in/fiducials.csv --model affine --out out/a --force",
+          "planish-register apply --transform out/a --trajectory in/trajectory --out read --force"),
+    Stage("reconcile", f"planish-reconcile --before in/surface --after in/after --trajectory in/trajectory --tif in/tif {LEARNT}",
+          f"planish-reconcile --before in/surface --after in/after --trajectory in/trajectory --tif in/tif --hold rotation {LEARNT}",
+          "planish-register apply --transform out/place --trajectory in/trajectory --out read --force"),
+    Stage("decide", f"planish-campaign decide {DECIDED} --out out/a --force",
+          f"planish-campaign decide {DECIDED} --least-gain-percent 10 --out out/a --force"),
     Stage("export", "planish-export gcode --trajectory in/trajectory --machine in/machine.json --out out/p.ngc --force",
           "planish-export gcode --trajectory in/trajectory --machine in/machine.json --count-mm 0.001 --out out/p.ngc --force",
           "planish-import program out/p.ngc --controller gcode --about out/p.ngc.json --out read --force"),
@@ -106,6 +124,8 @@ planish-schedule pvt --tool-path in/path --dwell in/dwell --machine in/machine.j
 planish-schedule trig-spline --tool-path in/path --dwell in/dwell --machine in/machine.json --feed in/feed --out in/spline
 planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --out in/removal
 planish-verify --trajectory in/trajectory --machine in/machine.json --out in/verdict
+planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --process in/process.json --measured in/after --out in/truth
+planish-tolerance --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --process in/process.json --draws 1000 --simulated-runs 0 --out in/tolerance
 """
 
 
@@ -147,6 +167,7 @@ class Faults:
         (inputs / "other.json").write_text(small.replace('"seed": 2012', '"seed": 2013'))
         (inputs / "machine.json").write_text(MACHINE)
         (inputs / "process.json").write_text((ROOT / "fixtures/processes/ion-beam.json").read_text())
+        (inputs / "fiducials.csv").write_text(FIDUCIALS)
         (inputs / "slow.json").write_text((ROOT / "fixtures/machines/ion-beam-slow.json").read_text())
         generator = random.Random(1)
         rows = [",".join(f"{generator.gauss(0, 5):.3f}" for _ in range(20)) for _ in range(15)]

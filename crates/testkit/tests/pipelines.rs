@@ -441,3 +441,97 @@ fn a_prediction_that_does_not_keep_the_specification_ends_the_run_with_1() {
     let said = ended_with(&run(dir.path(), &[&alone[..], &QUICK_RUN].concat()), 2);
     assert!(said.contains("give one too (specification=FILE)"), "{said}");
 }
+
+#[test]
+fn a_campaign_and_the_next_run_of_a_lab_take_any_names_and_keep_to_their_directory() {
+    if !just_is_installed() {
+        return;
+    }
+    let hostile = "it's; touch PWNED $(touch PWNED2) {{ out }}\n\"é\"";
+    let dir = user(hostile, "tool");
+    let process = workspace().join("fixtures/processes/hidden.json");
+    fs::copy(process, dir.path().join("-hidden' errors.json")).unwrap();
+    let before = entries(dir.path());
+    let out = format!("-{hostile}.out");
+    let settings = [
+        format!("surface={hostile}"),
+        "tif=tool".into(),
+        "machine=machine.json".into(),
+        "process=-hidden' errors.json".into(),
+        format!("out={out}"),
+        "refine=no".into(),
+        "runs=1".into(),
+        "reconcile=--hold  'magnification'".into(),
+    ];
+    let campaign = [vec!["campaign".to_string()], settings.to_vec()].concat();
+    let said = ended_with(&run(dir.path(), &campaign), 0);
+    assert!(said.contains("another mirror like it"), "{said}");
+    let own = dir.path().join(&out);
+    assert_eq!(manifest(&own.join("report"))["settings"]["mirror"], hostile);
+    let held = &manifest(&own.join("learning/1/reconciliation"))["settings"]["hold"];
+    assert_eq!(*held, json!(["magnification"]));
+    // The same campaign again makes the same page, and another mirror does not take its place.
+    let page = fs::read(own.join("report/campaign.html")).unwrap();
+    ended_with(&run(dir.path(), &campaign), 0);
+    assert_eq!(fs::read(own.join("report/campaign.html")).unwrap(), page);
+    let said = ended_with(&run(dir.path(), &["campaign", "coupon", &format!("out={out}")]), 2);
+    assert!(said.contains("belongs to another run (pipeline campaign, surface"), "{said}");
+
+    let next = [
+        "next-run".to_string(),
+        format!("before={out}/measured"),
+        format!("after={out}/learning/1/measured"),
+        format!("trajectory={out}/first/methods/pvt/trajectory"),
+        "tif=tool".into(),
+        "machine=machine.json".into(),
+        format!("process={out}/learning/1/process.json"),
+        "refine=no".into(),
+        "out=next $(touch PWNED)".into(),
+    ];
+    let said = ended_with(&run(dir.path(), &next), 0);
+    assert!(said.contains("RUN AGAIN") || said.contains("STOP"), "{said}");
+    let own = dir.path().join("next $(touch PWNED)");
+    assert_eq!(
+        manifest(&own.join("commanded"))["frame"],
+        "machine coordinates; the last axis is [x, y]"
+    );
+    for part in ["reconciliation", "tif", "transform", "verdict", "tolerance", "decision"] {
+        assert!(own.join(part).join("manifest.json").exists(), "{part}");
+    }
+    let mut after = before;
+    after.extend([out, "next $(touch PWNED)".into()]);
+    assert_eq!(entries(dir.path()), after);
+}
+
+#[test]
+fn what_is_no_campaign_and_no_next_run_is_refused_and_nothing_is_written() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = user("mirror", "tool");
+    let before = entries(dir.path());
+    let maps = ["before=mirror", "after=mirror", "trajectory=mirror", "tif=tool"];
+    for (words, message) in [
+        (vec!["campaign", "nothing"], "no fixture 'nothing'"),
+        (vec!["campaign", "runs=0"], "runs is '0'; give 1 to 99"),
+        (vec!["campaign", "pipeline=stages"], "'stages' is no pipeline that plans a run"),
+        (vec!["campaign", "process=none.json"], "process none.json is no file"),
+        (vec!["campaign", "surface=machine.json", "tif=tool"], "read it with planish-import"),
+        (vec!["campaign", "surface=mirror"], "surface is given without tif"),
+        (vec!["campaign", "reconcile=--hold 'x", "out=o"], "the quotation mark"),
+        (vec!["campaign", "export=galil"], "leave export out"),
+        (vec!["campaign-spread", "seeds=x"], "seeds is 'x'; give 1 to 999"),
+        (vec!["next-run"], "before is not given"),
+        (vec!["next-run", "mirror"], "'mirror' is no setting"),
+        (vec!["next-run", "before=none"], "after is not given"),
+        ([&["next-run"], &maps[..], &["transform=none"]].concat(), "transform none is not there"),
+        ([&["next-run"], &maps[..], &["surface=mirror"]].concat(), "leave surface out"),
+        ([&["next-run"], &maps[..], &["out=mirror"]].concat(), "is the surface mirror"),
+    ] {
+        let said = ended_with(&run(dir.path(), &words), 2);
+        assert!(said.contains(message), "{words:?}: {said}");
+        // What holds a directory is there as soon as something ran in it.
+        let left: Vec<_> = entries(dir.path()).difference(&before).cloned().collect();
+        assert!(left.is_empty(), "{words:?}: {left:?}");
+    }
+}

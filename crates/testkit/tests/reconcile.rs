@@ -21,6 +21,7 @@ fn learnt(mirror: &Mirror, path: &str, settings: &Settings) -> Reconciled {
         trajectory: &trajectory,
         tif: &mirror.tif,
         process: None,
+        transform: None,
     };
     let found = reconcile(&comparison, settings).unwrap();
     println!("{path}, {settings:?}");

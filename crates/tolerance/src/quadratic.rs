@@ -52,13 +52,14 @@ use crate::{
 };
 
 /// Ways in which the TIF acts.
-const KERNELS: usize = 6;
+const KERNELS: usize = 7;
 const AS_IT_IS: usize = 0;
 const ALONG_X: usize = 1;
 const ALONG_Y: usize = 2;
 const WIDER: usize = 3;
 const ELLIPTICAL: usize = 4;
 const ROTATED: usize = 5;
+const DIAGONAL: usize = 6;
 
 /// Gauss points of a piece, over which the tool goes half the width of the TIF at most: of a Gaussian the integral
 /// errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4.
@@ -336,9 +337,8 @@ fn combination(effect: Scalar) -> Option<Combination> {
         Scalar::TifWidth => |_, _| one(WIDER, 1.0),
         Scalar::TifEllipticity => |_, _| one(ELLIPTICAL, 1.0),
         Scalar::TifRotation => |_, _| one(ROTATED, 1.0),
-        // The diagonal ellipticity is of no kind in a file.
-        Scalar::TifDiagonalEllipticity
-        | Scalar::VelocityLag
+        Scalar::TifDiagonalEllipticity => |_, _| one(DIAGONAL, 1.0),
+        Scalar::VelocityLag
         | Scalar::ServoFirstOrder
         | Scalar::ServoSecondOrder { .. }
         | Scalar::Backlash => return None,
@@ -369,6 +369,7 @@ impl Kernels {
         let wider = derivative(Scalar::TifWidth)?;
         let elliptical = derivative(Scalar::TifEllipticity)?;
         let rotated = derivative(Scalar::TifRotation)?;
+        let diagonal = derivative(Scalar::TifDiagonalEllipticity)?;
         let mut value = vec![[0.0; KERNELS]; (ny + 2) * (nx + 2)];
         for r in 0..ny {
             for c in 0..nx {
@@ -383,6 +384,7 @@ impl Kernels {
                 at[WIDER] = wider[[r, c]];
                 at[ELLIPTICAL] = elliptical[[r, c]];
                 at[ROTATED] = rotated[[r, c]];
+                at[DIAGONAL] = diagonal[[r, c]];
             }
         }
         Ok(Self { grid, value })

@@ -41,6 +41,7 @@ fn every(scale: f64) -> Value {
         error("shear", 0.1 * scale, "%", "normal"),
         error("tif_width", scale, "%", "normal"),
         error("tif_ellipticity", scale, "%", "normal"),
+        error("tif_diagonal_ellipticity", scale, "%", "normal"),
         error("tif_rotation", 5.0 * scale, "mrad", "normal"),
         error("tif_offset_x", 20.0 * scale, "um", "normal"),
         error("tif_offset_y", 20.0 * scale, "um", "normal"),

@@ -32,6 +32,7 @@ fn decided() -> Vec<Value> {
         error("shear", 0.05, "%", "normal"),
         error("tif_width", 1.0, "%", "normal"),
         error("tif_ellipticity", 1.0, "%", "normal"),
+        error("tif_diagonal_ellipticity", 1.0, "%", "normal"),
         error("tif_offset_x", 10.0, "um", "normal"),
         error("position_noise", 5.0, "um", "normal"),
     ]

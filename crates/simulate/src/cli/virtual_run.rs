@@ -26,6 +26,13 @@ pub struct VirtualRun {
     /// Random seed of the hidden errors
     #[arg(long, value_name = "S", requires = "process", default_value_t = 1)]
     seed: u64,
+    /// Which run of the machine of this seed: errors that one number decides are those of its first run, noise is
+    /// new, and --surface is the map measured after the run before
+    #[arg(long = "run", value_name = "K", requires = "process", default_value_t = 1)]
+    number: u64,
+    /// Let rate, place, width and shape of the tool be known and corrected exactly; all other errors stay
+    #[arg(long, requires = "process")]
+    known: bool,
     /// Move the TIF with its noise and the step at its border, which the tool has not
     #[arg(long, requires = "process")]
     tif_as_sampled: bool,
@@ -44,9 +51,14 @@ impl VirtualRun {
         mirror: &MirrorArgs,
         output: &OutputArgs,
     ) -> Result<Status, Failure> {
-        let settings = Settings { seed: self.seed, tif_as_sampled: self.tif_as_sampled };
+        let settings = Settings {
+            seed: self.seed,
+            run: self.number,
+            known: self.known,
+            tif_as_sampled: self.tif_as_sampled,
+        };
         let mut inputs = Inputs::new();
-        let (trajectory, tif, before) = trajectory.read_over(mirror, &mut inputs)?;
+        let (trajectory, tif, before) = trajectory.read_on_machine(mirror, &mut inputs)?;
         let file: ProcessFile = inputs.read_json("process", process)?;
         let in_file = |e| Failure::new(format!("{}: {e}", process.display()));
         let errors = file.checked().map_err(in_file)?;
@@ -80,9 +92,10 @@ impl VirtualRun {
         });
         writer.write(&run.removal, truth, &Status::Done)?;
         say(format!(
-            "measured {:.4} nm RMS, {:.2} nm PV after a run of {} with seed {} -> {}; the truth -> {}",
+            "measured {:.4} nm RMS, {:.2} nm PV after run {} of {} with seed {} -> {}; the truth -> {}",
             statistics.rms,
             statistics.pv,
+            self.number,
             errors.name,
             self.seed,
             measured.display(),

@@ -1,0 +1,179 @@
+//! `planish-campaign decide`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use planish_campaign::decision::{self, Decision, Kept, Known, MapError, Settings, Verdict};
+use planish_handoff::{
+    Arrays, Artifact, Begin, Failure, Inputs, Output, Status,
+    flags::{OutputArgs, TrajectoryArgs},
+    kind::{self, Kind},
+    npy::ArrayData,
+    say, task,
+};
+use planish_types::{Invalid, Surface};
+use serde::Deserialize;
+
+#[derive(Args)]
+pub struct Decide {
+    /// Map now, as the next plan was made for it [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Motion of the next plan
+    #[command(flatten)]
+    trajectory: TrajectoryArgs,
+    /// What the next plan leaves with the errors of the process [tolerance artifact]
+    #[arg(long, value_name = "DIR")]
+    tolerance: PathBuf,
+    /// Whether the map keeps its specification [specification artifact]
+    #[arg(long, value_name = "DIR", requires = "specified_next")]
+    specified_now: Option<PathBuf>,
+    /// Whether the plan keeps it [specification artifact]
+    #[arg(long, value_name = "DIR", requires = "specified_now")]
+    specified_next: Option<PathBuf>,
+    /// Least gain of half of the runs that is worth the time of a run, in percent of what is there
+    #[arg(long, value_name = "P", default_value_t = Settings::default().least_gain_percent)]
+    least_gain_percent: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Decide {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = Settings { least_gain_percent: self.least_gain_percent };
+        let mut inputs = Inputs::new();
+        let surface: Surface = inputs.read("surface", &self.surface)?;
+        let trajectory = self.trajectory.read(&mut inputs)?;
+        let (levels, manifest) =
+            inputs.read_with_manifest::<Levels>("tolerance", &self.tolerance)?;
+        for from in ["surface", "trajectory"] {
+            inputs.refuse_unrelated("tolerance", manifest.as_ref(), from)?;
+        }
+        let about =
+            |problem: String| Failure::new(format!("{}: {problem}", self.tolerance.display()));
+        let manifest = manifest.ok_or_else(|| {
+            about("has no manifest, in which the errors of the map are; give the output of planish-tolerance".into())
+        })?;
+        let unusable = |e| about(format!("has no usable manifest ({e}); make it again"));
+        let found: Found = serde_json::from_value(manifest.outcome).map_err(unusable)?;
+        let specification = match (&self.specified_now, &self.specified_next) {
+            (Some(now), Some(next)) => Some(Kept {
+                now: is_kept(&mut inputs, "specified-now", now)?,
+                by_the_plan: is_kept(&mut inputs, "specified-next", next)?,
+            }),
+            _ => None,
+        };
+        let output = Output::directory(&self.output, &kind::DECISION);
+        let mut output = match output.begin(&task!("decide", settings), &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let statistics = surface.statistics();
+        let known = Known {
+            // The RMS that the tolerance is in
+            measured_rms_nm: match manifest.settings["free"] == "plane" {
+                true => surface.detilted_rms_nm(),
+                false => statistics.rms,
+            },
+            pixels: surface.height_nm().iter().filter(|v| !v.is_nan()).count(),
+            map_errors: found.errors.iter().filter_map(Line::of_the_map).collect(),
+            levels: levels.0,
+            nominal_rms_nm: found.nominal_rms_nm,
+            total_time_s: trajectory.total_time_s(),
+            specification,
+        };
+        let decision = decision::decide(&known, &settings).map_err(Failure::with_flags)?;
+        let outcome = serde_json::to_value(&decision)?;
+        output.write_arrays(&kind::DECISION, &[], &[], outcome, &Status::Done)?;
+        say(words(&decision));
+        say(format!("-> {}", self.output.out.display()));
+        Ok(Status::Done)
+    }
+}
+
+/// What a person reads.
+fn words(d: &Decision) -> String {
+    let [low, high] = d.next.interval_95_percent_nm;
+    let verdict = match d.verdict {
+        Verdict::RunAgain => "RUN AGAIN",
+        Verdict::Stop => "STOP",
+    };
+    [
+        format!(
+            "now       {:.4} nm RMS on the mirror (+- {:.4}): measured {:.4}, of which {:.4} are the errors of a map",
+            d.now_rms_nm, d.now_standard_error_nm, d.measured_rms_nm, d.noise_rms_nm
+        ),
+        format!(
+            "next run  {:.4} nm in half of the runs, {low:.4} to {high:.4} in 95 %; measured {:.4}; in {:.1} min",
+            d.next.median_nm,
+            d.measured_next_median_nm,
+            d.total_time_s / 60.0
+        ),
+        format!(
+            "gain      {:.4} nm in half of the runs ({:.4} per minute), at least {:.4} in 95 %; {:.1} % of the runs gain",
+            d.gain_median_nm,
+            d.gain_per_minute_nm,
+            d.gain_of_95_percent_nm,
+            100.0 * d.part_that_gains
+        ),
+        format!("{verdict}: {}", d.reason),
+    ]
+    .join("\n")
+}
+
+/// The distribution of a tolerance artifact: parts of the runs, and the RMS that they are below, nm.
+struct Levels(Vec<(f64, f64)>);
+
+impl Artifact for Levels {
+    const KIND: &'static Kind = &kind::TOLERANCE;
+
+    fn to_arrays(&self) -> Vec<ArrayData> {
+        unreachable!("a decision writes no tolerance")
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let (part, rms) = (arrays.take_f64("part"), arrays.take_f64("rms_nm"));
+        let levels: Vec<(f64, f64)> = part.into_iter().zip(rms).collect();
+        let ascend = levels.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
+        if levels.len() < 2 || !ascend || levels[0].1 < 0.0 {
+            let problem = "do not ascend";
+            return Err(Invalid::whole("part", problem, "make the tolerance again"));
+        }
+        Ok(Self(levels))
+    }
+}
+
+/// What `planish-tolerance` says in its manifest.
+#[derive(Deserialize)]
+struct Found {
+    nominal_rms_nm: f64,
+    errors: Vec<Line>,
+}
+
+#[derive(Deserialize)]
+struct Line {
+    kind: String,
+    adds_rms_nm: f64,
+    unreached_rms_nm: f64,
+}
+
+impl Line {
+    /// The error, where it is one of the map.
+    fn of_the_map(&self) -> Option<MapError> {
+        let is_white = self.kind == "map_noise";
+        (is_white || self.kind == "map_low_order").then_some(MapError {
+            adds_rms_nm: self.adds_rms_nm,
+            unreached_rms_nm: self.unreached_rms_nm,
+            is_white,
+        })
+    }
+}
+
+/// Whether a specification is kept; refused where none was given.
+fn is_kept(inputs: &mut Inputs, role: &str, dir: &Path) -> Result<bool, Failure> {
+    let outcome = inputs.read_manifest(role, dir, &kind::SPECIFICATION)?.outcome;
+    outcome["specification"]["passed"].as_bool().ok_or_else(|| {
+        let problem = "was measured without a specification; give planish-surface spec one";
+        Failure::new(format!("{}: {problem}", dir.display()))
+    })
+}

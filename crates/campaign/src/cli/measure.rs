@@ -1,0 +1,58 @@
+//! `planish-campaign measure`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+};
+use planish_simulate::{process::ProcessFile, virtual_machine::measure};
+use planish_types::Surface;
+use serde_json::json;
+
+#[derive(Args)]
+pub struct Measure {
+    /// The mirror as it is [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Process of the virtual machine, whose map_noise and map_low_order the measurement has [JSON]
+    #[arg(long, value_name = "FILE")]
+    process: PathBuf,
+    /// Random seed of the virtual machine
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Run of the virtual machine before which it is measured
+    #[arg(long, value_name = "K", default_value_t = 1)]
+    run: u64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Measure {
+    pub fn write(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let mirror: Surface = inputs.read("surface", &self.surface)?;
+        let file: ProcessFile = inputs.read_json("process", &self.process)?;
+        let process =
+            file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.process.display())))?;
+        let task = task!("measure", json!({ "seed": self.seed, "run": self.run }));
+        let output = Output::directory(&self.output, Surface::KIND);
+        let mut output = match output.begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let measured =
+            measure(&mirror, &process, self.seed, self.run).map_err(Failure::with_flags)?;
+        let statistics = measured.statistics();
+        let seen = json!({ "rms_nm": statistics.rms, "pv_nm": statistics.pv });
+        output.write(&measured, seen, &Status::Done)?;
+        say(format!(
+            "measured {:.4} nm RMS, {:.2} nm PV before run {} -> {}",
+            statistics.rms,
+            statistics.pv,
+            self.run,
+            self.output.out.display()
+        ));
+        Ok(Status::Done)
+    }
+}

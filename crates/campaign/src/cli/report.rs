@@ -1,0 +1,227 @@
+//! `planish-campaign report`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use planish_campaign::{
+    decision::Decision,
+    page::{answer, page, picture},
+    summary::{Campaign, Chains, Found, Left, RunRecord, Truth},
+};
+use planish_handoff::{
+    Begin, Failure, Inputs, Output, Status, artifact::Manifest, flags::OutputArgs, kind, say, task,
+};
+use planish_types::{Surface, text::significant};
+use serde::{Deserialize, de::DeserializeOwned};
+use serde_json::{Value, json};
+
+/// Most runs of a campaign: a thousand pages are nothing to look at.
+const MOST_RUNS: usize = 100;
+
+#[derive(Args)]
+pub struct Report {
+    /// Directory of the campaign, in which are learning/K, without/K and known/K
+    dir: PathBuf,
+    /// Mirror before the first run [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Runs of the campaign
+    #[arg(long, value_name = "N")]
+    runs: usize,
+    /// Name of the mirror
+    #[arg(long, value_name = "NAME", default_value = "")]
+    mirror: String,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Report {
+    pub fn run(&self) -> Result<Status, Failure> {
+        if !(1..=MOST_RUNS).contains(&self.runs) {
+            return Err(Failure::new(format!("--runs: is {}; give 1 to {MOST_RUNS}", self.runs)));
+        }
+        let mut inputs = Inputs::new();
+        let mirror: Surface = inputs.read("surface", &self.surface)?;
+        let mut records = Vec::new();
+        let mut hidden: Option<(u64, Truth)> = None;
+        for k in 1..=self.runs {
+            let place = |chain: &str| Path::new(chain).join(k.to_string());
+            let left = self.chains(&mut inputs, place, k, &mut hidden)?;
+            records.push(self.record(&mut inputs, k, left)?);
+        }
+        let place = |chain: &str| Path::new("alike").join(chain);
+        let alike = self.chains(&mut inputs, place, self.runs + 1, &mut hidden)?;
+        let settings = json!({ "mirror": self.mirror, "runs": self.runs });
+        let output = Output::directory(&self.output, &kind::CAMPAIGN);
+        let mut output = match output.begin(&task!("report", settings), &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let (seed, truth) = hidden.unwrap_or_default();
+        let before = mirror.statistics().rms;
+        let campaign = Campaign::new(&self.mirror, seed, before, &truth, records, alike);
+        let beside = [
+            ("campaign.html", page(&campaign).into_bytes()),
+            ("campaign.svg", picture(&campaign).into_bytes()),
+        ];
+        let outcome = serde_json::to_value(&campaign)?;
+        output.write_arrays(&kind::CAMPAIGN, &[], &beside, outcome, &Status::Done)?;
+        say(table(&campaign));
+        say(format!("-> {}", self.output.out.join("campaign.html").display()));
+        Ok(Status::Done)
+    }
+
+    /// Of an artifact of one run, which is at `place`.
+    fn manifest(
+        &self,
+        inputs: &mut Inputs,
+        place: &Path,
+        name: &str,
+        kind: &'static kind::Kind,
+    ) -> Result<(PathBuf, Manifest), Failure> {
+        let dir = self.dir.join(place).join(name);
+        let manifest = inputs.read_manifest(&place.join(name).to_string_lossy(), &dir, kind)?;
+        Ok((dir, manifest))
+    }
+
+    /// What run `k` of each chain left.
+    fn chains(
+        &self,
+        inputs: &mut Inputs,
+        place: impl Fn(&str) -> PathBuf,
+        k: usize,
+        hidden: &mut Option<(u64, Truth)>,
+    ) -> Result<Chains, Failure> {
+        let mut of = |chain: &str| self.left(inputs, &place(chain), k, chain == "known", hidden);
+        Ok(Chains { learning: of("learning")?, without: of("without")?, known: of("known")? })
+    }
+
+    /// What a run of a chain truly left; all runs are of the same machine, whose truth is kept.
+    fn left(
+        &self,
+        inputs: &mut Inputs,
+        place: &Path,
+        k: usize,
+        is_known: bool,
+        hidden: &mut Option<(u64, Truth)>,
+    ) -> Result<Left, Failure> {
+        let (dir, manifest) = self.manifest(inputs, place, "truth", &kind::REMOVAL)?;
+        let settings: Made = part(&dir, &manifest.settings)?;
+        if settings.run != k as u64 || settings.known != is_known {
+            let which = if is_known { "a machine that is known" } else { "a machine with errors" };
+            let problem = format!("is not run {k} of {which}");
+            return Err(Failure::new(format!("{}: {problem}; run it again", dir.display())));
+        }
+        let outcome: Outcome = part(&dir, &manifest.outcome)?;
+        match hidden {
+            Some((seed, truth)) => {
+                let same = *seed == settings.seed && (is_known || *truth == outcome.hidden.truth);
+                if !same {
+                    let problem = "is of another machine than the runs before it; run it again";
+                    return Err(Failure::new(format!("{}: {problem}", dir.display())));
+                }
+            }
+            None => *hidden = Some((settings.seed, outcome.hidden.truth)),
+        }
+        Ok(Left { rms_nm: outcome.rms_nm, total_time_s: outcome.total_time_s })
+    }
+
+    fn record(&self, inputs: &mut Inputs, k: usize, left: Chains) -> Result<RunRecord, Failure> {
+        let place = Path::new("learning").join(k.to_string());
+        let (dir, found) =
+            self.manifest(inputs, &place, "reconciliation", &kind::RECONCILIATION)?;
+        let found: Vec<Found> = part(&dir, &found.outcome["parameters"])?;
+        let (dir, measured) = self.manifest(inputs, &place, "measured", &kind::SURFACE)?;
+        let measured_rms_nm: f64 = part(&dir, &measured.outcome["rms_nm"])?;
+        let (dir, decision) = self.manifest(inputs, &place, "decision", &kind::DECISION)?;
+        let verdict: String = part(&dir, &decision.outcome["verdict"])?;
+        let decision: Decision = part(&dir, &decision.outcome)?;
+        let [low, high] = decision.next.interval_95_percent_nm;
+        Ok(RunRecord {
+            left,
+            found,
+            measured_rms_nm,
+            verdict,
+            reason: decision.reason,
+            expected_nm: [decision.next.median_nm, low, high],
+        })
+    }
+}
+
+/// Settings of a run of the virtual machine.
+#[derive(Deserialize)]
+struct Made {
+    seed: u64,
+    run: u64,
+    known: bool,
+}
+
+/// What it says of the run.
+#[derive(Deserialize)]
+struct Outcome {
+    rms_nm: f64,
+    total_time_s: f64,
+    hidden: Hidden,
+}
+
+#[derive(Deserialize)]
+struct Hidden {
+    truth: Truth,
+}
+
+/// A part of a manifest.
+fn part<T: DeserializeOwned>(dir: &Path, value: &Value) -> Result<T, Failure> {
+    T::deserialize(value).map_err(|e| {
+        let problem = format!("has no usable manifest ({e}); make it again");
+        Failure::new(format!("{}: {problem}", dir.display()))
+    })
+}
+
+/// What a person reads.
+fn table(campaign: &Campaign) -> String {
+    let mut lines = vec![
+        format!("{}: {}", campaign.mirror, answer(campaign)),
+        String::new(),
+        "residual on the mirror     with learning          without       known tool   over the known tool".into(),
+        "run                       nm RMS     min    nm RMS     min    nm RMS     min   learning   without".into(),
+    ];
+    let row = |name: String, chains: &Chains| {
+        let mut line = format!("{name:<22}");
+        for left in chains.each() {
+            line += &format!(" {:>9.4} {:>7.1}", left.rms_nm, left.total_time_s / 60.0);
+        }
+        let [learning, without] = chains.over_known();
+        line + &format!(" {learning:>10.3} {without:>9.3}")
+    };
+    lines.extend(campaign.runs.iter().map(|run| row(run.number.to_string(), &run.left)));
+    lines.push(row("another mirror like it".into(), &campaign.alike));
+    lines.push(String::new());
+    lines.push("learnt, with its standard error (in brackets: by an earlier run), and how many of them it is off".into());
+    let mut head = format!("{:<32} {:>10}", "parameter", "truth");
+    for run in &campaign.runs {
+        head += &format!(" {:>28}", format!("after run {}", run.number));
+    }
+    lines.push(head);
+    for p in 0..campaign.runs.first().map_or(0, |run| run.parameters.len()) {
+        let first = &campaign.runs[0].parameters[p];
+        let truth = first.truth.map_or("-".into(), |t| significant(t, 4));
+        let mut line = format!("{:<32} {truth:>10}", format!("{}, {}", first.name, first.unit));
+        for learnt in campaign.runs.iter().filter_map(|run| run.parameters.get(p)) {
+            let (value, off) = planish_campaign::page::shown(learnt);
+            let value = value.replace("&plusmn;", "+-");
+            line += &format!(" {value:>22} {off:>5}");
+        }
+        lines.push(line);
+    }
+    for run in &campaign.runs {
+        let [median, low, high] = run.expected_nm;
+        lines.push(String::new());
+        lines.push(format!(
+            "after run {}: {} ({}); the next run is expected to leave {median:.4} nm ({low:.4} to {high:.4})",
+            run.number,
+            run.verdict.replace('_', " "),
+            run.reason
+        ));
+    }
+    lines.join("\n")
+}

@@ -1,0 +1,350 @@
+//! Run again, or stop: what the next run would gain, how sure that is, and how long it takes.
+//!
+//! A map is what is on the mirror less the error m of its measurement, of variance sigma^2 over the map. Another run does
+//! not remove the noise of a map, so both sides are compared without it:
+//!
+//! ```text
+//! now:       S0^2 = M0^2 - sigma^2                  M0 the RMS of the map
+//! next run:  S1^2 = T1^2 - 2 u^2                    T1 of `planish-tolerance`, at every part of the runs
+//! gain:      G = S0 - S1
+//! ```
+//!
+//! T1 is the residual of the plan on the *map* with all errors of the process, that of the map among them, as if that were
+//! independent of the map: `T1^2 = |e0|^2 + r^2 + u^2 + ...`, with the parts r of m that the tool reaches and u that it
+//! does not. But m is in the map already. What the tool reaches of it is removed with the figure, and is on the mirror
+//! afterwards with the opposite sign: r^2 counts once. What the tool does not reach is in e0 and not on the mirror:
+//! u^2 was counted once by e0 and once by the tolerance, and has to count not at all.
+//!
+//! The square M0^2 scatters with the noise: by `2 a^4 / n + 4 S0^2 a^2 / n` for an error of the map of the RMS a that
+//! has n independent numbers, which are the pixels of white noise, and at least 2 of low-order terms.
+//!
+//! | symbol | variable | unit |
+//! |---|---|---|
+//! | M0 | `measured_rms_nm` | nm |
+//! | S0 | `now_rms_nm` | nm |
+//! | S1 | `next` | nm |
+//! | G | `gain` | nm |
+
+use planish_types::{Invalid, text::significant};
+use serde::{Deserialize, Serialize};
+
+/// Independent numbers of a low-order error: its first degree has as many.
+const LOW_ORDER_NUMBERS: f64 = 2.0;
+
+/// A gain must be larger than this many standard errors of what is on the mirror now.
+const SEEN: f64 = 2.0;
+
+/// By what it is decided.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Least gain of half of the runs that is worth the time and the risk of a run, in percent of what is there.
+    pub least_gain_percent: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { least_gain_percent: 5.0 }
+    }
+}
+
+/// An error of the map, as `planish-tolerance` found it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapError {
+    /// RMS of what it adds, nm.
+    pub adds_rms_nm: f64,
+    /// The part of it that the tool does not reach, nm.
+    pub unreached_rms_nm: f64,
+    /// Whether it is white noise, and not of low order.
+    pub is_white: bool,
+}
+
+/// What is known of the mirror now, and of the next run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Known {
+    /// RMS of the map, nm.
+    pub measured_rms_nm: f64,
+    /// Its valid pixels.
+    pub pixels: usize,
+    /// Errors of the map.
+    pub map_errors: Vec<MapError>,
+    /// Parts of the runs, ascending from 0 to 1, and the RMS T1 that they are below, nm.
+    pub levels: Vec<(f64, f64)>,
+    /// RMS of the plan's residual on the map without errors, nm.
+    pub nominal_rms_nm: f64,
+    /// Time of the plan, s.
+    pub total_time_s: f64,
+    /// Whether the mirror keeps its specification now, and by the plan, where there is one.
+    pub specification: Option<Kept>,
+}
+
+/// Whether a specification is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Kept {
+    /// By the map.
+    pub now: bool,
+    /// By the residual of the plan without errors.
+    pub by_the_plan: bool,
+}
+
+/// What to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The next run is worth it.
+    RunAgain,
+    /// It is not.
+    Stop,
+}
+
+/// The distribution of a number over the runs, nm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Half of the runs are below.
+    pub median_nm: f64,
+    /// 95 % of the runs are between these.
+    pub interval_95_percent_nm: [f64; 2],
+}
+
+/// What to do, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Decision {
+    /// What to do.
+    pub verdict: Verdict,
+    /// Why, in a sentence with the numbers.
+    pub reason: String,
+    /// RMS of the map, nm.
+    pub measured_rms_nm: f64,
+    /// RMS of the errors of a measurement, nm.
+    pub noise_rms_nm: f64,
+    /// RMS on the mirror now, nm.
+    pub now_rms_nm: f64,
+    /// Its standard error, nm.
+    pub now_standard_error_nm: f64,
+    /// RMS of the plan's residual on the map without errors, nm.
+    pub nominal_rms_nm: f64,
+    /// RMS on the mirror after the next run.
+    pub next: Spread,
+    /// RMS of the map that half of the runs would be measured below after the next run, nm.
+    pub measured_next_median_nm: f64,
+    /// Gain of half of the runs, nm.
+    pub gain_median_nm: f64,
+    /// Gain that 95 % of the runs exceed, nm.
+    pub gain_of_95_percent_nm: f64,
+    /// Part of the runs that leave less than there is now.
+    pub part_that_gains: f64,
+    /// Time of the plan, s.
+    pub total_time_s: f64,
+    /// Gain of half of the runs per minute of the plan, nm.
+    pub gain_per_minute_nm: f64,
+    /// Whether the specification is kept, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub specification: Option<Kept>,
+}
+
+/// Decides.
+pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
+    let percent = settings.least_gain_percent;
+    if !(0.0..=100.0).contains(&percent) {
+        let remedy = "give 0 to 100 percent of what is there";
+        return Err(Invalid::whole("least_gain_percent", format!("is {percent}"), remedy));
+    }
+    let square = |of: fn(&MapError) -> f64| known.map_errors.iter().map(|e| of(e).powi(2)).sum();
+    let (sigma2, u2): (f64, f64) = (square(|e| e.adds_rms_nm), square(|e| e.unreached_rms_nm));
+    // S0^2 = M0^2 - sigma^2
+    let now2 = (known.measured_rms_nm.powi(2) - sigma2).max(0.0);
+    let now = now2.sqrt();
+    let variance: f64 = known
+        .map_errors
+        .iter()
+        .map(|e| {
+            let n = if e.is_white { known.pixels.max(1) as f64 } else { LOW_ORDER_NUMBERS };
+            let a2 = e.adds_rms_nm.powi(2);
+            (2.0 * a2 * a2 + 4.0 * now2 * a2) / n
+        })
+        .sum();
+    // d S0 = d(S0^2) / (2 S0), and never more than the root of it, where S0 is within the noise
+    let error = if now > 0.0 {
+        (0.5 * variance.sqrt() / now).min(variance.powf(0.25))
+    } else {
+        variance.powf(0.25)
+    };
+    // S1^2 = T1^2 - 2 u^2
+    let next_at = |part: f64| (at(&known.levels, part).powi(2) - 2.0 * u2).max(0.0).sqrt();
+    let median = next_at(0.5);
+    let (gain, sure) = (now - median, now - next_at(0.95));
+    let next =
+        Spread { median_nm: median, interval_95_percent_nm: [next_at(0.025), next_at(0.975)] };
+    let mut decision = Decision {
+        verdict: Verdict::Stop,
+        reason: String::new(),
+        measured_rms_nm: known.measured_rms_nm,
+        noise_rms_nm: sigma2.sqrt(),
+        now_rms_nm: now,
+        now_standard_error_nm: error,
+        nominal_rms_nm: known.nominal_rms_nm,
+        next,
+        measured_next_median_nm: (median * median + sigma2).sqrt(),
+        gain_median_nm: gain,
+        gain_of_95_percent_nm: sure,
+        // S1 < S0 where T1^2 < S0^2 + 2 u^2
+        part_that_gains: part_below(&known.levels, (now2 + 2.0 * u2).sqrt()),
+        total_time_s: known.total_time_s,
+        gain_per_minute_nm: gain / (known.total_time_s / 60.0).max(f64::MIN_POSITIVE),
+        specification: known.specification,
+    };
+    (decision.verdict, decision.reason) = verdict(&decision, settings);
+    Ok(decision)
+}
+
+/// The rule, in the order in which it is asked.
+fn verdict(d: &Decision, settings: &Settings) -> (Verdict, String) {
+    let nm = |v: f64| format!("{} nm", significant(v, 3));
+    let (least, seen) =
+        (0.01 * settings.least_gain_percent * d.now_rms_nm, SEEN * d.now_standard_error_nm);
+    let expected = format!(
+        "half of the runs would gain {}, and 95 % at least {}, in {:.1} min",
+        nm(d.gain_median_nm),
+        nm(d.gain_of_95_percent_nm),
+        d.total_time_s / 60.0
+    );
+    match d.specification {
+        Some(Kept { now: true, .. }) => {
+            return (Verdict::Stop, format!("the map keeps the specification; {expected}"));
+        }
+        Some(Kept { by_the_plan: true, .. }) => {
+            let reason = "the map does not keep the specification, and the plan does";
+            return (Verdict::RunAgain, format!("{reason}; {expected}"));
+        }
+        _ => {}
+    }
+    let also = match d.specification {
+        Some(_) => "; the plan does not keep the specification either",
+        None => "",
+    };
+    if d.gain_of_95_percent_nm <= seen {
+        let reason = format!(
+            "{expected}, which is not more than the {} to which the mirror is known now ({SEEN} standard errors){also}",
+            nm(seen)
+        );
+        return (Verdict::Stop, reason);
+    }
+    if d.gain_median_nm < least {
+        let reason = format!(
+            "{expected}, less than the {} ({} % of what is there) that a run is worth{also}",
+            nm(least),
+            settings.least_gain_percent
+        );
+        return (Verdict::Stop, reason);
+    }
+    let reason =
+        format!("{expected}; the mirror is known to {} ({SEEN} standard errors){also}", nm(seen));
+    (Verdict::RunAgain, reason)
+}
+
+/// The value at a part of the runs, linear between two levels.
+fn at(levels: &[(f64, f64)], part: f64) -> f64 {
+    let after = levels.partition_point(|(p, _)| *p < part);
+    match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
+        (Some((p, v)), Some((q, w))) => v + (w - v) * (part - p) / (q - p),
+        (None, Some((_, w))) => *w,
+        (Some((_, v)), None) => v,
+        (None, None) => f64::NAN,
+    }
+}
+
+/// The part of the runs that is below a value.
+fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
+    let after = levels.partition_point(|(_, v)| *v < value);
+    match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
+        (Some((p, v)), Some((q, w))) => p + (q - p) * (value - v) / (w - v),
+        (None, _) => 0.0,
+        (Some(_), None) => 1.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A plan that leaves T1 from 0.9 to 1.1 of `t`, uniform over the runs.
+    fn known(measured: f64, t: f64) -> Known {
+        Known {
+            measured_rms_nm: measured,
+            pixels: 10_000,
+            map_errors: vec![],
+            levels: (0..=200).map(|k| (k as f64 / 200.0, t * (0.9 + 0.001 * k as f64))).collect(),
+            nominal_rms_nm: 0.9 * t,
+            total_time_s: 120.0,
+            specification: None,
+        }
+    }
+
+    fn decided(known: &Known) -> Decision {
+        decide(known, &Settings::default()).unwrap()
+    }
+
+    #[test]
+    fn without_noise_the_gain_is_the_difference() {
+        let d = decided(&known(2.0, 1.0));
+        assert_eq!(d.verdict, Verdict::RunAgain);
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!(near(d.now_rms_nm, 2.0) && near(d.next.median_nm, 1.0));
+        assert!(near(d.gain_median_nm, 1.0) && near(d.gain_of_95_percent_nm, 2.0 - 1.09));
+        assert!(near(d.part_that_gains, 1.0) && near(d.gain_per_minute_nm, 0.5));
+        // 1.05 is above three quarters of the runs, which is less than 95 %.
+        let d = decided(&known(1.05, 1.0));
+        assert!(near(d.part_that_gains, 0.75) && d.verdict == Verdict::Stop, "{d:?}");
+        assert!(d.gain_of_95_percent_nm < 0.0);
+        // 1.15 is above all of them: a gain of 0.15 in the half of them, 13 % of what is there.
+        assert_eq!(decided(&known(1.15, 1.0)).verdict, Verdict::RunAgain);
+        let strict = Settings { least_gain_percent: 15.0 };
+        assert_eq!(decide(&known(1.15, 1.0), &strict).unwrap().verdict, Verdict::Stop);
+        assert!(decide(&known(1.0, 1.0), &Settings { least_gain_percent: -1.0 }).is_err());
+    }
+
+    /// A mirror of waves that the tool does not reach, of RMS s, measured with noise a: the map has (s^2 + a^2)^1/2, the plan
+    /// leaves the map as it is, and the tolerance adds the noise once more. What is there and what is left is s: nothing
+    /// is gained, whatever the noise.
+    #[test]
+    fn noise_that_the_tool_does_not_reach_is_no_gain() {
+        let (s, a) = (0.3_f64, 0.5_f64);
+        let rms = s.hypot(a);
+        let mut k = known(rms, 0.0);
+        k.map_errors = vec![MapError { adds_rms_nm: a, unreached_rms_nm: a, is_white: true }];
+        k.levels = vec![(0.0, rms.hypot(a)), (1.0, rms.hypot(a))];
+        let d = decided(&k);
+        assert!((d.now_rms_nm - s).abs() < 1e-12 && d.gain_median_nm.abs() < 1e-12, "{d:?}");
+        assert!((d.measured_next_median_nm - rms).abs() < 1e-12);
+        assert_eq!(d.verdict, Verdict::Stop);
+        let expected = (2.0 * a.powi(4) + 4.0 * s * s * a * a).sqrt() / (2.0 * s) / 100.0;
+        assert!((d.now_standard_error_nm - expected).abs() < 1e-12);
+    }
+
+    /// Noise that the tool reaches is brought onto the mirror: the more of it, the less is gained.
+    #[test]
+    fn noise_that_the_tool_reaches_is_brought_onto_the_mirror() {
+        let (s, a) = (0.3_f64, 0.5_f64);
+        let mut k = known(s.hypot(a), 0.0);
+        k.map_errors = vec![MapError { adds_rms_nm: a, unreached_rms_nm: 0.0, is_white: false }];
+        // The plan removes all of the map.
+        k.levels = vec![(0.0, a), (1.0, a)];
+        let d = decided(&k);
+        assert!((d.next.median_nm - a).abs() < 1e-12 && d.gain_median_nm < 0.0, "{d:?}");
+        assert_eq!((d.verdict, d.part_that_gains), (Verdict::Stop, 0.0));
+    }
+
+    #[test]
+    fn a_specification_decides_first() {
+        for (now, by_the_plan, measured, verdict) in [
+            (true, true, 2.0, Verdict::Stop),
+            (false, true, 1.05, Verdict::RunAgain),
+            (false, false, 2.0, Verdict::RunAgain),
+            (false, false, 1.05, Verdict::Stop),
+        ] {
+            let specification = Some(Kept { now, by_the_plan });
+            let d = decided(&Known { specification, ..known(measured, 1.0) });
+            assert_eq!(d.verdict, verdict, "{d:?}");
+            assert!(d.reason.contains("specification"), "{}", d.reason);
+        }
+    }
+}

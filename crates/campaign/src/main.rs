@@ -1,0 +1,30 @@
+//! `planish-campaign`: runs in a row.
+
+mod cli;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use planish_handoff::run;
+
+#[global_allocator]
+static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-campaign measure --surface mirror --process process.json --seed 7 --out out/measured\n\
+    \x20 planish-campaign decide --surface out/plan/surface --trajectory out/plan/methods/feed/trajectory \\\n\
+    \x20     --tolerance out/tolerance --out out/decision\n\
+    \x20 planish-campaign report out/campaign/coupon --runs 3 --out out/campaign/coupon/report";
+
+/// Runs in a row: measure, decide whether to run again, report
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: cli::Command,
+}
+
+fn main() -> ExitCode {
+    let cli: Cli = planish_handoff::parse();
+    run(|| cli.command.run())
+}

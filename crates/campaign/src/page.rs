@@ -1,0 +1,165 @@
+//! A campaign to look at: one page without scripts, and the curve of the residuals.
+
+use std::fmt::Write;
+
+use planish_draw::{Frame, Scale, Svg, colour::LINES, frame::range};
+use planish_types::text::{escaped, significant};
+
+use crate::summary::{Campaign, Chains, Learnt};
+
+/// Height of the texts, px, and size of the plot, px.
+const FONT_PX: f64 = 14.0;
+const SIZE: [f64; 2] = [560.0, 300.0];
+/// Left, top, right and bottom of the frame, px.
+const MARGIN: [f64; 4] = [64.0, 34.0, 24.0, 50.0];
+
+/// The chains, as a person reads them.
+const CHAINS: [&str; 3] = ["with learning", "without", "known tool"];
+
+const STYLE: &str = "body{font:16px/1.45 system-ui,sans-serif;max-width:1000px;margin:0 auto;padding:0 16px 48px;\
+color:#1a1a1a;background:#fff}h1{font-size:1.5rem}h2{font-size:1.2rem;margin-top:32px;border-bottom:1px solid #c4c4c4}\
+table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.9rem}th,td{padding:3px 10px;\
+border-bottom:1px solid #c4c4c4;text-align:right}th:first-child,td:first-child,td.words{text-align:left}\
+.note{color:#5a5a5a;font-size:.875rem}.scroll{overflow-x:auto}svg{max-width:100%;height:auto}";
+
+/// The residual of every chain after every run, as SVG text.
+pub fn picture(campaign: &Campaign) -> String {
+    let mut svg = Svg::new(FONT_PX);
+    let line = |of: fn(&crate::summary::Run) -> f64| -> Vec<[f64; 2]> {
+        let runs = campaign.runs.iter().map(|r| [r.number as f64, of(r)]);
+        [[0.0, campaign.before_rms_nm]].into_iter().chain(runs).collect()
+    };
+    let lines = [
+        line(|r| r.left.learning.rms_nm),
+        line(|r| r.left.without.rms_nm),
+        line(|r| r.left.known.rms_nm),
+    ];
+    let all = lines.iter().flatten().map(|p| p[1]).filter(|v| *v > 0.0);
+    let [low, high] = range(all);
+    let scales = [
+        Scale::linear([0.0, campaign.runs.len() as f64]),
+        Scale::logarithmic([0.7 * low, 1.4 * high]),
+    ];
+    let frame = Frame::new([0.0, 0.0], SIZE, MARGIN, scales);
+    frame.grid(&mut svg);
+    frame.axes(&mut svg, ["runs", "residual on the mirror (nm RMS)"]);
+    let mut entries = Vec::new();
+    // The known tool first: it is to be seen where another lies on it.
+    for k in [2, 1, 0] {
+        frame.curve(&mut svg, lines[k].iter().copied(), LINES[k]);
+        entries.insert(0, (CHAINS[k], LINES[k]));
+    }
+    frame.legend(&mut svg, &entries);
+    svg.finish([SIZE[0] + MARGIN[0] + MARGIN[2], SIZE[1] + MARGIN[1] + MARGIN[3]])
+}
+
+/// The page as HTML.
+pub fn page(campaign: &Campaign) -> String {
+    let mirror = escaped(&campaign.mirror);
+    let mut out = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
+         <title>Planish: campaign on {mirror}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n\
+         <h1>Campaign on {mirror}</h1>\n<p>{}</p>\n",
+        escaped(&answer(campaign))
+    );
+    out += "<h2>What every run left</h2>\n<div class=\"scroll\"><table>\n<tr><th>run</th>";
+    for chain in CHAINS {
+        let _ = write!(out, "<th>{chain}, nm RMS</th><th>time, min</th>");
+    }
+    out += "<th>with learning / known tool</th><th>without / known tool</th></tr>\n";
+    let before = significant(campaign.before_rms_nm, 5);
+    let each = format!("<td>{before}</td><td></td>").repeat(CHAINS.len());
+    let _ = writeln!(out, "<tr><td>before</td>{each}<td></td><td></td></tr>");
+    for run in &campaign.runs {
+        row(&mut out, &run.number.to_string(), &run.left);
+    }
+    row(&mut out, "another mirror like it", &campaign.alike);
+    out += "</table></div>\n";
+    out += &picture(campaign);
+    out += "<p class=\"note\">RMS of what is truly on the mirror, its mean removed, which only the virtual machine knows. \
+            The first run is the same with and without learning. The last row is the first run on another mirror like this \
+            one, after all that was learnt.</p>\n<h2>What was decided</h2>\n\
+            <div class=\"scroll\"><table>\n<tr><th>after run</th><th>measured, nm</th><th>expected of the next run, nm \
+            (95 %)</th><th>it left, nm</th><th>decision</th></tr>\n";
+    for (k, run) in campaign.runs.iter().enumerate() {
+        let [median, low, high] = run.expected_nm;
+        let left = campaign.runs.get(k + 1).map(|next| format!("{:.4}", next.left.learning.rms_nm));
+        let _ = writeln!(
+            out,
+            "<tr><td>{}</td><td>{:.4}</td><td>{median:.4} ({low:.4} to {high:.4})</td><td>{}</td>\
+             <td class=\"words\"><b>{}</b>: {}</td></tr>",
+            run.number,
+            run.measured_rms_nm,
+            left.unwrap_or_default(),
+            escaped(&run.verdict.replace('_', " ")),
+            escaped(&run.reason)
+        );
+    }
+    out += "</table></div>\n<h2>What was learnt</h2>\n<div class=\"scroll\"><table>\n<tr><th>parameter</th><th>hidden \
+            truth</th>";
+    for run in &campaign.runs {
+        let _ = write!(out, "<th>after run {}</th><th>off, standard errors</th>", run.number);
+    }
+    out += "</tr>\n";
+    let parameters = campaign.runs.first().map_or(0, |run| run.parameters.len());
+    for p in 0..parameters {
+        let first = &campaign.runs[0].parameters[p];
+        let truth = first.truth.map_or(String::new(), |t| significant(t, 4));
+        let unit = escaped(&first.unit);
+        let _ = write!(out, "<tr><td>{}, {unit}</td><td>{truth}</td>", escaped(&first.name));
+        for run in &campaign.runs {
+            let Some(learnt) = run.parameters.get(p) else { continue };
+            let why = learnt.refused.as_deref().map_or(String::new(), escaped);
+            let (value, off) = shown(learnt);
+            let _ = write!(out, "<td title=\"{why}\">{value}</td><td>{off}</td>");
+        }
+        out += "</tr>\n";
+    }
+    out += "</table></div>\n<p class=\"note\">A number in brackets is that of an earlier run: this run did not \
+            determine it better than it was known (the reason is shown where the mouse rests on it).</p>\n</body>\n</html>\n";
+    out
+}
+
+/// A row of the table of residuals.
+fn row(out: &mut String, name: &str, chains: &Chains) {
+    let _ = write!(out, "<tr><td>{name}</td>");
+    for left in chains.each() {
+        let _ = write!(out, "<td>{:.4}</td><td>{:.1}</td>", left.rms_nm, left.total_time_s / 60.0);
+    }
+    let [learning, without] = chains.over_known();
+    let _ = writeln!(out, "<td>{learning:.3}</td><td>{without:.3}</td></tr>");
+}
+
+/// Value with its standard error, and how many of these it is off by.
+pub fn shown(learnt: &Learnt) -> (String, String) {
+    let (Some(value), Some(error)) = (learnt.value, learnt.standard_error) else {
+        return ("not determined".into(), String::new());
+    };
+    let number = format!("{} &plusmn; {}", significant(value, 4), significant(error, 2));
+    let number = if learnt.is_of_this_run { number } else { format!("({number})") };
+    let off = learnt.truth.filter(|_| error > 0.0).map(|t| format!("{:.1}", (value - t) / error));
+    (number, off.unwrap_or_default())
+}
+
+/// What learning was worth, in a sentence.
+pub fn answer(campaign: &Campaign) -> String {
+    let Some(last) = campaign.runs.last() else { return String::new() };
+    let count = match campaign.runs.len() {
+        1 => "1 run".into(),
+        n => format!("{n} runs"),
+    };
+    let [learning, without] = campaign.alike.over_known();
+    format!(
+        "{} nm RMS before; after {count} {:.4} nm with learning, {:.4} nm without, {:.4} nm with a tool that is known. \
+         The first run on another mirror like it leaves {:.4} nm with what was learnt ({learning:.2} times what the known \
+         tool leaves) and {:.4} nm without ({without:.2} times)",
+        significant(campaign.before_rms_nm, 5),
+        last.left.learning.rms_nm,
+        last.left.without.rms_nm,
+        last.left.known.rms_nm,
+        campaign.alike.learning.rms_nm,
+        campaign.alike.without.rms_nm
+    )
+}

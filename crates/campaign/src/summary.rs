@@ -1,0 +1,281 @@
+//! A campaign run by run: what each chain of runs left, what was learnt, what was decided.
+//!
+//! Three chains run on machines of the same hidden errors, from the same first map:
+//!
+//! | chain | plans |
+//! |---|---|
+//! | `learning` | each with the tool and the place that the run before taught |
+//! | `without` | each with the tool and the place of the first plan |
+//! | `known` | as without, on a machine whose tool and place are those of the plan |
+//!
+//! On one mirror learning gains little: every map shows what the errors of the run before left, and a rate that is off by
+//! some percent is off by some percent of that. What was learnt is worth most on the next mirror, where the whole figure
+//! is to be removed. So after the last run another mirror, like the first, has one run of each chain (`alike`).
+//!
+//! What a run finds is the deviation from the tool that it was planned with, so parameters add up from run to run:
+//! factors (rate, magnification, width) by products, the rest, which is small, by sums.
+
+use serde::{Deserialize, Serialize};
+
+/// A parameter, as `planish-reconcile` found it in one run.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Found {
+    /// Its name.
+    pub name: String,
+    /// Its unit.
+    pub unit: String,
+    /// What was found; none where it was refused or held.
+    pub value: Option<f64>,
+    /// Its standard error.
+    pub standard_error: Option<f64>,
+    /// Why it was refused.
+    pub refused: Option<String>,
+}
+
+/// The hidden truth of the virtual machine: fractions, mm and rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[allow(missing_docs)] // what each is stands at the kinds of a process
+pub struct Truth {
+    pub rate_scale: f64,
+    pub offset_x_mm: f64,
+    pub offset_y_mm: f64,
+    pub rotation_rad: f64,
+    pub magnification: f64,
+    pub tif_width: f64,
+    pub tif_ellipticity: f64,
+    pub tif_diagonal_ellipticity: f64,
+    pub tif_rotation_rad: f64,
+}
+
+impl Truth {
+    /// The truth of a parameter in the unit in which it is found. A TIF that is round but for its hidden ellipticity
+    /// turns with the tensor of it: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
+    pub fn of(&self, parameter: &str) -> Option<f64> {
+        let (e, d) = (self.tif_ellipticity, self.tif_diagonal_ellipticity);
+        let (sine, cosine) = (2.0 * self.tif_rotation_rad).sin_cos();
+        Some(match parameter {
+            "rate_scale" => 100.0 * self.rate_scale,
+            "offset_x" => self.offset_x_mm,
+            "offset_y" => self.offset_y_mm,
+            "rotation" => self.rotation_rad.to_degrees(),
+            "magnification" => 100.0 * self.magnification,
+            "tif_width" => 100.0 * self.tif_width,
+            "tif_ellipticity" => 100.0 * (e * cosine - d * sine),
+            "tif_diagonal_ellipticity" => 100.0 * (e * sine + d * cosine),
+            _ => return None,
+        })
+    }
+}
+
+/// What a run truly left, as the virtual machine says.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Left {
+    /// RMS of what remains on the mirror, nm.
+    pub rms_nm: f64,
+    /// Time of the run, s.
+    pub total_time_s: f64,
+}
+
+/// What a run of each chain left.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Chains {
+    /// Of the chain that learns.
+    pub learning: Left,
+    /// Of the chain that does not.
+    pub without: Left,
+    /// Of the chain whose tool is known.
+    pub known: Left,
+}
+
+impl Chains {
+    /// All three.
+    pub fn each(&self) -> [Left; 3] {
+        [self.learning, self.without, self.known]
+    }
+
+    /// RMS with and without learning over that of the known tool.
+    pub fn over_known(&self) -> [f64; 2] {
+        [self.learning, self.without].map(|left| left.rms_nm / self.known.rms_nm)
+    }
+}
+
+/// One run of a campaign, as it was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunRecord {
+    /// What it left.
+    pub left: Chains,
+    /// What the chain that learns found in this run.
+    pub found: Vec<Found>,
+    /// RMS of the map that it measured after it, nm.
+    pub measured_rms_nm: f64,
+    /// What it decided: `run_again` or `stop`, why, and what the next run was expected to leave, nm.
+    pub verdict: String,
+    /// Why.
+    pub reason: String,
+    /// RMS on the mirror after the next run: half of the runs, and 95 % of them, nm.
+    pub expected_nm: [f64; 3],
+}
+
+/// A parameter after some runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Learnt {
+    /// Its name.
+    pub name: String,
+    /// Its unit.
+    pub unit: String,
+    /// What is known of it after this run: from all runs so far; none where no run determined it.
+    pub value: Option<f64>,
+    /// Its standard error, from the run that determined it last.
+    pub standard_error: Option<f64>,
+    /// The hidden truth.
+    pub truth: Option<f64>,
+    /// Whether this run determined it.
+    pub is_of_this_run: bool,
+    /// Why this run did not.
+    pub refused: Option<String>,
+}
+
+/// One run of a campaign.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// From 1.
+    pub number: usize,
+    /// What it left.
+    #[serde(flatten)]
+    pub left: Chains,
+    /// RMS of the map that the learning chain measured after the run, nm.
+    pub measured_rms_nm: f64,
+    /// What is known after the run.
+    pub parameters: Vec<Learnt>,
+    /// What was decided.
+    pub verdict: String,
+    /// Why.
+    pub reason: String,
+    /// RMS on the mirror after the next run: half of the runs, and 95 % of them, nm.
+    pub expected_nm: [f64; 3],
+}
+
+/// A campaign.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Campaign {
+    /// Name of the mirror.
+    pub mirror: String,
+    /// Random seed of the virtual machine.
+    pub seed: u64,
+    /// RMS of the mirror before the first run, nm.
+    pub before_rms_nm: f64,
+    /// Its runs.
+    pub runs: Vec<Run>,
+    /// The first run on another mirror like it, after all of them.
+    pub alike: Chains,
+}
+
+impl Campaign {
+    /// From the records of the runs, in their order.
+    pub fn new(
+        mirror: &str,
+        seed: u64,
+        before_rms_nm: f64,
+        truth: &Truth,
+        records: Vec<RunRecord>,
+        alike: Chains,
+    ) -> Self {
+        let mut runs: Vec<Run> = Vec::new();
+        for record in records {
+            let before = runs.last().map_or(&[][..], |run| &run.parameters);
+            let parameters = record.found.iter().map(|f| after(before, f, truth)).collect();
+            runs.push(Run {
+                number: runs.len() + 1,
+                left: record.left,
+                measured_rms_nm: record.measured_rms_nm,
+                parameters,
+                verdict: record.verdict,
+                reason: record.reason,
+                expected_nm: record.expected_nm,
+            });
+        }
+        Self { mirror: mirror.into(), seed, before_rms_nm, runs, alike }
+    }
+}
+
+/// What is known of a parameter after one run more.
+fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
+    let earlier = before.iter().find(|p| p.name == found.name);
+    let known = earlier.and_then(|p| p.value);
+    let is_factor = ["rate_scale", "magnification", "tif_width"].contains(&found.name.as_str());
+    let value = match (known, found.value) {
+        // (1 + a)(1 + b) - 1, in percent
+        (Some(a), Some(b)) if is_factor => Some(a + b + 0.01 * a * b),
+        (Some(a), Some(b)) => Some(a + b),
+        (known, new) => new.or(known),
+    };
+    Learnt {
+        name: found.name.clone(),
+        unit: found.unit.clone(),
+        value,
+        standard_error: match found.value {
+            Some(_) => found.standard_error,
+            None => earlier.and_then(|p| p.standard_error),
+        },
+        truth: truth.of(&found.name),
+        is_of_this_run: found.value.is_some(),
+        refused: found.refused.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(name: &str, value: Option<f64>, standard_error: f64) -> Found {
+        let refused = value.is_none().then(|| "the data say less".to_string());
+        Found {
+            name: name.into(),
+            unit: "%".into(),
+            value,
+            standard_error: Some(standard_error),
+            refused,
+        }
+    }
+
+    #[test]
+    fn factors_multiply_shifts_add_and_a_run_that_says_nothing_changes_nothing() {
+        let truth = Truth { rate_scale: 0.05, offset_x_mm: 0.1, ..Truth::default() };
+        let left = Left { rms_nm: 1.0, total_time_s: 60.0 };
+        let chains = Chains { learning: left, without: left, known: left };
+        let run = |rate, offset| RunRecord {
+            left: chains,
+            found: vec![found("rate_scale", rate, 0.3), found("offset_x", offset, 0.002)],
+            measured_rms_nm: 1.1,
+            verdict: "stop".into(),
+            reason: String::new(),
+            expected_nm: [1.0; 3],
+        };
+        let records =
+            vec![run(None, Some(0.08)), run(Some(10.0), Some(0.03)), run(Some(-5.0), None)];
+        let campaign = Campaign::new("coupon", 7, 10.0, &truth, records, chains);
+        let of = |k: usize, p: usize| campaign.runs[k].parameters[p].value;
+        assert_eq!((of(0, 0), of(1, 0)), (None, Some(10.0)));
+        // 1.1 x 0.95
+        assert!((of(2, 0).unwrap() - 4.5).abs() < 1e-12);
+        assert!((of(2, 1).unwrap() - 0.11).abs() < 1e-12);
+        let last = &campaign.runs[2].parameters[1];
+        assert!(
+            !last.is_of_this_run && last.refused.is_some() && last.standard_error == Some(0.002)
+        );
+        assert_eq!((last.truth, campaign.runs[2].number), (Some(0.1), 3));
+    }
+
+    #[test]
+    fn an_ellipticity_turns_with_its_tensor() {
+        let truth = Truth {
+            tif_ellipticity: 0.02,
+            tif_rotation_rad: std::f64::consts::FRAC_PI_4,
+            ..Truth::default()
+        };
+        // Longer along x, turned by 45 degrees, is longer along the diagonal.
+        assert!((truth.of("tif_diagonal_ellipticity").unwrap() - 2.0).abs() < 1e-12);
+        assert!(truth.of("tif_ellipticity").unwrap().abs() < 1e-12);
+        assert_eq!(truth.of("wobble"), None);
+    }
+}

@@ -1,0 +1,75 @@
+//! The process as it is after what was learnt: the errors of the next run.
+//!
+//! An error that was learnt is corrected in the next plan, and what is left of it is the standard error of its
+//! estimate. It takes the place of all errors of the process that act on the same quantity; where the TIF's ellipticity
+//! is learnt in both directions, these are its rotation, too. What was refused, or not asked for, stays as it was
+//! known. Correlations between the estimates are not in the file of a process, whose errors are independent.
+
+use planish_simulate::process::{
+    Distribution, Effect, ErrorFile, Kind, Process, ProcessFile, Scalar,
+};
+
+use crate::{fit::Fit, parameter::Parameter};
+
+/// What `planish-reconcile` says of an error in a file.
+const LEARNT: &str = "learnt: standard error of planish-reconcile";
+const BELIEVED: &str = "not learnt: what is believed of a machine that nobody knows";
+const FROM_THE_REST: &str =
+    "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
+
+/// The errors of the next run; `refused[i]` says whether the data do not determine unknown `i` of the fit.
+pub fn left(
+    process: Option<&Process>,
+    fit: &Fit,
+    refused: &[bool],
+    scale: impl Fn(Parameter) -> f64,
+) -> ProcessFile {
+    let learnt = |p: Parameter| {
+        let i = fit.parameters.iter().position(|q| *q == p)?;
+        (!refused[i]).then(|| fit.standard_error(i))
+    };
+    let is_learnt = |effect: &Effect| {
+        let Effect::Scalar(scalar) = effect else { return false };
+        let both = [Parameter::TifEllipticity, Parameter::TifDiagonalEllipticity];
+        match scalar {
+            Scalar::TifRotation => both.iter().all(|p| learnt(*p).is_some()),
+            _ => fit.parameters.iter().any(|p| p.scalar() == *scalar && learnt(*p).is_some()),
+        }
+    };
+    let stated = process.map_or(&[][..], |p| &p.errors);
+    let mut errors: Vec<ErrorFile> =
+        stated.iter().filter(|e| !is_learnt(&e.effect)).map(|e| e.stated.clone()).collect();
+    for p in &fit.parameters {
+        match learnt(*p) {
+            Some(error) => errors.push(entry(*p, error, LEARNT)),
+            // Without a process what is believed of it stands nowhere else.
+            None if process.is_none() => errors.push(entry(*p, scale(*p), BELIEVED)),
+            None => {}
+        }
+    }
+    if !stated.iter().any(|e| e.effect == Effect::MapNoise) {
+        let size = fit.noise.noise.rest_rms_nm * std::f64::consts::FRAC_1_SQRT_2;
+        errors.push(error(Kind::MapNoise, size, "nm", FROM_THE_REST));
+    }
+    let name = process.map_or("what a run taught".into(), |p| p.name.clone());
+    ProcessFile { name, errors }
+}
+
+fn entry(parameter: Parameter, size: f64, note: &str) -> ErrorFile {
+    let (unit, factor) = parameter.unit();
+    error(parameter.kind(), size / factor, unit, note)
+}
+
+fn error(kind: Kind, size: f64, unit: &str, note: &str) -> ErrorFile {
+    ErrorFile {
+        kind,
+        size,
+        unit: unit.into(),
+        distribution: Distribution::Normal,
+        note: note.into(),
+        correlation_s: None,
+        time_constant_s: None,
+        damping_ratio: None,
+        degree: None,
+    }
+}

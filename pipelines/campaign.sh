@@ -1,0 +1,207 @@
+#!/bin/sh
+# A campaign on the virtual machine: plan, run, measure, reconcile, plan again; with learning, without, and on a machine
+# that is known: campaign.sh [FIXTURE] [runs=3] [seed=1] [process=FILE] [pipeline=raster] [least_gain_percent=5]
+# [reconcile=FLAGS] [NAME=VALUE...]. The other settings are those of `just run`; a mirror of one's own is surface=DIR tif=DIR, two artifacts,
+# and its map is taken for the mirror itself. Everything goes to out/campaign/MIRROR, or to OUT where out=OUT is given:
+#
+#   measured        the map before the first run
+#   first           the first plan, which all chains run
+#   learning/K      run K, and what it taught: measured, truth, reconciliation, tif, transform, process.json, the next
+#                   plan, tolerance, decision; from the second run on the motion that is commanded
+#   without/K       run K without learning: measured, truth, the next plan
+#   known/K         the same on a machine whose tool and place are those of the plan
+#   alike           another mirror like the first, and its first run in each chain, after all that was learnt
+#   report          the table as a page
+set -eu
+root=$(cd "$(dirname "$0")/.." && pwd -P)
+PATH=$root/target/release:$PATH
+export PATH
+
+refuse() {
+    printf 'error: %s\n' "$1" >&2
+    exit 2
+}
+
+# The second call, which holds the directory
+held=no
+if [ "${1-}" = held ]; then
+    held=yes
+    shift
+fi
+
+if [ "$(pwd -P)" = "$root" ]; then here= ; else here=$root/; fi
+fixture=coupon surface= tif= machine= out= process=${here}fixtures/processes/hidden.json
+runs=3 seed=1 pipeline=raster least_gain_percent=5 specification= reconcile=
+for word in "$@"; do
+    case $word in
+    fixture=*) fixture=${word#*=} ;;
+    surface=*) surface=${word#*=} ;;
+    tif=*) tif=${word#*=} ;;
+    machine=*) machine=${word#*=} ;;
+    out=*) out=${word#*=} ;;
+    process=*) process=${word#*=} ;;
+    runs=*) runs=${word#*=} ;;
+    seed=*) seed=${word#*=} ;;
+    pipeline=*) pipeline=${word#*=} ;;
+    least_gain_percent=*) least_gain_percent=${word#*=} ;;
+    reconcile=*) reconcile=${word#*=} ;;
+    specification=*) specification=${word#*=} ;;
+    export=*) refuse 'a campaign writes no programs; leave export out' ;;
+    *=*) ;;
+    *) fixture=$word ;;
+    esac
+done
+case $runs in
+[1-9] | [1-9][0-9]) ;;
+*) refuse "runs is '$runs'; give 1 to 99" ;;
+esac
+file=$root/pipelines/$pipeline.just
+case $pipeline in
+stages | compare-dwell | */*) file= ;;
+esac
+[ -f "$file" ] || refuse "'$pipeline' is no pipeline that plans a run; give raster, maze, spiral"
+for map in "$surface" "$tif"; do
+    [ ! -f "$map" ] || refuse "$map is a file; read it with planish-import, and give the directory"
+done
+
+# The settings that are for the pipelines
+remaining=$#
+while [ "$remaining" -gt 0 ]; do
+    word=$1
+    shift
+    remaining=$((remaining - 1))
+    case $word in
+    fixture=* | surface=* | tif=* | out=* | process=* | runs=* | seed=* | pipeline=* | least_gain_percent=* | reconcile=*) ;;
+    *=*) set -- "$@" "$word" ;;
+    esac
+done
+
+if [ -z "$surface$tif" ]; then
+    name=$fixture
+else
+    case $surface in
+    /*) name=$surface ;;
+    *) name=$(pwd -P)/$surface ;;
+    esac
+    name=${name%/}
+    name=${name##*/}
+fi
+[ -n "$out" ] || out=${here}out/campaign/$(printf %s "$name" | tr -c 'A-Za-z0-9._+-' _)
+[ -n "$machine" ] || machine=$(just --justfile "$file" --working-directory . --evaluate machine)
+# A path that begins with a hyphen is not a flag.
+case $out in -*) out=./$out ;; esac
+case $surface in -*) surface=./$surface ;; esac
+case $tif in -*) tif=./$tif ;; esac
+case $process in -*) process=./$process ;; esac
+case $machine in -*) machine=./$machine ;; esac
+recipe=${here}fixtures/$fixture.json
+
+if [ "$held" = no ]; then
+    [ -f "$process" ] || refuse "process $process is no file; give the errors of the virtual machine (docs/tolerance.md)"
+    set -- "$root/pipelines/campaign.sh" held "$@" "fixture=$fixture" "runs=$runs" "seed=$seed" "process=$process" "out=$out" \
+        "pipeline=$pipeline" "least_gain_percent=$least_gain_percent" "reconcile=$reconcile"
+    set -- --out="$out" --pipeline=campaign --machine="$machine" --flags="reconcile=$reconcile" -- "$@"
+    [ -n "$surface$tif" ] || exec planish-run start --fixture="$recipe" "$@"
+    exec planish-run start ${surface:+"--surface=$surface"} ${tif:+"--tif=$tif"} "$@" "surface=$surface" "tif=$tif"
+fi
+
+log=$(mktemp) && trap 'rm -f "$log"' EXIT
+
+# quiet COMMAND...: what it says is shown where it fails; exit code 1, a negative verdict, is a result.
+quiet() {
+    status=0
+    "$@" > "$log" 2>&1 || status=$?
+    [ "$status" -le 1 ] || {
+        cat "$log" >&2
+        exit "$status"
+    }
+}
+
+# plan RUN SURFACE TIF SETTINGS...: the pipeline in RUN for a map and a tool
+plan() {
+    plan_at=$1 plan_map=$2 plan_tool=$3
+    shift 3
+    quiet "$root/pipelines/start.sh" run "$pipeline" frames=0 plan_feed=no "$@" "surface=$plan_map" "tif=$plan_tool" "out=$plan_at"
+}
+
+# machine_runs AT K MEASURED MOTION FLAGS...: run K of the virtual machine, which has the true tool
+machine_runs() {
+    run_at=$1 run_number=$2 run_map=$3 run_motion=$4
+    shift 4
+    quiet planish-simulate --trajectory "$run_motion" --tif "$tif" --surface "$run_map" --process "$process" \
+        --seed="$seed" --run="$run_number" "$@" --measured "$run_at/measured" --out "$run_at/truth" --force
+}
+
+# learn FLAGS...: what the run taught, with the flags in the setting `reconcile` taken apart as a shell would do it
+learn() {
+    words=$(planish-run words -- "$reconcile")
+    eval "set -- \"\$@\" $words"
+    quiet planish-reconcile "$@"
+}
+
+if [ -z "$surface$tif" ]; then
+    quiet planish-fixture "$recipe" --out "$out/fixture" --force
+    surface=$out/fixture/surface tif=$out/fixture/tif
+fi
+quiet planish-campaign measure --surface "$surface" --process "$process" --seed="$seed" --out "$out/measured" --force
+plan "$out/first" "$out/measured" "$tif" "$@"
+# The method of a run that is to be executed, as pipelines/stages.just has it
+planned=$(just --justfile "$file" --working-directory . --evaluate plan_feed=no "$@" planned)
+
+for chain in without known; do
+    map=$out/measured run=$out/first flag=
+    [ "$chain" = without ] || flag=--known
+    k=1
+    while [ "$k" -le "$runs" ]; do
+        at=$out/$chain/$k
+        machine_runs "$at" "$k" "$map" "$run/methods/$planned/trajectory" $flag
+        map=$at/measured run=$at/plan
+        [ "$k" -eq "$runs" ] || plan "$run" "$map" "$tif" "$@"
+        k=$((k + 1))
+    done
+done
+
+map=$out/measured run=$out/first tool=$tif knowledge=$process
+k=1
+while [ "$k" -le "$runs" ]; do
+    at=$out/learning/$k
+    motion=$run/methods/$planned/trajectory
+    commanded=$motion
+    # The plan goes to where the part lies by what was learnt so far.
+    place=
+    if [ "$k" -gt 1 ]; then
+        place=$out/learning/$((k - 1))/transform
+        commanded=$at/commanded
+        quiet planish-register apply --transform "$place" --trajectory "$motion" --out "$commanded" --force
+    fi
+    machine_runs "$at" "$k" "$map" "$commanded"
+    learn --before "$map" --after "$at/measured" --trajectory "$motion" --tif "$tool" \
+        --process "$knowledge" ${place:+--transform "$place"} --out "$at/reconciliation" --corrected-tif "$at/tif" \
+        --corrected-transform "$at/transform" --learnt-process "$at/process.json" --force
+    map=$at/measured run=$at/plan tool=$at/tif knowledge=$at/process.json
+    plan "$run" "$map" "$tool" "$@"
+    quiet planish-tolerance --trajectory "$run/methods/$planned/trajectory" --tif "$tool" --surface "$run/surface" \
+        --process "$knowledge" --out "$at/tolerance" --force
+    judged_now= judged_next=
+    if [ -n "$specification" ]; then
+        judged_now=$run/specified/before/specification judged_next=$run/specified/$planned/specification
+    fi
+    quiet planish-campaign decide --surface "$run/surface" --trajectory "$run/methods/$planned/trajectory" \
+        --tolerance "$at/tolerance" --least-gain-percent="$least_gain_percent" \
+        ${judged_now:+--specified-now "$judged_now"} ${judged_next:+--specified-next "$judged_next"} \
+        --out "$at/decision" --force
+    k=$((k + 1))
+done
+
+quiet planish-campaign measure --surface "$surface" --process "$process" --seed="$seed" --run="$k" \
+    --out "$out/alike/measured" --force
+motion=methods/$planned/trajectory
+plan "$out/alike/first" "$out/alike/measured" "$tif" "$@"
+machine_runs "$out/alike/without" "$k" "$out/alike/measured" "$out/alike/first/$motion"
+machine_runs "$out/alike/known" "$k" "$out/alike/measured" "$out/alike/first/$motion" --known
+plan "$out/alike/plan-after-$runs" "$out/alike/measured" "$tool" "$@"
+quiet planish-register apply --transform "$out/learning/$runs/transform" --trajectory "$out/alike/plan-after-$runs/$motion" \
+    --out "$out/alike/commanded" --force
+machine_runs "$out/alike/learning" "$k" "$out/alike/measured" "$out/alike/commanded"
+
+planish-campaign report "$out" --surface "$surface" --runs="$runs" --mirror="$name" --out "$out/report" --force
