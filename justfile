@@ -35,6 +35,19 @@ compare fixture="flat-92x16" *settings: build
 tolerance *words: build
     @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
 
+# Many plans, and the best one (docs/sweeps.md): just sweep sweeps/small.yaml; profile=slurm on a cluster, refine_front=yes
+# for plans between those of the front, out=DIR. Makes its own virtual environment
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+sweep file *settings: build snakemake
+    @{{ quote(justfile_directory() / "workflow/sweep.sh") }} "$@"
+
+[private]
+snakemake:
+    @test -d target/snakemake || python3 -m venv target/snakemake
+    @target/snakemake/bin/pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
+
 # How often the truth is within two standard errors of planish-reconcile: 500 runs of the virtual machine on the fixture
 # coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
 learn-coverage runs="500": build

@@ -5,6 +5,7 @@ mod expand;
 mod propose;
 mod resources;
 mod run;
+mod table;
 
 use clap::Subcommand;
 use planish_handoff::{Failure, Status};
@@ -25,6 +26,8 @@ pub enum Command {
     /// Propose plans between those of the front, as one more round of the sweep; exit code 1 when the front has
     /// ceased to move
     Propose(propose::Propose),
+    /// Write what came of all plans to DIR/table.json, which planish-compare sweep reads
+    Table(table::Table),
     /// Print the command that makes a plan again
     Again(again::Again),
 }
@@ -36,6 +39,7 @@ impl Command {
             Self::Run(arguments) => arguments.run(),
             Self::Resources(arguments) => arguments.run(),
             Self::Propose(arguments) => arguments.run(),
+            Self::Table(arguments) => arguments.run(),
             Self::Again(arguments) => arguments.run(),
         }
     }

@@ -22,6 +22,8 @@ pub struct Description {
     pub process: Option<String>,
     /// What a plan must keep to be recommended.
     pub constraints: Constraints,
+    /// Whether every plan gets a report of its own.
+    pub reports: bool,
     /// What is varied.
     pub blocks: Vec<Block>,
 }
@@ -77,6 +79,10 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
     let machine = text_of("machine", &top.required("machine", "machine: FILE")?)?;
     let process = top.take("process").map(|node| text_of("process", &node)).transpose()?;
     let constraints = constraints_of(top.take("constraints"))?;
+    let reports = match top.take("reports") {
+        None => true,
+        Some(node) => words("reports", &node, &["every", "none"])? == ["every"],
+    };
     let plans = top.required("plans", "plans: with path, and the settings to be varied")?;
     top.finish()?;
     let names: Vec<String> = tools.iter().map(|(name, _)| name.clone()).collect();
@@ -89,7 +95,7 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
     if blocks.is_empty() {
         return Err(Complaint::new(line, "plans is an empty list; give path and settings"));
     }
-    Ok(Description { mirror, prepare, tools, machine, process, constraints, blocks })
+    Ok(Description { mirror, prepare, tools, machine, process, constraints, reports, blocks })
 }
 
 /// The mirror, and the flags that it is prepared with.

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::{
     description::Block,
-    plan::{Ground, Plan},
+    plan::{Ground, Plan, hash},
     setting::{Given, SETTINGS},
 };
 
@@ -90,12 +90,6 @@ fn with_defaults(
 /// 12 digits: of 1e6 plans two have the same hash with a probability of 2e-3, and their names differ by word, too.
 fn name(word: &str, content: &Value) -> String {
     format!("{word}-{}", hash(content))
-}
-
-/// The first 12 digits of the BLAKE3 of a value, and of the version that made it.
-pub fn hash(content: &Value) -> String {
-    let versioned = json!([env!("CARGO_PKG_VERSION"), content]);
-    blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
 }
 
 /// Every combination of the settings that concern this path and this method; the last varies fastest.

@@ -32,6 +32,12 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
             format!("has version {there}, this program knows {here}; expand the sweep again");
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
+    if sweep.rounds.is_empty() {
+        return Err(Failure::new(format!(
+            "{}: has no plans; expand the sweep again",
+            path.display()
+        )));
+    }
     let tools = |plan: &Plan| {
         let named = plan.get("tool").map(ToString::to_string).unwrap_or_default();
         sweep.tools.iter().any(|(name, _)| *name == named)

@@ -4,6 +4,7 @@
 //! made once, and what is there is never out of date.
 
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use crate::{
     description::Constraints,
@@ -31,6 +32,8 @@ pub struct Sweep {
     pub machine: String,
     /// File of the process.
     pub process: Option<String>,
+    /// Whether every plan gets a report of its own.
+    pub reports: bool,
     /// What a plan must keep to be on the front.
     pub constraints: Constraints,
     /// Settings of `just run` that all plans share.
@@ -38,7 +41,17 @@ pub struct Sweep {
     /// Hashes of what all plans are made of.
     pub ground: Ground,
     /// The plans of the grid, then those that were proposed round by round.
-    pub rounds: Vec<Vec<Plan>>,
+    pub rounds: Vec<Round>,
+}
+
+/// Plans that are made together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Round {
+    /// Hash of its plans' names: another grid is another round.
+    pub id: String,
+    /// The plans.
+    pub plans: Vec<Plan>,
 }
 
 /// Hashes of what all plans are made of.
@@ -121,10 +134,29 @@ impl Plan {
     }
 }
 
+impl Round {
+    /// A round with these plans.
+    pub fn new(plans: Vec<Plan>) -> Self {
+        let ids: Vec<&str> = plans.iter().map(|plan| plan.id.as_str()).collect();
+        Self { id: hash(&json!(ids)), plans }
+    }
+}
+
+/// The first 12 digits of the BLAKE3 of a value, and of the version that made it.
+pub fn hash(content: &serde_json::Value) -> String {
+    let versioned = json!([env!("CARGO_PKG_VERSION"), content]);
+    blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
+}
+
 impl Sweep {
+    /// Where the size of the mirror stands when it is made.
+    pub fn mirror_file(&self) -> String {
+        format!("done/mirror-{}.json", self.ground.surface)
+    }
+
     /// Every plan, round by round.
     pub fn plans(&self) -> impl Iterator<Item = &Plan> {
-        self.rounds.iter().flatten()
+        self.rounds.iter().flat_map(|round| &round.plans)
     }
 
     /// Where the tool of a plan stands.
@@ -218,6 +250,16 @@ impl Sweep {
             steps.push(Step::new("planish-tolerance", [&over[..], &own[..]].concat()));
         }
         steps
+    }
+
+    /// The stage that makes the report of a plan, which stands in a directory like that of a run.
+    pub fn report_step(&self, plan: &Plan) -> Step {
+        let dir = plan.dir();
+        let out = format!("{dir}/report");
+        let called =
+            [dir.as_str(), "--pipeline", &plan.id, "--fixture", &self.mirror, "--plots", "never"];
+        let own = ["--tif", self.tif(plan), "--out", &out, "--force"];
+        Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
     }
 
     /// The settings of `just run` that make a plan again, the pipeline first.

@@ -14,7 +14,7 @@ use planish_testkit::workspace;
 type Room = (&'static str, &'static [&'static str]);
 
 /// Layers 0 to 2, the stages that see others, what runs several stages, and the tests that see all.
-const ROOMS: [Room; 10] = [
+const ROOMS: [Room; 11] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
@@ -38,6 +38,7 @@ const ROOMS: [Room; 10] = [
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("run", &["types", "handoff"]),
+    ("sweep", &["numerics", "types", "handoff"]),
     ("testkit", &ALL),
 ];
 
@@ -58,7 +59,7 @@ const STAGES: [&str; 12] = [
 ];
 const STAGE_MAY_NAME: [&str; 4] = ["numerics", "types", "draw", "handoff"];
 
-const ALL: [&str; 21] = [
+const ALL: [&str; 22] = [
     "numerics",
     "types",
     "draw",
@@ -79,6 +80,7 @@ const ALL: [&str; 21] = [
     "tolerance",
     "reconcile",
     "run",
+    "sweep",
     "register",
 ];
 
@@ -461,7 +463,7 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 #[test]
 fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     let mut complaints = Vec::new();
-    for folder in STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile"]) {
+    for folder in STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile", "sweep"]) {
         for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
@@ -539,7 +541,8 @@ fn every_crate_has_name_licence_description_and_the_lints() {
         let name = format!("planish-{folder}");
         assert_eq!(package.name.as_str(), name);
         let program = STAGES.contains(&folder.as_str())
-            || ["refine", "feed", "tolerance", "reconcile", "run"].contains(&folder.as_str());
+            || ["refine", "feed", "tolerance", "reconcile", "run", "sweep"]
+                .contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets
             .iter()
@@ -589,6 +592,7 @@ fn a_forbidden_arrow_is_caught() {
         ("refine", "compare"),
         ("simulate", "refine"),
         ("run", "compare"),
+        ("sweep", "feed"),
         ("verify", "run"),
         ("newcomer", "types"),
     ] {

@@ -9,8 +9,8 @@ use clap::Args;
 use planish_handoff::{Failure, Inputs, OutputFile, Status, say, words};
 use planish_sweep::{
     description::{Description, Mirror, read},
-    expand::{expand, hash},
-    plan::{Ground, Step, Sweep},
+    expand::expand,
+    plan::{Ground, Round, Step, Sweep, hash},
 };
 use serde_json::json;
 
@@ -54,7 +54,7 @@ impl Expand {
             paths.len(),
             self.out.join("sweep.json").display()
         ));
-        sweep.rounds = vec![plans];
+        sweep.rounds = vec![Round::new(plans)];
         write_json(&self.out.join("sweep.json"), &sweep)?;
         Ok(Status::Done)
     }
@@ -135,6 +135,7 @@ impl Grounds<'_> {
             tools,
             machine,
             process,
+            reports: d.reports,
             constraints: d.constraints,
             again,
             ground,

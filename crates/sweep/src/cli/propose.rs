@@ -4,7 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{Failure, Status, say};
-use planish_sweep::search::{Made, in_words, moved, proposals};
+use planish_sweep::{
+    plan::Round,
+    search::{Made, in_words, moved, proposals},
+};
 
 use crate::files::{read_row, read_sweep, write_json};
 
@@ -26,7 +29,7 @@ impl Propose {
         let mut made: Vec<Made<'_>> = Vec::new();
         let mut before = 0;
         for (i, round) in sweep.rounds.iter().enumerate() {
-            for plan in round {
+            for plan in &round.plans {
                 let Some(row) = read_row(&self.dir, &plan.id)? else {
                     let problem =
                         format!("{} has no row; make the plans of round {i} first", plan.id);
@@ -66,7 +69,7 @@ impl Propose {
         for plan in &proposed {
             say(in_words(plan));
         }
-        sweep.rounds.push(proposed);
+        sweep.rounds.push(Round::new(proposed));
         write_json(&self.dir.join("sweep.json"), &sweep)?;
         Ok(Status::Done)
     }

@@ -23,7 +23,7 @@ pub struct Resources {
 impl Resources {
     pub fn run(&self) -> Result<Status, Failure> {
         let sweep = read_sweep(&self.dir)?;
-        let size = read_size(&self.dir)?;
+        let size = read_size(&sweep, &self.dir)?;
         let plans = self.job.plans(&sweep, &size)?;
         say(serde_json::to_string(&resources(&plans, &size, self.at_once.max(1)))?);
         Ok(Status::Done)

@@ -15,7 +15,7 @@ use clap::{Args, ValueEnum};
 use planish_handoff::{Failure, Inputs, Manifest, Status, kind::MANIFEST, say, warn};
 use planish_sweep::{
     batch::{Size, estimated_s, members},
-    plan::{Plan, Sweep},
+    plan::{Plan, Round, Sweep},
     row::{Numbers, Row, RowStatus},
 };
 use planish_types::{Surface, Tif};
@@ -36,6 +36,9 @@ pub struct Run {
     /// Stages that run at the same time, each on one core
     #[arg(long, value_name = "N", default_value_t = 1)]
     at_once: usize,
+    /// End when the program that started this one ends, however it does (Linux)
+    #[arg(long)]
+    end_with_parent: bool,
 }
 
 /// Which part of a sweep.
@@ -44,9 +47,9 @@ pub struct Job {
     /// What is to be made
     #[arg(long, value_enum)]
     pub layer: Layer,
-    /// Round of the search; 0 is the grid
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub round: usize,
+    /// Round of the search, by its name in sweep.json [default: the grid]
+    #[arg(long, value_name = "NAME")]
+    pub round: Option<String>,
     /// Number of the job, from 1
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub job: usize,
@@ -90,17 +93,11 @@ struct Took {
 impl Job {
     /// The plans of the job, the most expensive first; of the paths, one plan for each.
     pub fn plans<'a>(&self, sweep: &'a Sweep, size: &Size) -> Result<Vec<&'a Plan>, Failure> {
-        let Self { job, of, round, layer } = *self;
+        let Self { job, of, layer, .. } = *self;
         if !(1..=of).contains(&job) {
             return Err(Failure::new(format!("--job is {job} of {of}; give 1 to {of}")));
         }
-        let Some(plans) = sweep.rounds.get(round) else {
-            let rounds = sweep.rounds.len();
-            return Err(Failure::new(format!(
-                "--round is {round}; the sweep has rounds 0 to {}",
-                rounds - 1
-            )));
-        };
+        let plans = &self.round(sweep)?.plans;
         let mut all: Vec<&Plan> = plans.iter().collect();
         if layer == Layer::Paths {
             let mut seen = BTreeSet::new();
@@ -109,15 +106,26 @@ impl Job {
         Ok(members(all, |plan| estimated_s(plan, size), job - 1, of))
     }
 
-    /// Name of the file that says that the job is done.
-    fn finished(&self, dir: &Path) -> PathBuf {
-        let Self { round, job, of, .. } = self;
-        let name = match self.layer {
-            Layer::Mirror => "mirror.json".into(),
-            Layer::Paths => format!("paths-{round}-{job}-of-{of}.json"),
-            Layer::Plans => format!("plans-{round}-{job}-of-{of}.json"),
+    /// The round of the job.
+    fn round<'a>(&self, sweep: &'a Sweep) -> Result<&'a Round, Failure> {
+        let Some(wanted) = &self.round else { return Ok(&sweep.rounds[0]) };
+        let found = sweep.rounds.iter().find(|round| round.id == *wanted);
+        found.ok_or_else(|| {
+            let known: Vec<&str> = sweep.rounds.iter().map(|round| round.id.as_str()).collect();
+            Failure::new(format!("--round is {wanted}; the sweep has {}", known.join(", ")))
+        })
+    }
+
+    /// The file that says that the job is done.
+    fn finished(&self, sweep: &Sweep, dir: &Path) -> Result<PathBuf, Failure> {
+        let Self { job, of, .. } = self;
+        let layer = match self.layer {
+            Layer::Mirror => return Ok(dir.join(sweep.mirror_file())),
+            Layer::Paths => "paths",
+            Layer::Plans => "plans",
         };
-        dir.join("done").join(name)
+        let round = &self.round(sweep)?.id;
+        Ok(dir.join(format!("done/{layer}-{round}-{job}-of-{of}.json")))
     }
 }
 
@@ -126,10 +134,12 @@ impl Run {
         if self.at_once == 0 {
             return Err(Failure::new("--at-once is 0; give the number of cores"));
         }
-        end_with_parent();
+        if self.end_with_parent {
+            end_with_parent();
+        }
         let begun = Instant::now();
         let sweep = read_sweep(&self.dir)?;
-        let finished = self.job.finished(&self.dir);
+        let finished = self.job.finished(&sweep, &self.dir)?;
         let _lock = alone(&finished)?;
         let stages = Stages::beside(&self.dir)?;
         let made = match self.job.layer {
@@ -139,7 +149,7 @@ impl Run {
                 made
             }
             Layer::Paths | Layer::Plans => {
-                let size = read_size(&self.dir)?;
+                let size = read_size(&sweep, &self.dir)?;
                 let plans = self.job.plans(&sweep, &size)?;
                 let work =
                     Work { sweep: &sweep, stages: &stages, dir: &self.dir, at_once: self.at_once };
@@ -169,8 +179,8 @@ impl Run {
 }
 
 /// The size of the mirror, which the job `mirror` has left.
-pub fn read_size(dir: &Path) -> Result<Size, Failure> {
-    let path = dir.join("done/mirror.json");
+pub fn read_size(sweep: &Sweep, dir: &Path) -> Result<Size, Failure> {
+    let path = dir.join(sweep.mirror_file());
     let bytes = fs::read(&path).map_err(|e| {
         let problem = format!("cannot read: {e}; make the mirror first (--layer mirror)");
         Failure::new(format!("{}: {problem}", path.display()))
@@ -248,8 +258,8 @@ impl Work<'_> {
         each(plans, self.at_once, |plan| {
             let mut steps = self.sweep.path_steps(plan);
             let mut seen = BTreeSet::new();
-            let round = &self.sweep.rounds[job.round];
-            for other in round.iter().filter(|other| other.path_id == plan.path_id) {
+            let round = job.round(self.sweep)?;
+            for other in round.plans.iter().filter(|other| other.path_id == plan.path_id) {
                 if other.dwell_id.as_ref().is_some_and(|id| seen.insert(id)) {
                     steps.extend(self.sweep.dwell_step(other));
                 }
@@ -286,6 +296,7 @@ impl Work<'_> {
             "planish-simulate",
             "planish-verify",
             "planish-tolerance",
+            "planish-compare",
         ]);
         let mut to_do = Vec::new();
         for plan in plans {
@@ -362,6 +373,14 @@ impl Work<'_> {
             End::Killed(message) => return Ok(Err(message)),
         };
         self.link(plan)?;
+        if self.sweep.reports {
+            // Exit code 1 says of its only method what its verdict has said.
+            match self.stages.run(&self.sweep.report_step(plan))? {
+                End::Done | End::Negative(_) => {}
+                End::Failed(message) => return Ok(Ok(Row::failed(&plan.id, message))),
+                End::Killed(message) => return Ok(Err(message)),
+            }
+        }
         let numbers = Some(self.numbers(plan)?);
         Ok(Ok(Row { id: plan.id.clone(), status, message, numbers }))
     }
