@@ -43,6 +43,15 @@ tolerance *words: build
 sweep file *settings: build snakemake
     @{{ quote(justfile_directory() / "workflow/sweep.sh") }} "$@"
 
+# Kill a sweep and one of its stages in the middle: a second run finishes, makes nothing again, and gives the same bytes (Linux)
+test-sweep: build snakemake
+    python3 workflow/test_sweep.py
+
+# A sweep here and through Slurm on this machine, the same byte by byte? just test-slurm sweeps/reference.yaml. Installs and
+# starts Debian's slurm and munge (root)
+test-slurm *settings: build snakemake
+    workflow/test-slurm.sh {{ settings }}
+
 [private]
 snakemake:
     @test -d target/snakemake || python3 -m venv target/snakemake
@@ -155,6 +164,7 @@ ci: test checks
 # Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
 ci-long:
     just test-faults 1000 200
+    just test-slurm
     just test-schedulers-long
     just fuzz 10000000
     just fuzz-binaries 100000

@@ -78,7 +78,12 @@ else
     workflow
 fi
 if [ "$refine_front" = yes ]; then
-    while "$programs/planish-sweep" propose "$out"; do
+    while true; do
+        code=0
+        "$programs/planish-sweep" propose "$out" || code=$?
+        # 1: the search is over.
+        [ "$code" -le 1 ] || exit "$code"
+        [ "$code" -eq 0 ] || break
         workflow
     done
 fi

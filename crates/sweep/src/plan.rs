@@ -265,7 +265,9 @@ impl Sweep {
     /// The settings of `just run` that make a plan again, the pipeline first.
     pub fn again(&self, plan: &Plan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
-        words.extend(self.again.iter().cloned());
+        // A plan of motion and times as one problem does not depend on the process.
+        let concerns = |word: &&String| plan.method != "feed" || !word.starts_with("process=");
+        words.extend(self.again.iter().filter(concerns).cloned());
         for (key, given) in &plan.settings {
             match key.as_str() {
                 "tool" => words.push(format!("tif={}", self.tif(plan))),

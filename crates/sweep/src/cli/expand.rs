@@ -44,18 +44,17 @@ impl Expand {
         let folder = path.parent().unwrap_or(Path::new("."));
         self.refuse_foreign()?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let mut grounds = Grounds { folder, out: &self.out, inputs };
+        let mut grounds = Grounds { folder, out: &self.out, inputs, copies: vec![] };
         let mut sweep = grounds.sweep(&name, &description)?;
         let plans = expand(&description.blocks, &sweep.ground).map_err(refused)?;
         let paths: std::collections::BTreeSet<_> = plans.iter().map(|p| &p.path_id).collect();
-        say(format!(
-            "{name}: {} plans on {} tool paths -> {}",
-            plans.len(),
-            paths.len(),
-            self.out.join("sweep.json").display()
-        ));
+        let counts = format!("{} plans on {} tool paths", plans.len(), paths.len());
         sweep.rounds = vec![Round::new(plans)];
+        for (copy, bytes) in grounds.copies {
+            OutputFile::begin("--out", &copy, true, &grounds.inputs)?.write(&bytes)?;
+        }
         write_json(&self.out.join("sweep.json"), &sweep)?;
+        say(format!("{name}: {counts} -> {}", self.out.join("sweep.json").display()));
         Ok(Status::Done)
     }
 
@@ -88,13 +87,15 @@ struct Grounds<'a> {
     folder: &'a Path,
     out: &'a Path,
     inputs: Inputs,
+    /// Files that are to be copied, and their places.
+    copies: Vec<(PathBuf, Vec<u8>)>,
 }
 
 impl Grounds<'_> {
     fn sweep(&mut self, name: &str, d: &Description) -> Result<Sweep, Failure> {
         let (machine, machine_hash) = self.frozen("machine", &d.machine)?;
-        // By the readers of the stages: a mistake is found before the long ones.
-        Inputs::new().read_machine(&self.out.join(&machine))?;
+        // By the reader of the stages: a mistake is found before the long ones.
+        Inputs::new().read_machine(&self.folder.join(&d.machine))?;
         let process = d.process.as_ref().map(|file| self.frozen("process", file)).transpose()?;
         let mut again = vec![];
         let (mut steps, map, map_hash, tif, tif_hash, mirror) =
@@ -210,8 +211,7 @@ impl Grounds<'_> {
         let digest = blake3::hash(&bytes).to_hex()[..12].to_string();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let copy = format!("inputs/{digest}/{name}");
-        let out = OutputFile::begin("--out", &self.out.join(&copy), true, &self.inputs)?;
-        out.write(&bytes)?;
+        self.copies.push((self.out.join(&copy), bytes));
         Ok((copy, digest))
     }
 
