@@ -1,7 +1,7 @@
 #!/bin/sh
 # Slurm on this machine alone, for tests: slurm-here.sh start DIR, which prints the environment that its commands need,
-# and slurm-here.sh stop DIR. Daemons, keys, logs and ports are its own, in DIR; nothing of the system's is touched.
-# Needs root, and Debian's slurm-wlm and munge.
+# and slurm-here.sh stop DIR. Daemons, keys, logs and ports are its own, in DIR; a machine that has a Slurm already is
+# left alone. Needs root, and Debian's slurm-wlm and munge.
 set -eu
 goal=$1 dir=$2
 mkdir -p "$dir"
@@ -9,7 +9,12 @@ dir=$(cd "$dir" && pwd -P)
 # A socket's path has at most 107 characters, so it cannot lie in DIR.
 socket=/tmp/planish-munge.$(printf %s "$dir" | cksum | cut -d ' ' -f 1)
 
+# Snakemake's jobs drop every variable that begins with SLURM_, and srun then looks here: where the daemon of a cluster
+# without files of its own on the nodes keeps them.
+found=/run/slurm/conf
+
 if [ "$goal" = stop ]; then
+    [ "$(readlink "$found")" != "$dir" ] || rm -f "$found"
     for daemon in slurmd slurmctld munged; do
         [ -f "$dir/$daemon.pid" ] || continue
         pid=$(cat "$dir/$daemon.pid")
@@ -25,6 +30,14 @@ if [ "$goal" = stop ]; then
     exit
 fi
 
+for file in /etc/slurm/slurm.conf "$found/slurm.conf"; do
+    if [ -e "$file" ]; then
+        printf 'error: this machine has a Slurm: %s; use that one (just sweep SWEEP.yaml profile=slurm)\n' "$file" >&2
+        exit 2
+    fi
+done
+mkdir -p "$(dirname "$found")"
+ln -sfn "$dir" "$found"
 rm -rf "$dir/state" "$dir/spool" "$dir"/*.log
 mkdir -p "$dir/state" "$dir/spool" "$socket"
 chmod 755 "$socket"

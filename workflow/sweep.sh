@@ -54,7 +54,7 @@ if [ "$name" = reference ] && [ -n "${PLANISH_REFERENCE:-}" ]; then
     just --justfile "$root/justfile" reference-mirror "$root/out/reference-mirror"
 fi
 "$programs/planish-sweep" expand "$sweep" --out "$out"
-out=$(cd "$out" && pwd -P)
+at=$(cd "$out" && pwd -P)
 
 config="programs=$programs"
 [ -z "$at_once" ] || config="$config at_once=$at_once"
@@ -68,7 +68,7 @@ done
 
 # shellcheck disable=SC2086  # the numbers and the flags are several words
 workflow() {
-    "$root/target/snakemake/bin/snakemake" --snakefile "$root/workflow/Snakefile" --directory "$out" \
+    "$root/target/snakemake/bin/snakemake" --snakefile "$root/workflow/Snakefile" --directory "$at" \
         --profile "$profile" --config $config $flags "$@" || exit 2
 }
 

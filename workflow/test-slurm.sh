@@ -12,6 +12,7 @@ at=out/test-slurm/$name
 
 command -v slurmctld slurmd munged sbatch > /dev/null ||
     (apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends slurm-wlm munge)
+workflow/slurm-here.sh stop target/slurm-test
 rm -rf "$at"
 mkdir -p "$at"
 
