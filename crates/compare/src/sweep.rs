@@ -276,7 +276,11 @@ impl Row {
 
 /// A value as it is written, a text without quotation marks.
 fn shown(value: &Value) -> String {
-    value.as_str().map_or_else(|| value.to_string(), String::from)
+    match (value.as_str(), value.as_f64()) {
+        (Some(text), _) => text.into(),
+        (None, Some(number)) => number.to_string(),
+        (None, None) => value.to_string(),
+    }
 }
 
 /// A cell of RFC 4180.
@@ -332,17 +336,15 @@ mod tests {
     fn what_is_recommended_is_what_the_report_of_a_run_would_recommend() {
         // 3 % more for a tenth of the time: RMS^2 T^(1/2) is least for the second.
         let plans = [(100.0, 1.0, true), (10.0, 1.03, true), (1.0, 1.2, true)];
-        let table = table(&plans, None);
-        assert_eq!(table.recommended(), Some(1));
-        let sentence = table.sentence();
+        let swept = table(&plans, None);
+        assert_eq!(swept.recommended(), Some(1));
+        let sentence = swept.sentence();
         assert!(
             sentence.contains("plan-1 is to be run: it leaves 1.030 nm RMS in 10.00 s"),
             "{sentence}"
         );
         assert!(sentence.ends_with("just run raster pitch_mm=1"), "{sentence}");
-        assert!(
-            super::tests::table(&plans, Some(0.5)).sentence().starts_with("None of the 3 plans")
-        );
+        assert!(table(&plans, Some(0.5)).sentence().starts_with("None of the 3 plans"));
     }
 
     #[test]

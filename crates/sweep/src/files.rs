@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use planish_handoff::{Failure, Inputs, OutputFile};
+use planish_handoff::{Failure, Inputs, OutputFile, words};
 use planish_sweep::{
     plan::{Plan, Sweep},
     row::Row,
@@ -47,6 +47,16 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
     Ok(sweep)
+}
+
+/// The command that makes a plan again, for a shell.
+pub fn again(sweep: &Sweep, plan: &Plan) -> String {
+    let quoted = |word: String| match word.split_once('=') {
+        Some((name, value)) => format!("{name}={}", words::quote(value)),
+        None => words::quote(&word),
+    };
+    let words: Vec<String> = sweep.again(plan).into_iter().map(quoted).collect();
+    format!("just run {}", words.join(" "))
 }
 
 /// The row of a plan, where it is there.

@@ -136,13 +136,17 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
 
     let again = ended(0, &["again", &one, plans[1]["id"].as_str().unwrap()]);
     assert!(again.starts_with("just run raster "), "{again}");
-    assert!(again.contains(" pitch_mm=2 step_mm=1 time_elasticity=2 plan_feed=yes refine=no"), "{again}");
+    assert!(
+        again.contains(" pitch_mm=2 step_mm=1 time_elasticity=2 plan_feed=yes refine=no"),
+        "{again}"
+    );
 
     // Made again, nothing is done but the plan that failed.
     let said = ended(0, &["run", &one, "--layer", "plans", "--at-once", "2"]);
     assert!(said.contains("3 of 4 plans are there already"), "{said}");
     // A row that is lost is made again, and is the same.
-    let lost = Path::new(&one).join("plans").join(plans[2]["id"].as_str().unwrap()).join("row.json");
+    let lost =
+        Path::new(&one).join("plans").join(plans[2]["id"].as_str().unwrap()).join("row.json");
     let before = fs::read(&lost).unwrap();
     fs::remove_file(&lost).unwrap();
     ended(0, &["run", &one, "--layer", "plans"]);
@@ -159,12 +163,24 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
 fn a_mistake_is_named_with_its_file_and_line_and_nothing_is_written() {
     let dir = tempfile::tempdir().unwrap();
     for (from, to, said) in [
-        ("pitch_mm: 2", "pitch_um: 2000", "some.yaml: line 6: no setting 'pitch_um'; write pitch_mm, in that unit"),
+        (
+            "pitch_mm: 2",
+            "pitch_um: 2000",
+            "some.yaml: line 6: no setting 'pitch_um'; write pitch_mm, in that unit",
+        ),
         ("raster", "zigzag", "some.yaml: line 5: path is 'zigzag'; give raster, maze"),
-        ("pitch_mm: 2", "pitch_mm: {from: 2, to: 1, step: 1}", "line 6: the range of pitch_mm is empty"),
+        (
+            "pitch_mm: 2",
+            "pitch_mm: {from: 2, to: 1, step: 1}",
+            "line 6: the range of pitch_mm is empty",
+        ),
         ("FIXTURE", "nowhere.json", "fixture: "),
         ("{fixture: FIXTURE}", "{surface: nowhere, tif: nowhere}", "nowhere: cannot read"),
-        ("{fixture: FIXTURE}", "{fixture: FIXTURE, prepare: \"'\"}", "prepare: ': the quotation mark"),
+        (
+            "{fixture: FIXTURE}",
+            "{fixture: FIXTURE, prepare: \"'\"}",
+            "prepare: ': the quotation mark",
+        ),
     ] {
         assert!(SWEEP.contains(from));
         let file = written(dir.path(), &SWEEP.replacen(from, to, 1));
@@ -175,7 +191,10 @@ fn a_mistake_is_named_with_its_file_and_line_and_nothing_is_written() {
     }
     let unreadable = dir.path().join("binary.yaml");
     fs::write(&unreadable, [0xff, 0xfe, 0x00]).unwrap();
-    ended(2, &["expand", unreadable.to_str().unwrap(), "--out", dir.path().join("o").to_str().unwrap()]);
+    ended(
+        2,
+        &["expand", unreadable.to_str().unwrap(), "--out", dir.path().join("o").to_str().unwrap()],
+    );
 }
 
 #[test]

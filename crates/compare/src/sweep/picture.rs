@@ -101,7 +101,7 @@ fn families(table: &Table) -> Vec<String> {
 
 /// What is said of a point.
 fn told(row: &Row, [time_s, rms_nm]: [f64; 2]) -> String {
-    format!("{}\n{} nm in {} s", row.in_words(), significant(rms_nm, 4), significant(time_s, 4))
+    format!("{}: {} nm in {} s", row.in_words(), significant(rms_nm, 4), significant(time_s, 4))
 }
 
 /// The style of the page.

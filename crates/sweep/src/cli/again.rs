@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use planish_handoff::{Failure, Status, say, words};
+use planish_handoff::{Failure, Status, say};
 
-use crate::files::read_sweep;
+use crate::files::{again, read_sweep};
 
 #[derive(Args)]
 pub struct Again {
@@ -22,7 +22,7 @@ impl Again {
             let problem = format!("no plan '{}'; give one that its table names", self.plan);
             return Err(Failure::new(format!("{}: {problem}", self.dir.display())));
         };
-        say(format!("just run {}", words::join(sweep.again(plan))));
+        say(again(&sweep, plan));
         Ok(Status::Done)
     }
 }

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use planish_handoff::{Failure, Status, say, words};
+use planish_handoff::{Failure, Status, say};
 use planish_sweep::row::Row;
 use serde_json::{Map, Value, json};
 
-use crate::files::{read_row, read_sweep, write_json};
+use crate::files::{again, read_row, read_sweep, write_json};
 
 #[derive(Args)]
 pub struct Table {
@@ -38,7 +38,7 @@ impl Table {
                 "message": message,
                 "numbers": numbers,
                 "report": has_report.then_some(report),
-                "again": format!("just run {}", words::join(sweep.again(plan))),
+                "again": again(&sweep, plan),
             }));
         }
         let table = json!({
