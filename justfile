@@ -59,6 +59,28 @@ campaign-spread *words: build
 next-run *words: build
     @{{ quote(justfile_directory() / "pipelines/next-run.sh") }} "$@"
 
+# Many plans, and the best one (docs/sweeps.md): just sweep sweeps/small.yaml; profile=slurm on a cluster, refine_front=yes
+# for plans between those of the front, out=DIR. Makes its own virtual environment
+[no-cd]
+[no-exit-message]
+[positional-arguments]
+sweep file *settings: build snakemake
+    @{{ quote(justfile_directory() / "workflow/sweep.sh") }} "$@"
+
+# Kill a sweep and one of its stages in the middle: a second run finishes, makes nothing again, and gives the same bytes (Linux)
+test-sweep: build snakemake
+    python3 workflow/test_sweep.py
+
+# A sweep here and through Slurm on this machine, the same byte by byte? just test-slurm sweeps/reference.yaml. Installs and
+# starts Debian's slurm and munge (root)
+test-slurm *settings: build snakemake
+    workflow/test-slurm.sh {{ settings }}
+
+[private]
+snakemake:
+    @test -d target/snakemake || python3 -m venv target/snakemake
+    @target/snakemake/bin/pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
+
 # How often the truth is within two standard errors of planish-reconcile: 500 runs of the virtual machine on the fixture
 # coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
 learn-coverage runs="500": build
@@ -170,6 +192,7 @@ ci: test checks
 # Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
 ci-long:
     just test-faults 1000 200
+    just test-slurm
     just test-schedulers-long
     just fuzz 10000000
     just fuzz-binaries 100000

@@ -64,6 +64,28 @@ FIDUCIALS = """map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm
 0,6,100,56,0.005
 """
 
+# Two plans of the recipe. The paths are those of the base, wherever a case has its copy of the file.
+SWEEP = """mirror: {{fixture: {base}/recipe.json}}
+machine: {base}/machine.json
+plans:
+  path: raster
+  pitch_mm: {{from: 1, to: 2, step: 1}}
+  time_elasticity: 0.5
+"""
+
+# What `planish-sweep table` says of them.
+TABLE = {
+    "name": "sweep", "mirror": "tiny", "has_process": False,
+    "constraints": {"max_time_s": 100.0, "keep_limits": True},
+    "plans": [
+        {"id": f"raster-feed-{i}", "path": "raster", "method": "feed", "settings": {"pitch_mm": i}, "status": "done",
+         "message": None, "report": None, "again": f"just run raster pitch_mm={i}",
+         "numbers": {"total_time_s": 10.0 / i, "rms_nm": i, "rms_detilted_nm": i, "below_95_percent_nm": None,
+                     "limits_kept": True}}
+        for i in (1, 2)
+    ],
+}
+
 # How the base is made; {name} is a path in it. The order matters, each line writes what later ones read.
 # What has no --out writes nothing that others read.
 BASE = """
@@ -126,6 +148,8 @@ planish-import surface {run/surface} --flip-x --out {from-directory}
 planish-import tif {tif/rate_nm_per_s.npy} --rate --unit nm --pitch-mm 0.5 --out {tif-from-npy}
 planish-import tif {tif/rate_nm_per_s.npy} --unit nm --pitch-mm 0.5 --dwell-s 30 --half-size-mm 1 --baseline none --out {spot}
 planish-surface psd --removal {run/methods/pvt/removal} --out {psd-removal}
+planish-sweep expand {sweep.yaml} --out {sweep}
+planish-compare sweep {table.json} --out {sweep-report}
 planish-compare diff --tolerance 1 {run/surface} {from-directory}
 planish-compare report {run} --measured {mirror/surface} --out {report}
 """
@@ -196,6 +220,8 @@ def make_base(programs, base):
     shutil.copy(fixtures / "machines/ion-beam.json", base / "machine.json")
     shutil.copy(fixtures / "processes/ion-beam.json", base / "process.json")
     (base / "fiducials.csv").write_text(FIDUCIALS)
+    (base / "sweep.yaml").write_text(SWEEP.format(base=base))
+    (base / "table.json").write_text(json.dumps(TABLE))
     for line in BASE.split("\n"):
         if not line:
             continue

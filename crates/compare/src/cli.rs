@@ -4,6 +4,7 @@ mod diff;
 mod dwell;
 mod figures;
 mod report;
+mod sweep;
 
 use clap::Subcommand;
 use planish_handoff::{Failure, Status};
@@ -18,6 +19,9 @@ pub enum Command {
     Figures(figures::Figures),
     /// Print the results of dwell solvers side by side, and write summary.json
     Dwell(dwell::Dwell),
+    /// Print which plans of a sweep are best, and which is to be run; write table.csv, report.html and the
+    /// front (SVG); exit code 1 when none keeps the constraints
+    Sweep(sweep::Sweep),
     /// Print how far the arrays of two artifacts are apart; exit code 1 above the tolerance
     Diff(diff::Diff),
 }
@@ -28,6 +32,7 @@ impl Command {
             Self::Report(arguments) => arguments.run(),
             Self::Figures(arguments) => arguments.run(),
             Self::Dwell(arguments) => arguments.run(),
+            Self::Sweep(arguments) => arguments.run(),
             Self::Diff(arguments) => arguments.run(),
         };
         // Names of files and directories may command the terminal.

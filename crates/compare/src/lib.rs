@@ -14,6 +14,7 @@
 //! * [`places`]: where something remains, and where the time goes.
 //! * [`recommended`]: which plan is to be executed;
 //! * [`specification`]: what the runs keep of a specification.
+//! * [`sweep`]: the plans of a sweep, and the front of residual against time.
 //! * [`diff`]: how far two arrays are apart.
 
 pub mod answer;
@@ -29,5 +30,6 @@ pub mod recommended;
 pub mod report;
 pub mod specification;
 pub mod summary;
+pub mod sweep;
 pub mod table;
 pub mod typeset;

@@ -643,8 +643,20 @@ pub const FIGURES: Kind = Kind {
     ],
 };
 
+/// The plans of a sweep.
+pub const SWEEP: Kind = Kind {
+    name: "sweep",
+    version: 1,
+    doc: "The plans of a sweep: a table, the fronts of residual against time, and a page whose points open the reports \
+          of the plans. The names of the plans on the front, and of the one that is to be run, are in the manifest's \
+          outcome (see sweeps.md).",
+    frame: MAP_FRAME,
+    arrays: &[],
+    files: &["table.csv", "report.html", "front.svg", "front-95-percent.svg"],
+};
+
 /// Every kind, in the order of the pipeline.
-pub const ALL: [&Kind; 19] = [
+pub const ALL: [&Kind; 20] = [
     &SURFACE,
     &TIF,
     &TOOL_PATH,
@@ -664,4 +676,5 @@ pub const ALL: [&Kind; 19] = [
     &SPECIFICATION,
     &REPORT,
     &FIGURES,
+    &SWEEP,
 ];

@@ -20,6 +20,7 @@ pub mod keys;
 pub mod linear;
 pub mod motion;
 pub mod orthogonal;
+pub mod pareto;
 pub mod polynomial;
 pub mod qp;
 pub mod quadrature;

@@ -39,6 +39,7 @@ const ROOMS: [Room; 11] = [
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),
     ("run", &["types", "handoff"]),
+    ("sweep", &["numerics", "types", "handoff"]),
     ("testkit", &ALL),
 ];
 
@@ -59,7 +60,7 @@ const STAGES: [&str; 12] = [
 ];
 const STAGE_MAY_NAME: [&str; 4] = ["numerics", "types", "draw", "handoff"];
 
-const ALL: [&str; 22] = [
+const ALL: [&str; 23] = [
     "numerics",
     "types",
     "draw",
@@ -81,6 +82,7 @@ const ALL: [&str; 22] = [
     "reconcile",
     "campaign",
     "run",
+    "sweep",
     "register",
 ];
 
@@ -463,7 +465,7 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 #[test]
 fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     let mut complaints = Vec::new();
-    for folder in STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile", "campaign"]) {
+    for folder in STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile", "campaign", "sweep"]) {
         for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
@@ -541,7 +543,7 @@ fn every_crate_has_name_licence_description_and_the_lints() {
         let name = format!("planish-{folder}");
         assert_eq!(package.name.as_str(), name);
         let program = STAGES.contains(&folder.as_str())
-            || ["refine", "feed", "tolerance", "reconcile", "campaign", "run"]
+            || ["refine", "feed", "tolerance", "reconcile", "campaign", "run", "sweep"]
                 .contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets
@@ -592,6 +594,7 @@ fn a_forbidden_arrow_is_caught() {
         ("refine", "compare"),
         ("simulate", "refine"),
         ("run", "compare"),
+        ("sweep", "feed"),
         ("verify", "run"),
         ("newcomer", "types"),
     ] {

@@ -18,7 +18,8 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// What is not run here, and why.
-const EXCEPTIONS: [(&str, &str); 10] = [
+const EXCEPTIONS: [(&str, &str); 11] = [
+    ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
     ("just test-faults", "minutes; .ci/run disturbs a tenth as often"),
     ("just test-schedulers-long", "an hour; a piece of it is run"),
     ("just fuzz 50000", "minutes; .ci/run gives every reader 20 000 inputs"),
@@ -109,7 +110,7 @@ impl Clone {
         let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("commands");
         let _ = fs::remove_dir_all(&dir);
         fs::create_dir_all(dir.join("shims")).unwrap();
-        for part in ["README.md", "justfile", "docs", "fixtures", "pipelines"] {
+        for part in ["README.md", "justfile", "docs", "fixtures", "pipelines", "sweeps", "workflow"] {
             let copy = Command::new("cp").arg("-r").arg(workspace().join(part)).arg(&dir).status();
             assert!(copy.unwrap().success(), "{part}");
         }

@@ -535,3 +535,46 @@ fn what_is_no_campaign_and_no_next_run_is_refused_and_nothing_is_written() {
         assert!(left.is_empty(), "{words:?}: {left:?}");
     }
 }
+
+#[test]
+fn the_command_of_a_plan_of_a_sweep_makes_the_same_plan_again() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let fixtures = workspace().join("fixtures");
+    let sweep = format!(
+        "mirror: {{fixture: {0}/coupon.json}}\nmachine: {0}/machines/ion-beam.json\nreports: none\nplans:\n  \
+         path: maze\n  pitch_mm: 2\n  seed: 3\n  method: [feed, pvt+refined]\n  time_weight_nm2_per_s: 1e-4\n",
+        fixtures.display()
+    );
+    fs::write(dir.path().join("two.yaml"), sweep).unwrap();
+    let planish = |arguments: &[&str]| {
+        let program = workspace().join("target/release/planish-sweep");
+        let output =
+            Command::new(program).args(arguments).current_dir(dir.path()).output().unwrap();
+        assert!(output.status.success(), "{arguments:?}: {}", text(&output));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    planish(&["expand", "two.yaml", "--out", "two"]);
+    for layer in ["mirror", "paths", "plans"] {
+        planish(&["run", "two", "--layer", layer, "--at-once", "2"]);
+    }
+    let plans = entries(&dir.path().join("two/plans"));
+    assert_eq!(plans.len(), 2);
+    for plan in plans {
+        let command = planish(&["again", "two", &plan]);
+        let words = command.trim_end().strip_prefix("just ").unwrap().split(' ');
+        let words: Vec<&str> = words.chain(["frames=0", "out=again"]).collect();
+        let ended = run(dir.path(), &words);
+        assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", text(&ended));
+        let method = if plan.contains("feed") { "feed" } else { "pvt+refined" };
+        let motion =
+            |run: &str| dir.path().join(run).join("methods").join(method).join("trajectory");
+        for array in ["break_time_s.npy", "coefficient_mm.npy"] {
+            let [swept, again] = [format!("two/plans/{plan}"), "again".into()]
+                .map(|run| fs::read(motion(&run).join(array)).unwrap());
+            assert!(swept == again, "{plan}: {array} differs from that of `{command}`");
+        }
+    }
+}

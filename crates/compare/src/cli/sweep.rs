@@ -1,0 +1,93 @@
+//! `planish-compare sweep`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use planish_compare::sweep::{Residual, Table, page, svg};
+use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
+use planish_types::text::visible;
+use serde_json::json;
+
+/// Most bytes of a table: a million plans.
+const LARGEST_TABLE_BYTES: u64 = 1 << 30;
+
+#[derive(Args)]
+pub struct Sweep {
+    /// Table of the plans, which planish-sweep table has written [JSON]
+    table: PathBuf,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl Sweep {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let bytes = inputs.read_bytes("table", &self.table, LARGEST_TABLE_BYTES)?;
+        let unusable = |e| {
+            Failure::new(format!("{}: {e}; write it by planish-sweep table", self.table.display()))
+        };
+        let table: Table = serde_json::from_slice(&bytes).map_err(unusable)?;
+        let to_table = self.to_table();
+        let task = task!("sweep", json!({ "to_table": to_table }));
+        let recommended = table.recommended().map(|i| table.plans[i].id.as_str());
+        let status = match recommended {
+            Some(_) => Status::Done,
+            None => Status::Negative(table.sentence()),
+        };
+        let writer = Output::directory(&self.output, &kind::SWEEP).begin(&task, &inputs)?.writer();
+        if let Some(mut writer) = writer {
+            let mut beside = vec![
+                ("table.csv", table.csv().into_bytes()),
+                ("report.html", page(&table, &to_table).into_bytes()),
+            ];
+            for (name, residual) in
+                [("front.svg", Residual::Nominal), ("front-95-percent.svg", Residual::Below95)]
+            {
+                let drawn = svg(&table, residual, &to_table);
+                if !drawn.is_empty() {
+                    beside.push((name, drawn.into_bytes()));
+                }
+            }
+            let front = |residual| -> Vec<&str> {
+                table.front(residual).into_iter().map(|i| table.plans[i].id.as_str()).collect()
+            };
+            let outcome = json!({
+                "plans": table.plans.len(),
+                "failed": table.failed(),
+                "recommended": recommended,
+                "front": front(Residual::Nominal),
+                "front_95_percent": front(Residual::Below95),
+            });
+            writer.write_arrays(&kind::SWEEP, &[], &beside, outcome, &status)?;
+        }
+        say(visible_lines(&table.front_table()));
+        if table.failed() > 0 {
+            say(format!(
+                "{} of {} plans have no numbers; the page says why",
+                table.failed(),
+                table.plans.len()
+            ));
+        }
+        say(visible(&table.sentence()));
+        for name in ["table.csv", "report.html"] {
+            say(visible(&self.output.out.join(name).to_string_lossy()));
+        }
+        Ok(status)
+    }
+
+    /// The way from the page to the folder of the table, to which the reports are relative: one step up where the page
+    /// is beside the table, else from the root.
+    fn to_table(&self) -> String {
+        let folder = |path: &Path| path.parent().map(|p| Path::new(".").join(p).canonicalize());
+        match (folder(&self.table), folder(&self.output.out)) {
+            (Some(Ok(table)), Some(Ok(out))) if table == out => "../".into(),
+            (Some(Ok(table)), _) => format!("{}/", table.display()),
+            _ => String::new(),
+        }
+    }
+}
+
+/// Each line without what could command a terminal.
+fn visible_lines(text: &str) -> String {
+    text.lines().map(visible).collect::<Vec<_>>().join("\n")
+}

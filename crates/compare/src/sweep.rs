@@ -1,0 +1,372 @@
+//! The plans of a sweep: which are best, and which is to be run.
+//!
+//! A plan is a point of residual against time. On the front are those that no other plan beats in both; the residual is
+//! that of the plan without errors, and, where the sweep has a process, the one that 95 % of the runs are below, too.
+
+mod picture;
+
+use std::collections::BTreeMap;
+
+use planish_numerics::pareto;
+use planish_types::text::significant;
+use serde::Deserialize;
+use serde_json::Value;
+
+use crate::recommended::{Candidate, recommended};
+
+pub use picture::{page, svg};
+
+/// What `planish-sweep table` writes.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Table {
+    /// Name of the sweep.
+    pub name: String,
+    /// Name of the mirror.
+    pub mirror: String,
+    /// Whether the plans were judged by the errors of a process.
+    pub has_process: bool,
+    /// What a plan must keep.
+    pub constraints: Constraints,
+    /// The plans.
+    pub plans: Vec<Row>,
+}
+
+/// What a plan must keep to be on the front.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Constraints {
+    /// Longest time, s.
+    pub max_time_s: Option<f64>,
+    /// Whether the limits of the machine must be kept.
+    pub keep_limits: bool,
+}
+
+/// A plan and what came of it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// Name.
+    pub id: String,
+    /// Family of the path.
+    pub path: String,
+    /// Method.
+    pub method: String,
+    /// Settings by name.
+    pub settings: BTreeMap<String, Value>,
+    /// `done`, `negative` or `failed`.
+    pub status: String,
+    /// What a stage said.
+    pub message: Option<String>,
+    /// The numbers, where there are some.
+    pub numbers: Option<Numbers>,
+    /// The report, relative to the table.
+    pub report: Option<String>,
+    /// The command that makes the plan again.
+    pub again: String,
+}
+
+/// The numbers of a plan.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Numbers {
+    /// Time of the run, s.
+    pub total_time_s: f64,
+    /// RMS of the residual, nm.
+    pub rms_nm: f64,
+    /// RMS of the residual, plane removed, nm.
+    pub rms_detilted_nm: f64,
+    /// What 95 % of the runs are below, nm.
+    pub below_95_percent_nm: Option<f64>,
+    /// Whether the limits of the machine are kept.
+    pub limits_kept: bool,
+}
+
+/// Which residual.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Residual {
+    /// Without errors.
+    Nominal,
+    /// That 95 % of the runs are below.
+    Below95,
+}
+
+impl Residual {
+    /// Caption of an axis.
+    pub fn caption(self) -> &'static str {
+        match self {
+            Self::Nominal => "RMS of the residual (nm)",
+            Self::Below95 => "RMS that 95 % of the runs are below (nm)",
+        }
+    }
+}
+
+impl Table {
+    /// Time and residual of a plan that keeps the constraints.
+    pub fn point(&self, row: &Row, residual: Residual) -> Option<[f64; 2]> {
+        let numbers = row.numbers.as_ref()?;
+        let Constraints { max_time_s, keep_limits } = self.constraints;
+        let keeps = (numbers.limits_kept || !keep_limits)
+            && max_time_s.is_none_or(|most| numbers.total_time_s <= most);
+        let nm = match residual {
+            Residual::Nominal => Some(numbers.rms_nm),
+            Residual::Below95 => numbers.below_95_percent_nm,
+        };
+        nm.filter(|_| keeps).map(|nm| [numbers.total_time_s, nm])
+    }
+
+    /// The residual by which plans are chosen.
+    pub fn judged_by(&self) -> Residual {
+        if self.has_process { Residual::Below95 } else { Residual::Nominal }
+    }
+
+    /// The indices of the plans on the front, the shortest first.
+    pub fn front(&self, residual: Residual) -> Vec<usize> {
+        let none = [f64::NAN; 2];
+        let points: Vec<[f64; 2]> =
+            self.plans.iter().map(|row| self.point(row, residual).unwrap_or(none)).collect();
+        pareto::front(&points)
+    }
+
+    /// The index of the plan that is to be run: as the report of a run recommends.
+    pub fn recommended(&self) -> Option<usize> {
+        let candidates: Vec<(&str, Candidate)> = self
+            .plans
+            .iter()
+            .filter_map(|row| {
+                let [total_time_s, rms_nm] = self.point(row, self.judged_by())?;
+                Some((
+                    row.id.as_str(),
+                    Candidate { rms_nm, total_time_s, keeps_specification: true },
+                ))
+            })
+            .collect();
+        let name = recommended(&candidates)?;
+        self.plans.iter().position(|row| row.id == name)
+    }
+
+    /// The plan that is to be run in one sentence, with the command that makes it again.
+    pub fn sentence(&self) -> String {
+        let count = self.plans.len();
+        let Some(row) = self.recommended().map(|i| &self.plans[i]) else {
+            return format!("None of the {count} plans keeps the constraints.");
+        };
+        let numbers = row.numbers.as_ref().expect("a plan without numbers is not recommended");
+        let nm = |x: f64| significant(x, 4);
+        let errors = numbers.below_95_percent_nm.map(|x| {
+            format!(", with the errors of the process {} nm or less in 95 % of the runs,", nm(x))
+        });
+        format!(
+            "Of the {count} plans, {} is to be run: it leaves {} nm RMS{} in {} s; made again by: {}",
+            row.id,
+            nm(numbers.rms_nm),
+            errors.unwrap_or_default(),
+            significant(numbers.total_time_s, 4),
+            row.again
+        )
+    }
+
+    /// Names of the settings that differ between plans, in their alphabetical order.
+    pub fn varied(&self) -> Vec<&str> {
+        let mut seen: BTreeMap<&str, Vec<Option<&Value>>> = BTreeMap::new();
+        let keys: std::collections::BTreeSet<&str> =
+            self.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
+        for key in keys {
+            let mut values = self.plans.iter().map(|row| row.settings.get(key));
+            let first = values.next().flatten();
+            if values.any(|value| value != first) {
+                seen.insert(key, vec![]);
+            }
+        }
+        seen.into_keys().collect()
+    }
+
+    /// All plans as comma-separated values, the settings and numbers under their names.
+    pub fn csv(&self) -> String {
+        let keys: std::collections::BTreeSet<&str> =
+            self.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
+        let mut out = String::from("id,path,method,");
+        for key in &keys {
+            out += &format!("{key},");
+        }
+        out += "total_time_s,rms_nm,rms_detilted_nm,below_95_percent_nm,limits_kept,keeps_constraints,on_front,\
+                on_front_95_percent,recommended,status,message,again\n";
+        let fronts = [Residual::Nominal, Residual::Below95].map(|residual| self.front(residual));
+        let recommended = self.recommended();
+        for (i, row) in self.plans.iter().enumerate() {
+            let mut cells = vec![row.id.clone(), row.path.clone(), row.method.clone()];
+            cells.extend(
+                keys.iter().map(|key| row.settings.get(*key).map(shown).unwrap_or_default()),
+            );
+            let n = row.numbers.as_ref();
+            let number = |of: fn(&Numbers) -> Option<f64>| n.and_then(of).map(|x| x.to_string());
+            cells.extend(
+                [
+                    number(|n| Some(n.total_time_s)),
+                    number(|n| Some(n.rms_nm)),
+                    number(|n| Some(n.rms_detilted_nm)),
+                    number(|n| n.below_95_percent_nm),
+                ]
+                .map(Option::unwrap_or_default),
+            );
+            cells.push(n.map(|n| n.limits_kept.to_string()).unwrap_or_default());
+            cells.push(self.point(row, Residual::Nominal).is_some().to_string());
+            cells.extend(fronts.iter().map(|front| front.contains(&i).to_string()));
+            cells.push((recommended == Some(i)).to_string());
+            cells.extend([
+                row.status.clone(),
+                row.message.clone().unwrap_or_default(),
+                row.again.clone(),
+            ]);
+            let cells: Vec<String> = cells.iter().map(|cell| quoted(cell)).collect();
+            out += &cells.join(",");
+            out.push('\n');
+        }
+        out
+    }
+
+    /// The plans on the front as a table for people, the shortest first.
+    pub fn front_table(&self) -> String {
+        let varied = self.varied();
+        let mut lines = vec![vec!["time".to_string(), "residual".into(), "95 % below".into()]];
+        lines[0].extend(["limits".into(), "path".into(), "method".into()]);
+        lines[0].extend(varied.iter().map(|key| key.to_string()));
+        lines[0].push(String::new());
+        lines.push(vec!["s".into(), "nm".into(), "nm".into()]);
+        let recommended = self.recommended();
+        for i in self.front(self.judged_by()) {
+            let row = &self.plans[i];
+            let Some(n) = &row.numbers else { continue };
+            let mut cells = vec![significant(n.total_time_s, 4), significant(n.rms_nm, 4)];
+            cells.push(n.below_95_percent_nm.map(|x| significant(x, 4)).unwrap_or_default());
+            cells.push(if n.limits_kept { "kept" } else { "exceeded" }.into());
+            cells.extend([row.path.clone(), row.method.clone()]);
+            cells.extend(
+                varied.iter().map(|key| row.settings.get(*key).map(shown).unwrap_or_default()),
+            );
+            cells.push(if recommended == Some(i) { "*".into() } else { String::new() });
+            lines.push(cells);
+        }
+        let columns = lines[0].len();
+        let width =
+            |k: usize| lines.iter().filter_map(|l| l.get(k)).map(|c| c.chars().count()).max();
+        let widths: Vec<usize> = (0..columns).map(|k| width(k).unwrap_or(0)).collect();
+        let line = |cells: &Vec<String>| {
+            let padded: Vec<String> =
+                cells.iter().zip(&widths).map(|(c, w)| format!("{c:>w$}")).collect();
+            padded.join("  ").trim_end().to_string()
+        };
+        lines.iter().map(line).collect::<Vec<_>>().join("\n")
+    }
+
+    /// How many plans have no numbers.
+    pub fn failed(&self) -> usize {
+        self.plans.iter().filter(|row| row.numbers.is_none()).count()
+    }
+}
+
+impl Row {
+    /// Path, method and settings in a line.
+    pub fn in_words(&self) -> String {
+        let settings: Vec<String> =
+            self.settings.iter().map(|(key, value)| format!("{key}={}", shown(value))).collect();
+        format!("{}, {}: {}", self.path, self.method, settings.join(" "))
+    }
+}
+
+/// A value as it is written, a text without quotation marks.
+fn shown(value: &Value) -> String {
+    match (value.as_str(), value.as_f64()) {
+        (Some(text), _) => text.into(),
+        (None, Some(number)) => number.to_string(),
+        (None, None) => value.to_string(),
+    }
+}
+
+/// A cell of RFC 4180.
+fn quoted(cell: &str) -> String {
+    match cell.contains([',', '"', '\n', '\r']) {
+        true => format!("\"{}\"", cell.replace('"', "\"\"")),
+        false => cell.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// Plans with these times, residuals and limits.
+    pub(super) fn table(plans: &[(f64, f64, bool)], max_time_s: Option<f64>) -> Table {
+        let row = |(i, (time, rms, kept)): (usize, &(f64, f64, bool))| {
+            json!({
+                "id": format!("plan-{i}"), "path": if i % 2 == 0 { "raster" } else { "maze" }, "method": "feed",
+                "settings": { "pitch_mm": i, "turn": "lift" }, "status": "done", "message": null,
+                "numbers": {
+                    "total_time_s": time, "rms_nm": rms, "rms_detilted_nm": rms, "below_95_percent_nm": null,
+                    "limits_kept": kept,
+                },
+                "report": format!("plans/{i}/report.html"), "again": format!("just run raster pitch_mm={i}"),
+            })
+        };
+        let plans: Vec<Value> = plans.iter().enumerate().map(row).collect();
+        serde_json::from_value(json!({
+            "name": "s", "mirror": "m", "has_process": false,
+            "constraints": { "max_time_s": max_time_s, "keep_limits": true }, "plans": plans,
+        }))
+        .unwrap()
+    }
+
+    #[test]
+    fn the_front_has_what_keeps_the_constraints_and_nothing_beats() {
+        let plans = [
+            (10.0, 1.0, true),
+            (5.0, 2.0, true),
+            (11.0, 1.5, true),
+            (1.0, 0.1, false),
+            (99.0, 0.5, true),
+        ];
+        assert_eq!(table(&plans, Some(50.0)).front(Residual::Nominal), [1, 0]);
+        assert_eq!(table(&plans, None).front(Residual::Nominal), [1, 0, 4]);
+        // No plan has a residual with errors.
+        assert!(table(&plans, None).front(Residual::Below95).is_empty());
+    }
+
+    #[test]
+    fn what_is_recommended_is_what_the_report_of_a_run_would_recommend() {
+        // 3 % more for a tenth of the time: RMS^2 T^(1/2) is least for the second.
+        let plans = [(100.0, 1.0, true), (10.0, 1.03, true), (1.0, 1.2, true)];
+        let swept = table(&plans, None);
+        assert_eq!(swept.recommended(), Some(1));
+        let sentence = swept.sentence();
+        assert!(
+            sentence.contains("plan-1 is to be run: it leaves 1.030 nm RMS in 10.00 s"),
+            "{sentence}"
+        );
+        assert!(sentence.ends_with("just run raster pitch_mm=1"), "{sentence}");
+        assert!(table(&plans, Some(0.5)).sentence().starts_with("None of the 3 plans"));
+    }
+
+    #[test]
+    fn the_csv_has_every_plan_and_quotes_what_must_be_quoted() {
+        let mut table = table(&[(2.0, 1.0, true), (1.0, 2.0, true)], None);
+        table.plans[1].message = Some("a, \"b\"".into());
+        table.plans[1].numbers = None;
+        let csv = table.csv();
+        let lines: Vec<&str> = csv.lines().collect();
+        assert_eq!(lines.len(), 3);
+        assert!(lines[0].starts_with("id,path,method,pitch_mm,turn,total_time_s"));
+        assert!(
+            lines[1]
+                .starts_with("plan-0,raster,feed,0,lift,2,1,1,,true,true,true,false,true,done,")
+        );
+        assert!(lines[2].contains(",,,,,,false,false,false,false,done,\"a, \"\"b\"\"\","), "{csv}");
+    }
+
+    #[test]
+    fn only_what_differs_is_in_the_table() {
+        let table = table(&[(2.0, 1.0, true), (1.0, 2.0, true)], None);
+        assert_eq!(table.varied(), ["pitch_mm"]);
+        assert_eq!(table.front_table().lines().count(), 4);
+    }
+}

@@ -1,0 +1,264 @@
+//! The front as a picture, and the page around it.
+
+use std::fmt::Write;
+
+use planish_draw::{
+    colour,
+    frame::{Frame, Scale, range},
+    svg::Svg,
+};
+use planish_types::text::{escaped, significant};
+
+use super::{Residual, Row, Table};
+
+/// Height of the texts, px of the picture.
+const FONT_PX: f64 = 14.0;
+
+/// Width and height of the frame, px.
+const SIZE_PX: [f64; 2] = [760.0, 420.0];
+
+/// Left, top, right and bottom of the frame, px.
+const MARGIN_PX: [f64; 4] = [90.0, 40.0, 30.0, 60.0];
+
+/// Most points that are drawn beside those of the front: more could not be told apart, and would make the page slow.
+const MOST_POINTS: usize = 4000;
+
+/// Room beside the points, in decades.
+const ROOM: f64 = 0.04;
+
+/// The plans that keep the constraints, each a point that is a link to its report; those of the front are joined.
+/// `to_table` leads from the picture to the folder of the table. Empty where there is no point.
+pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
+    let front = table.front(residual);
+    let points = points(table, residual, &front);
+    if points.is_empty() {
+        return String::new();
+    }
+    let scale = |k: usize| {
+        let [low, high] = range(points.iter().map(|(_, p)| p[k].max(f64::MIN_POSITIVE).log10()));
+        Scale::logarithmic([low - ROOM, high + ROOM].map(|power| 10_f64.powf(power)))
+    };
+    let frame = Frame::new([0.0; 2], SIZE_PX, MARGIN_PX, [scale(0), scale(1)]);
+    let mut svg = Svg::new(FONT_PX);
+    frame.grid(&mut svg);
+    frame.axes(&mut svg, ["time of the run (s)", residual.caption()]);
+    let families = families(table);
+    let entries: Vec<(&str, &str)> =
+        families.iter().enumerate().map(|(k, name)| (name.as_str(), colour::of_line(k))).collect();
+    frame.legend(&mut svg, &entries);
+    // A plan is as good as all that takes longer: the front is a staircase.
+    let corners = front.iter().filter_map(|&i| table.point(&table.plans[i], residual));
+    let corners: Vec<[f64; 2]> = corners.collect();
+    let stairs = corners.iter().enumerate().flat_map(|(k, &[time, rms])| {
+        let landing = corners.get(k + 1).map(|next| [next[0], rms]);
+        std::iter::once([time, rms]).chain(landing)
+    });
+    frame.curve(&mut svg, stairs, "#888888");
+    let recommended = table.recommended();
+    for (i, point) in points {
+        let row = &table.plans[i];
+        let family = families.iter().position(|name| *name == family_of(row)).unwrap_or(0);
+        let [x, y] = frame.at(point);
+        let (radius, opacity) = if front.contains(&i) { (5.0, 1.0) } else { (3.0, 0.55) };
+        let ring =
+            if recommended == Some(i) { " stroke=\"black\" stroke-width=\"2.5\"" } else { "" };
+        let circle = format!(
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{}\" fill-opacity=\"{opacity}\"{ring}><title>{}</title></circle>",
+            colour::of_line(family),
+            escaped(&told(row, point))
+        );
+        match &row.report {
+            Some(report) => {
+                let href = escaped(&format!("{to_table}{report}"));
+                svg.put(format_args!("<a href=\"{href}\">{circle}</a>"));
+            }
+            None => svg.put(format_args!("{circle}")),
+        }
+    }
+    svg.finish([MARGIN_PX[0] + SIZE_PX[0] + MARGIN_PX[2], MARGIN_PX[1] + SIZE_PX[1] + MARGIN_PX[3]])
+}
+
+/// What is drawn: the others first, so that those of the front lie over them.
+fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f64; 2])> {
+    let all =
+        (0..table.plans.len()).filter_map(|i| Some((i, table.point(&table.plans[i], residual)?)));
+    let (on_front, others): (Vec<_>, Vec<_>) = all.partition(|(i, _)| front.contains(i));
+    let every = others.len().div_ceil(MOST_POINTS).max(1);
+    others.into_iter().step_by(every).chain(on_front).collect()
+}
+
+/// What has a colour of its own.
+fn family_of(row: &Row) -> String {
+    format!("{}, {}", row.path, row.method)
+}
+
+fn families(table: &Table) -> Vec<String> {
+    let mut families: Vec<String> = table.plans.iter().map(family_of).collect();
+    families.sort();
+    families.dedup();
+    families
+}
+
+/// What is said of a point.
+fn told(row: &Row, [time_s, rms_nm]: [f64; 2]) -> String {
+    format!("{}: {} nm in {} s", row.in_words(), significant(rms_nm, 4), significant(time_s, 4))
+}
+
+/// The style of the page.
+const CSS: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:75rem;margin:1.5rem auto;padding:0 1rem}\
+    svg{max-width:100%;height:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
+    td,th{padding:.15rem .6rem;border-bottom:1px solid #ddd;text-align:right}td.w,th.w{text-align:left}\
+    tr.best td{font-weight:bold}code{background:#eee;padding:.1rem .3rem;overflow-wrap:anywhere}\
+    .scroll{overflow-x:auto}\
+    @media(prefers-color-scheme:dark){body{background:#181818;color:#ddd}code{background:#333}svg{background:#fff}a{color:#8bf}}";
+
+/// The page: the sentence, the pictures, the plans of the front, those that failed, and all others.
+pub fn page(table: &Table, to_table: &str) -> String {
+    let mut html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\
+         <title>{0}</title><style>{CSS}</style></head><body>\n<h1>Sweep {0}, {1}</h1>\n",
+        escaped(&table.name),
+        escaped(&table.mirror)
+    );
+    put(&mut html, format_args!("<p>{}</p>\n", with_command(table)));
+    put(&mut html, format_args!("<p>{}</p>\n", escaped(&constraints(table))));
+    for residual in [Residual::Nominal, Residual::Below95] {
+        html += &svg(table, residual, to_table);
+    }
+    html += "<p>Each point is a plan, and opens its report; a ring is around the one that is to be run. \
+             The line joins the plans that no other beats in both time and residual.</p>\n";
+    html += "<h2>The front</h2>\n";
+    html += &rows(table, &table.front(table.judged_by()), to_table);
+    let failed: Vec<usize> =
+        (0..table.plans.len()).filter(|&i| table.plans[i].numbers.is_none()).collect();
+    if !failed.is_empty() {
+        put(&mut html, format_args!("<h2>{} plans without numbers</h2>\n<ul>", failed.len()));
+        for row in failed.iter().take(MOST_POINTS).map(|&i| &table.plans[i]) {
+            let message = row.message.as_deref().unwrap_or_default();
+            put(
+                &mut html,
+                format_args!("<li>{}: {}</li>\n", escaped(&row.in_words()), escaped(message)),
+            );
+        }
+        html += "</ul>\n";
+    }
+    let shown = table.plans.len().min(MOST_POINTS);
+    put(
+        &mut html,
+        format_args!("<details><summary>{shown} of {} plans</summary>\n", table.plans.len()),
+    );
+    html += &rows(table, &(0..shown).collect::<Vec<_>>(), to_table);
+    html += "</details>\n<p>All plans with all their numbers are in <a href=\"table.csv\">table.csv</a>.</p>\n</body></html>\n";
+    html
+}
+
+/// The sentence, its command as code.
+fn with_command(table: &Table) -> String {
+    let sentence = table.sentence();
+    match sentence.split_once("just run ") {
+        Some((before, settings)) => {
+            format!("{}<code>just run {}</code>", escaped(before), escaped(settings))
+        }
+        None => escaped(&sentence),
+    }
+}
+
+fn constraints(table: &Table) -> String {
+    let time =
+        table.constraints.max_time_s.map(|s| format!("takes {} s at most", significant(s, 6)));
+    let limits =
+        table.constraints.keep_limits.then(|| "keeps the limits of the machine".to_string());
+    let kept: Vec<String> = limits.into_iter().chain(time).collect();
+    let failed = table.failed();
+    let judged = match table.judged_by() {
+        Residual::Nominal => "its residual without errors",
+        Residual::Below95 => "the residual that 95 % of its runs are below",
+    };
+    let asked = if kept.is_empty() { "is made".into() } else { kept.join(" and ") };
+    format!(
+        "A plan counts that {asked}; it is judged by {judged} and by its time. {failed} plans have no numbers."
+    )
+}
+
+fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
+    let varied = table.varied();
+    let mut html =
+        String::from("<div class=\"scroll\"><table><tr><th>time, s</th><th>residual, nm</th>");
+    if table.has_process {
+        html += "<th>95 % below, nm</th>";
+    }
+    html += "<th class=\"w\">limits</th><th class=\"w\">path</th><th class=\"w\">method</th>";
+    for key in &varied {
+        put(&mut html, format_args!("<th>{}</th>", escaped(key)));
+    }
+    html += "<th class=\"w\">plan</th></tr>\n";
+    let recommended = table.recommended();
+    for &i in indices {
+        let row = &table.plans[i];
+        let Some(n) = &row.numbers else { continue };
+        html += if recommended == Some(i) { "<tr class=\"best\">" } else { "<tr>" };
+        let numbers = [Some(n.total_time_s), Some(n.rms_nm)].into_iter();
+        for number in numbers.chain(table.has_process.then_some(n.below_95_percent_nm)) {
+            let number = number.map(|x| significant(x, 4)).unwrap_or_default();
+            put(&mut html, format_args!("<td>{number}</td>"));
+        }
+        let limits = if n.limits_kept { "kept" } else { "exceeded" };
+        put(
+            &mut html,
+            format_args!(
+                "<td class=\"w\">{limits}</td><td class=\"w\">{}</td><td class=\"w\">{}</td>",
+                escaped(&row.path),
+                escaped(&row.method)
+            ),
+        );
+        for key in &varied {
+            let value = row.settings.get(*key).map(super::shown).unwrap_or_default();
+            put(&mut html, format_args!("<td>{}</td>", escaped(&value)));
+        }
+        let name = escaped(&row.id);
+        let cell = match &row.report {
+            Some(report) => {
+                format!("<a href=\"{}\">{name}</a>", escaped(&format!("{to_table}{report}")))
+            }
+            None => name,
+        };
+        put(&mut html, format_args!("<td class=\"w\">{cell}</td></tr>\n"));
+    }
+    html + "</table></div>\n"
+}
+
+fn put(out: &mut String, words: std::fmt::Arguments<'_>) {
+    out.write_fmt(words).expect("a text takes what is written to it");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::tests::table, *};
+
+    #[test]
+    fn every_plan_is_a_point_that_opens_its_report() {
+        let plans = [(10.0, 1.0, true), (5.0, 2.0, true), (11.0, 1.5, true), (1.0, 0.1, false)];
+        let table = table(&plans, None);
+        let svg = svg(&table, Residual::Nominal, "../");
+        assert_eq!(svg.matches("<a href=\"../plans/").count(), 3);
+        // The shortest first: left and above.
+        let of = |r: &str| svg.matches(&format!("r=\"{r}\"")).count();
+        assert_eq!((of("5"), of("3")), (2, 1));
+        assert_eq!(svg.matches("stroke=\"black\" stroke-width=\"2.5\"").count(), 1);
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        assert!(super::svg(&table, Residual::Below95, "").is_empty());
+    }
+
+    #[test]
+    fn names_are_no_markup() {
+        let mut table = table(&[(10.0, 1.0, true)], None);
+        table.name = "<script>".into();
+        table.plans[0].path = "\"><script>".into();
+        table.plans[0].report = Some("\"><script>".into());
+        table.plans[0].again = "just run <script>".into();
+        let page = page(&table, "");
+        assert!(!page.contains("<script>"), "{page}");
+    }
+}

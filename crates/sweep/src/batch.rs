@@ -1,0 +1,170 @@
+//! Which plans a job runs, and what a job needs.
+//!
+//! Time and memory are those of the stages, estimated from the size of the map and the path:
+//!
+//! | symbol | what |
+//! |---|---|
+//! | A | area of the map, mm^2 |
+//! | p | pitch, mm |
+//! | w | width of the tool, mm |
+//! | N | pixels of the map |
+//!
+//! The path is A / p long. A plan of motion and times as one problem has nodes 0.6 w apart along it, n = A / (0.6 p w),
+//! of which m = (4 w)^2 / (0.6 p w) are within reach of each other, and takes some 30 factorisations with n m^2
+//! multiplications. The closed loop has A / (p s) dwell points for steps of s.
+
+use serde::{Deserialize, Serialize};
+
+use crate::plan::Plan;
+
+/// Size of a mirror.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Size {
+    /// Pixels of the map.
+    pub pixels: f64,
+    /// Their area, mm^2.
+    pub area_mm2: f64,
+    /// Width of the tool, mm.
+    pub tool_width_mm: f64,
+}
+
+/// What a job asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Resources {
+    /// Longest time, minutes.
+    pub runtime: u64,
+    /// Memory, MiB.
+    pub mem_mb: u64,
+}
+
+/// Seconds of a factorisation per multiplication, on one core.
+const S_PER_MULTIPLICATION: f64 = 1e-9;
+
+/// Seconds of a closed loop per dwell point, on one core.
+const S_PER_DWELL_POINT: f64 = 5e-3;
+
+/// Seconds of a plan whatever its size: programs that start, hashes, disks.
+const S_AT_LEAST: f64 = 1.0;
+
+/// How much longer than estimated a job may take before it is ended: the estimate is rough, and what is killed has
+/// to be begun again.
+const TIME_MARGIN: f64 = 5.0;
+
+/// Bytes of a stage per pixel: some twenty maps of 8 bytes, and transforms of twice their size.
+const BYTES_PER_PIXEL: f64 = 1000.0;
+
+/// Bytes of a stage whatever its size.
+const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
+
+/// Estimated seconds of a plan on one core.
+pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
+    let pitch_mm = plan.number("pitch_mm").unwrap_or(1.0);
+    let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
+    let passes = plan.number("passes").unwrap_or(1.0);
+    let Size { area_mm2, tool_width_mm, .. } = *size;
+    let own_s = if plan.method == "feed" {
+        let spacing_mm = plan.number("node_spacing_mm").unwrap_or(0.6 * tool_width_mm);
+        let nodes = area_mm2 / (pitch_mm * spacing_mm);
+        let near = (4.0 * tool_width_mm).powi(2) / (pitch_mm * spacing_mm);
+        // The stage sets its nodes further apart where a factorisation would take more than this.
+        30.0 * S_PER_MULTIPLICATION * (nodes * near * near).min(5e10)
+    } else {
+        S_PER_DWELL_POINT * passes * area_mm2 / (pitch_mm * step_mm)
+    };
+    S_AT_LEAST + own_s
+}
+
+/// What a job with these plans asks for, where it runs `jobs` of them at once.
+pub fn resources(plans: &[&Plan], size: &Size, jobs: usize) -> Resources {
+    let estimated = plans.iter().map(|plan| estimated_s(plan, size));
+    let (sum_s, longest_s) =
+        estimated.fold((0.0, 0.0f64), |(sum, longest), s| (sum + s, longest.max(s)));
+    let wall_s = (sum_s / jobs as f64).max(longest_s);
+    let bytes = jobs as f64 * (BYTES_AT_LEAST + BYTES_PER_PIXEL * size.pixels);
+    Resources {
+        runtime: (TIME_MARGIN * wall_s / 60.0).ceil().max(10.0) as u64,
+        mem_mb: (bytes / 1048576.0).ceil() as u64,
+    }
+}
+
+/// How many jobs share this many plans: `per_job` each, in at most `most` jobs.
+pub fn jobs_for(plans: usize, per_job: usize, most: usize) -> usize {
+    plans.div_ceil(per_job).clamp(1, most)
+}
+
+/// The members of job `index` of `of`: the most expensive come first, and are dealt out in turn, so that the jobs take
+/// about the same time, and end with what is short.
+pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, of: usize) -> Vec<T> {
+    // Stable: equal ones stay in the order of the sweep, so that the members are the same everywhere.
+    all.sort_by(|a, b| cost(b).total_cmp(&cost(a)));
+    let turn = |k: usize| {
+        // There and back: 0, 1, 2, 2, 1, 0, ...
+        let (round, at) = (k / of, k % of);
+        if round % 2 == 0 { at } else { of - 1 - at }
+    };
+    all.into_iter().enumerate().filter(|(k, _)| turn(*k) == index).map(|(_, one)| one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::setting::Given;
+
+    fn plan(method: &str, settings: &[(&str, f64)]) -> Plan {
+        let settings = settings.iter().map(|(k, x)| (k.to_string(), Given::Number(*x))).collect();
+        Plan {
+            id: "id".into(),
+            path_id: "path".into(),
+            dwell_id: None,
+            path: "raster".into(),
+            method: method.into(),
+            settings,
+        }
+    }
+
+    const SIZE: Size = Size { pixels: 1e4, area_mm2: 1e3, tool_width_mm: 3.0 };
+
+    #[test]
+    fn every_plan_is_in_one_job_and_the_jobs_cost_the_same() {
+        let all: Vec<u32> = (0..100).collect();
+        let jobs: Vec<Vec<u32>> =
+            (0..7).map(|i| members(all.clone(), |x| f64::from(*x), i, 7)).collect();
+        let mut seen: Vec<u32> = jobs.iter().flatten().copied().collect();
+        seen.sort();
+        assert_eq!(seen, all);
+        let sums: Vec<u32> = jobs.iter().map(|job| job.iter().sum()).collect();
+        // There and back, two rounds cancel; what is left is one member more or less, the cheapest of them.
+        let (least, most) = (sums.iter().min().unwrap(), sums.iter().max().unwrap());
+        assert!(most - least <= 12, "{sums:?}");
+    }
+
+    #[test]
+    fn a_thousand_plans_are_at_most_sixteen_jobs() {
+        assert_eq!(jobs_for(1000, 60, 16), 16);
+        assert_eq!(jobs_for(100_000, 60, 16), 16);
+        assert_eq!([jobs_for(1, 60, 16), jobs_for(60, 60, 16), jobs_for(61, 60, 16)], [1, 1, 2]);
+    }
+
+    #[test]
+    fn finer_plans_are_estimated_to_take_longer() {
+        for method in ["feed", "pvt+refined"] {
+            let of = |pitch: f64| {
+                estimated_s(&plan(method, &[("pitch_mm", pitch), ("step_mm", 1.0)]), &SIZE)
+            };
+            assert!(of(0.5) > of(1.0) && of(1.0) > of(2.0), "{method}");
+        }
+    }
+
+    #[test]
+    fn resources_grow_with_the_map_and_the_plans() {
+        let one = plan("feed", &[("pitch_mm", 1.0)]);
+        let large = Size { pixels: 4e6, area_mm2: 4e4, tool_width_mm: 3.0 };
+        let (few, many) = (vec![&one; 10], vec![&one; 1000]);
+        assert!(resources(&many, &SIZE, 2).runtime > resources(&few, &SIZE, 2).runtime);
+        assert!(resources(&many, &SIZE, 8).runtime < resources(&many, &SIZE, 2).runtime);
+        assert!(resources(&few, &large, 2).mem_mb > resources(&few, &SIZE, 2).mem_mb);
+        // One plan is not run by two cores.
+        assert_eq!(resources(&[&one], &SIZE, 8).runtime, resources(&[&one], &SIZE, 1).runtime);
+    }
+}

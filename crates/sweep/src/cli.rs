@@ -1,0 +1,46 @@
+//! The subcommands, one file each.
+
+mod again;
+mod expand;
+mod propose;
+mod resources;
+mod run;
+mod table;
+
+use clap::Subcommand;
+use planish_handoff::{Failure, Status};
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Write the plans of a sweep's file to DIR/sweep.json
+    ///
+    /// Nothing is run. A mistake in the file is named with its line.
+    Expand(expand::Expand),
+    /// Run the stages of one job: the mirror, the tool paths, or some of the plans
+    ///
+    /// What is there already is not made again, so a job that was ended goes on where it was. A plan that fails is
+    /// a row with its message; a stage that was killed is tried once more, alone.
+    Run(run::Run),
+    /// Print what a job asks for, as JSON: minutes and MiB, from the size of the map
+    Resources(resources::Resources),
+    /// Propose plans between those of the front, as one more round of the sweep; exit code 1 when the front has
+    /// ceased to move
+    Propose(propose::Propose),
+    /// Write what came of all plans to DIR/table.json, which planish-compare sweep reads
+    Table(table::Table),
+    /// Print the command that makes a plan again
+    Again(again::Again),
+}
+
+impl Command {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Expand(arguments) => arguments.run(),
+            Self::Run(arguments) => arguments.run(),
+            Self::Resources(arguments) => arguments.run(),
+            Self::Propose(arguments) => arguments.run(),
+            Self::Table(arguments) => arguments.run(),
+            Self::Again(arguments) => arguments.run(),
+        }
+    }
+}

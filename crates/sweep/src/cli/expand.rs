@@ -1,0 +1,276 @@
+//! `planish-sweep expand`.
+
+use std::{
+    fs,
+    path::{Component, Path, PathBuf},
+};
+
+use clap::Args;
+use planish_handoff::{Failure, Inputs, OutputFile, Status, say, words};
+use planish_sweep::{
+    description::{Description, Mirror, read},
+    expand::expand,
+    plan::{Ground, Round, Step, Sweep, hash},
+};
+use serde_json::json;
+
+use crate::files::{VERSION, write_json};
+
+/// Most bytes of a sweep's file: a thousand blocks.
+const LARGEST_FILE_BYTES: u64 = 1 << 20;
+
+/// Files of instruments, which are imported.
+const FILES: [&str; 13] =
+    ["dat", "datx", "xyz", "asc", "txt", "csv", "mat", "h5", "hdf5", "fits", "fit", "npy", "sdf"];
+
+#[derive(Args)]
+pub struct Expand {
+    /// Sweep [YAML]; relative paths in it begin in its folder
+    sweep: PathBuf,
+    /// Directory of the sweep
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+impl Expand {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let path = &self.sweep;
+        let mut inputs = Inputs::new();
+        let bytes = inputs.read_bytes("sweep", path, LARGEST_FILE_BYTES)?;
+        let refused = |problem: String| Failure::new(format!("{}: {problem}", path.display()));
+        let text = String::from_utf8(bytes)
+            .map_err(|_| refused("is not UTF-8; write it as a text file".into()))?;
+        let description = read(&text).map_err(|e| refused(e.to_string()))?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        self.refuse_foreign()?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut grounds = Grounds { folder, out: &self.out, inputs, copies: vec![] };
+        let mut sweep = grounds.sweep(&name, &description)?;
+        let plans = expand(&description.blocks, &sweep.ground).map_err(refused)?;
+        let paths: std::collections::BTreeSet<_> = plans.iter().map(|p| &p.path_id).collect();
+        let counts = format!("{} plans on {} tool paths", plans.len(), paths.len());
+        sweep.rounds = vec![Round::new(plans)];
+        for (copy, bytes) in grounds.copies {
+            OutputFile::begin("--out", &copy, true, &grounds.inputs)?.write(&bytes)?;
+        }
+        write_json(&self.out.join("sweep.json"), &sweep)?;
+        say(format!("{name}: {counts} -> {}", self.out.join("sweep.json").display()));
+        Ok(Status::Done)
+    }
+
+    /// A directory with files and without a sweep is somebody's.
+    fn refuse_foreign(&self) -> Result<(), Failure> {
+        let out = &self.out;
+        if out.join("sweep.json").exists() {
+            return Ok(());
+        }
+        let found = match fs::read_dir(out) {
+            Ok(entries) => entries.flatten().map(|e| e.file_name()).next(),
+            Err(_) if !out.exists() => None,
+            Err(e) => return Err(Failure::new(format!("{}: cannot read: {e}", out.display()))),
+        };
+        match found {
+            // What the recipe makes before, and what an expansion that was ended leaves.
+            None => Ok(()),
+            Some(name) if name == "inputs" => Ok(()),
+            Some(name) => Err(Failure::new(format!(
+                "{} holds {} and no sweep.json: it is not the directory of a sweep; give another --out",
+                out.display(),
+                name.display()
+            ))),
+        }
+    }
+}
+
+/// What the plans are made of, as it stands on the disk.
+struct Grounds<'a> {
+    folder: &'a Path,
+    out: &'a Path,
+    inputs: Inputs,
+    /// Files that are to be copied, and their places.
+    copies: Vec<(PathBuf, Vec<u8>)>,
+}
+
+impl Grounds<'_> {
+    fn sweep(&mut self, name: &str, d: &Description) -> Result<Sweep, Failure> {
+        let (machine, machine_hash) = self.frozen("machine", &d.machine)?;
+        // By the reader of the stages: a mistake is found before the long ones.
+        Inputs::new().read_machine(&self.folder.join(&d.machine))?;
+        let process = d.process.as_ref().map(|file| self.frozen("process", file)).transpose()?;
+        let mut again = vec![];
+        let (mut steps, map, map_hash, tif, tif_hash, mirror) =
+            self.mirror(&d.mirror, &mut again)?;
+        let prepare = words::split(&d.prepare)
+            .map_err(|e| Failure::new(format!("prepare: {}: {e}", d.prepare)))?;
+        let surface_hash = hash(&json!(["surface", map_hash, prepare]));
+        let surface = format!("surface/{surface_hash}");
+        let mut arguments = vec!["prepare".to_string(), "--surface".into(), map];
+        arguments.extend(prepare);
+        arguments.extend(["--out".into(), surface.clone(), "--force".into()]);
+        steps.push(Step::new("planish-surface", arguments));
+        let mut tools = vec![(String::new(), tif)];
+        let mut tool_hashes = vec![(String::new(), tif_hash)];
+        for (name, dir) in &d.tools {
+            let at = self.existing("tools", dir)?;
+            tool_hashes.push((name.clone(), content(&at)?));
+            tools.push((name.clone(), text(&at)?));
+        }
+        if d.prepare != "--level piston" {
+            again.push(format!("prepare={}", d.prepare));
+        }
+        again.push(format!("machine={}", self.plain(&d.machine).display()));
+        again.extend(d.process.iter().map(|p| format!("process={}", self.plain(p).display())));
+        let (process, process_hash) = process.unzip();
+        let ground = Ground {
+            surface: surface_hash,
+            tools: tool_hashes,
+            machine: machine_hash,
+            process: process_hash,
+        };
+        Ok(Sweep {
+            version: VERSION,
+            name: name.into(),
+            mirror,
+            mirror_steps: steps,
+            surface,
+            tools,
+            machine,
+            process,
+            reports: d.reports,
+            constraints: d.constraints,
+            again,
+            ground,
+            rounds: vec![],
+        })
+    }
+
+    /// Stages that make map and tool, where these stand, their hashes, and the name of the mirror.
+    #[allow(clippy::type_complexity)]
+    fn mirror(
+        &mut self,
+        mirror: &Mirror,
+        again: &mut Vec<String>,
+    ) -> Result<(Vec<Step>, String, String, String, String, String), Failure> {
+        match mirror {
+            Mirror::Fixture(recipe) => {
+                let (file, digest) = self.frozen("fixture", recipe)?;
+                let name = stem(Path::new(recipe));
+                let own = format!("mirror/{digest}");
+                let step = Step::new(
+                    "planish-fixture",
+                    [&file, "--out", &own, "--force"].map(str::to_string),
+                );
+                let plain = self.plain(recipe);
+                let (surface, tif) = (format!("{own}/surface"), format!("{own}/tif"));
+                if plain == Path::new("fixtures").join(format!("{name}.json")) {
+                    again.push(format!("fixture={name}"));
+                } else {
+                    let at = |dir: &str| self.out.join(dir).display().to_string();
+                    again
+                        .extend([format!("surface={}", at(&surface)), format!("tif={}", at(&tif))]);
+                }
+                Ok((vec![step], surface, digest.clone(), tif, digest, name))
+            }
+            Mirror::Measured { surface, tif, surface_settings, tif_settings } => {
+                let (mut steps, mut made) = (Vec::new(), Vec::new());
+                for (kind, given, settings) in
+                    [("surface", surface, surface_settings), ("tif", tif, tif_settings)]
+                {
+                    let at = self.existing(kind, given)?;
+                    again.push(format!("{kind}={}", self.plain(given).display()));
+                    let extension = at.extension().map(|e| e.to_string_lossy().to_lowercase());
+                    if !extension.is_some_and(|e| FILES.contains(&e.as_str())) {
+                        made.push((text(&at)?, content(&at)?));
+                        continue;
+                    }
+                    let flags = words::split(settings)
+                        .map_err(|e| Failure::new(format!("{kind}_settings: {settings}: {e}")))?;
+                    again.push(format!("{kind}_settings={settings}"));
+                    let digest = hash(&json!([kind, content(&at)?, flags]));
+                    let out = format!("mirror/{digest}");
+                    let mut arguments = vec![kind.to_string(), text(&at)?];
+                    arguments.extend(flags);
+                    arguments.extend(["--out".into(), out.clone(), "--force".into()]);
+                    steps.push(Step::new("planish-import", arguments));
+                    made.push((out, digest));
+                }
+                let [(map, map_hash), (tool, tool_hash)] =
+                    <[_; 2]>::try_from(made).expect("a map and a tool");
+                Ok((steps, map, map_hash, tool, tool_hash, stem(Path::new(surface))))
+            }
+        }
+    }
+
+    /// Copies a file of the user's into the sweep, so that all of its jobs read the same; the copy, and its hash.
+    fn frozen(&mut self, role: &str, file: &str) -> Result<(String, String), Failure> {
+        let path = self.folder.join(file);
+        let bytes = self
+            .inputs
+            .read_bytes(role, &path, LARGEST_FILE_BYTES)
+            .map_err(|e| Failure::new(format!("{role}: {e}")))?;
+        let digest = blake3::hash(&bytes).to_hex()[..12].to_string();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let copy = format!("inputs/{digest}/{name}");
+        self.copies.push((self.out.join(&copy), bytes));
+        Ok((copy, digest))
+    }
+
+    /// An input that is there, from the root.
+    fn existing(&self, role: &str, given: &str) -> Result<PathBuf, Failure> {
+        let path = self.folder.join(given);
+        path.canonicalize().map_err(|e| {
+            let remedy = "give a directory or a file, from the folder of the sweep's file";
+            Failure::new(format!("{role} {}: cannot read: {e}; {remedy}", path.display()))
+        })
+    }
+
+    /// The path as a person would write it where the sweep was started.
+    fn plain(&self, given: &str) -> PathBuf {
+        let mut plain = PathBuf::new();
+        for part in self.folder.join(given).components() {
+            match part {
+                Component::CurDir => {}
+                Component::ParentDir
+                    if matches!(plain.components().next_back(), Some(Component::Normal(_))) =>
+                {
+                    plain.pop();
+                }
+                part => plain.push(part),
+            }
+        }
+        plain
+    }
+}
+
+/// Hash of the names and bytes of what stands there.
+fn content(path: &Path) -> Result<String, Failure> {
+    let unreadable = |e: std::io::Error| crate::files::unreadable(path, &e);
+    let mut hasher = blake3::Hasher::new();
+    let mut files = vec![path.to_path_buf()];
+    if path.is_dir() {
+        let entries = fs::read_dir(path).map_err(unreadable)?;
+        let entries = entries.map(|entry| entry.map(|e| e.path())).collect::<Result<Vec<_>, _>>();
+        files = entries.map_err(unreadable)?;
+        files.retain(|file| file.is_file());
+        files.sort();
+    }
+    for file in &files {
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        let mut open = fs::File::open(file).map_err(unreadable)?;
+        hasher.update(format!("{}:{name}:", name.len()).as_bytes());
+        let before = hasher.count();
+        std::io::copy(&mut open, &mut hasher).map_err(unreadable)?;
+        let length = hasher.count() - before;
+        hasher.update(&length.to_le_bytes());
+    }
+    Ok(hasher.finalize().to_hex()[..12].to_string())
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn text(path: &Path) -> Result<String, Failure> {
+    let text = path.to_str().map(String::from);
+    text.ok_or_else(|| Failure::new(format!("{}: is not UTF-8; give another name", path.display())))
+}

@@ -1,0 +1,442 @@
+//! `planish-sweep run`: the stages of one job.
+
+use std::{
+    collections::BTreeSet,
+    fs::{self, File, OpenOptions, TryLockError},
+    path::{Path, PathBuf},
+    sync::{
+        Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::{Instant, SystemTime},
+};
+
+use clap::{Args, ValueEnum};
+use planish_handoff::{Failure, Inputs, Manifest, Status, kind::MANIFEST, say, warn};
+use planish_sweep::{
+    batch::{Size, estimated_s, members},
+    plan::{Plan, Round, Sweep},
+    row::{Numbers, Row, RowStatus},
+};
+use planish_types::{Surface, Tif};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::{
+    files::{read_row, read_sweep, row_path, unreadable, write_json},
+    runner::{End, Stages, each, processor_s_of_stages},
+};
+
+#[derive(Args)]
+pub struct Run {
+    /// Directory of the sweep
+    dir: PathBuf,
+    #[command(flatten)]
+    job: Job,
+    /// Stages that run at the same time, each on one core
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    at_once: usize,
+    /// End when the program that started this one ends, however it does (Linux)
+    #[arg(long)]
+    end_with_parent: bool,
+}
+
+/// Which part of a sweep.
+#[derive(Args)]
+pub struct Job {
+    /// What is to be made
+    #[arg(long, value_enum)]
+    pub layer: Layer,
+    /// Round of the search, by its name in sweep.json [default: the grid]
+    #[arg(long, value_name = "NAME")]
+    pub round: Option<String>,
+    /// Number of the job, from 1
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub job: usize,
+    /// Number of jobs that share the layer
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub of: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Layer {
+    /// The mirror: map, tool, desired removal
+    Mirror,
+    /// What plans have in common: tool paths, first dwell times
+    Paths,
+    /// The plans
+    Plans,
+}
+
+/// What the file of a finished job says.
+#[derive(Serialize, Deserialize)]
+struct Finished {
+    made_or_found: usize,
+    failed: usize,
+}
+
+/// Why a tool path could not be made.
+#[derive(Serialize, Deserialize)]
+struct NoPath {
+    message: String,
+}
+
+/// What a job took; beside the results, which are the same whatever it took.
+#[derive(Serialize)]
+struct Took {
+    wall_s: f64,
+    processor_s: Option<f64>,
+    at_once: usize,
+    made: usize,
+}
+
+impl Job {
+    /// The plans of the job, the most expensive first; of the paths, one plan for each.
+    pub fn plans<'a>(&self, sweep: &'a Sweep, size: &Size) -> Result<Vec<&'a Plan>, Failure> {
+        let Self { job, of, layer, .. } = *self;
+        if !(1..=of).contains(&job) {
+            return Err(Failure::new(format!("--job is {job} of {of}; give 1 to {of}")));
+        }
+        let plans = &self.round(sweep)?.plans;
+        let mut all: Vec<&Plan> = plans.iter().collect();
+        if layer == Layer::Paths {
+            let mut seen = BTreeSet::new();
+            all.retain(|plan| seen.insert(&plan.path_id));
+        }
+        Ok(members(all, |plan| estimated_s(plan, size), job - 1, of))
+    }
+
+    /// The round of the job.
+    fn round<'a>(&self, sweep: &'a Sweep) -> Result<&'a Round, Failure> {
+        let Some(wanted) = &self.round else { return Ok(&sweep.rounds[0]) };
+        let found = sweep.rounds.iter().find(|round| round.id == *wanted);
+        found.ok_or_else(|| {
+            let known: Vec<&str> = sweep.rounds.iter().map(|round| round.id.as_str()).collect();
+            Failure::new(format!("--round is {wanted}; the sweep has {}", known.join(", ")))
+        })
+    }
+
+    /// The file that says that the job is done.
+    fn finished(&self, sweep: &Sweep, dir: &Path) -> Result<PathBuf, Failure> {
+        let Self { job, of, .. } = self;
+        let layer = match self.layer {
+            Layer::Mirror => return Ok(dir.join(sweep.mirror_file())),
+            Layer::Paths => "paths",
+            Layer::Plans => "plans",
+        };
+        let round = &self.round(sweep)?.id;
+        Ok(dir.join(format!("done/{layer}-{round}-{job}-of-{of}.json")))
+    }
+}
+
+impl Run {
+    pub fn run(&self) -> Result<Status, Failure> {
+        if self.at_once == 0 {
+            return Err(Failure::new("--at-once is 0; give the number of cores"));
+        }
+        if self.end_with_parent {
+            end_with_parent();
+        }
+        let begun = Instant::now();
+        let sweep = read_sweep(&self.dir)?;
+        let finished = self.job.finished(&sweep, &self.dir)?;
+        let _lock = alone(&finished)?;
+        let stages = Stages::beside(&self.dir)?;
+        let made = match self.job.layer {
+            Layer::Mirror => {
+                let (size, made) = mirror(&sweep, &stages, &self.dir)?;
+                write_json(&finished, &size)?;
+                made
+            }
+            Layer::Paths | Layer::Plans => {
+                let size = read_size(&sweep, &self.dir)?;
+                let plans = self.job.plans(&sweep, &size)?;
+                let work =
+                    Work { sweep: &sweep, stages: &stages, dir: &self.dir, at_once: self.at_once };
+                let (made, failed) = match self.job.layer {
+                    Layer::Paths => work.paths(&self.job, &plans)?,
+                    _ => work.plans(&plans)?,
+                };
+                write_json(&finished, &Finished { made_or_found: plans.len(), failed })?;
+                made
+            }
+        };
+        let took = Took {
+            wall_s: begun.elapsed().as_secs_f64(),
+            processor_s: processor_s_of_stages(),
+            at_once: self.at_once,
+            made,
+        };
+        write_json(&finished.with_extension("took.json"), &took)?;
+        let used = took.processor_s.map(|s| {
+            let part = 100.0 * s / (took.wall_s * self.at_once as f64);
+            format!(", {s:.1} s of processor time in the stages ({part:.0} % of {})", self.at_once)
+        });
+        let used = used.unwrap_or_default();
+        say(format!("{}: {made} made in {:.1} s{used}", finished.display(), took.wall_s));
+        Ok(Status::Done)
+    }
+}
+
+/// The size of the mirror, which the job `mirror` has left.
+pub fn read_size(sweep: &Sweep, dir: &Path) -> Result<Size, Failure> {
+    let path = dir.join(sweep.mirror_file());
+    let bytes = fs::read(&path).map_err(|e| {
+        let problem = format!("cannot read: {e}; make the mirror first (--layer mirror)");
+        Failure::new(format!("{}: {problem}", path.display()))
+    })?;
+    serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))
+}
+
+/// A job whose workflow was killed ends with it, and leaves nothing half done.
+fn end_with_parent() {
+    #[cfg(target_os = "linux")]
+    {
+        // Where the system does not know it, the job goes on to its end, which is no harm.
+        let _ =
+            rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
+    }
+}
+
+/// Waits until no other process runs the same job: one that was started anew while its first run goes on finds its
+/// results. The file stays, because two processes could lock two files of the same name.
+fn alone(finished: &Path) -> Result<File, Failure> {
+    let path = finished.with_extension("lock");
+    let failed = |e: std::io::Error| Failure::new(format!("{}: cannot lock: {e}", path.display()));
+    fs::create_dir_all(path.parent().unwrap_or(Path::new("."))).map_err(failed)?;
+    let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
+    let file = open.map_err(failed)?;
+    match file.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            warn(format!(
+                "{} is locked: another process runs this job; waiting for its end",
+                path.display()
+            ));
+            file.lock().map_err(failed)?;
+        }
+        // A network file system without locks: two runs of a job do the same work twice, no harm.
+        Err(TryLockError::Error(e)) => warn(format!("{}: cannot lock: {e}", path.display())),
+    }
+    Ok(file)
+}
+
+/// Makes map, tool and desired removal; their size, and how many stages ran.
+fn mirror(sweep: &Sweep, stages: &Stages, dir: &Path) -> Result<(Size, usize), Failure> {
+    for step in &sweep.mirror_steps {
+        match stages.run(step)? {
+            End::Done => {}
+            End::Negative(text) | End::Failed(text) | End::Killed(text) => {
+                return Err(Failure::new(text));
+            }
+        }
+    }
+    let mut inputs = Inputs::new();
+    let surface: Surface = inputs.read("surface", &dir.join(&sweep.surface))?;
+    let tif: Tif = inputs.read("tif", &dir.join(&sweep.tools[0].1))?;
+    for (name, other) in &sweep.tools[1..] {
+        inputs.read::<Tif>(name, &dir.join(other))?;
+    }
+    let pixels = surface.height_nm().len() as f64;
+    let area_mm2 = pixels * surface.grid().pixel_mm2();
+    let size = Size { pixels, area_mm2, tool_width_mm: tif.width_mm() };
+    Ok((size, sweep.mirror_steps.len()))
+}
+
+/// The plans of a job on their way.
+struct Work<'a> {
+    sweep: &'a Sweep,
+    stages: &'a Stages,
+    dir: &'a Path,
+    at_once: usize,
+}
+
+impl Work<'_> {
+    /// Makes tool paths and first dwell times; how many were made, and how many failed.
+    fn paths(&self, job: &Job, plans: &[&Plan]) -> Result<(usize, usize), Failure> {
+        let (made, failed) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        each(plans, self.at_once, |plan| {
+            let mut steps = self.sweep.path_steps(plan);
+            let mut seen = BTreeSet::new();
+            let round = job.round(self.sweep)?;
+            for other in round.plans.iter().filter(|other| other.path_id == plan.path_id) {
+                if other.dwell_id.as_ref().is_some_and(|id| seen.insert(id)) {
+                    steps.extend(self.sweep.dwell_step(other));
+                }
+            }
+            made.fetch_add(1, Ordering::Relaxed);
+            let problem = self.no_path(plan);
+            match self.stages.run_all(&steps)? {
+                // Dwell times that have not converged are the beginning of a loop, which says how it ends.
+                End::Done | End::Negative(_) => match fs::remove_file(&problem) {
+                    Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                        Err(unreadable(&problem, &e))
+                    }
+                    _ => Ok(()),
+                },
+                End::Failed(message) | End::Killed(message) => {
+                    failed.fetch_add(1, Ordering::Relaxed);
+                    warn(format!("{}: {message}", plan.path_id));
+                    write_json(&problem, &NoPath { message })
+                }
+            }
+        })?;
+        Ok((made.into_inner(), failed.into_inner()))
+    }
+
+    fn no_path(&self, plan: &Plan) -> PathBuf {
+        self.dir.join("paths").join(&plan.path_id).join("failed.json")
+    }
+
+    /// Makes plans and their rows; how many were made, and how many of all failed.
+    fn plans(&self, plans: &[&Plan]) -> Result<(usize, usize), Failure> {
+        let newest = self.stages.newest(&[
+            "planish-feed",
+            "planish-refine",
+            "planish-simulate",
+            "planish-verify",
+            "planish-tolerance",
+            "planish-compare",
+        ]);
+        let mut to_do = Vec::new();
+        for plan in plans {
+            if !self.is_made(plan, newest)? {
+                to_do.push(*plan);
+            }
+        }
+        if to_do.len() < plans.len() {
+            say(format!(
+                "{} of {} plans are there already",
+                plans.len() - to_do.len(),
+                plans.len()
+            ));
+        }
+        let (done, failed) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let keep = |row: &Row| {
+            if row.status == RowStatus::Failed {
+                failed.fetch_add(1, Ordering::Relaxed);
+                warn(format!("{}: {}", row.id, row.message.as_deref().unwrap_or_default()));
+            }
+            let count = done.fetch_add(1, Ordering::Relaxed) + 1;
+            if count % to_do.len().div_ceil(10) == 0 {
+                say(format!("{count} of {} plans", to_do.len()));
+            }
+            write_json(&row_path(self.dir, &row.id), row)
+        };
+        let killed = Mutex::new(Vec::new());
+        each(&to_do, self.at_once, |plan| match self.plan(plan)? {
+            Ok(row) => keep(&row),
+            Err(message) => {
+                warn(format!("{}: {message}; it is tried once more, alone", plan.id));
+                killed.lock().expect("no worker panics with the lock").push(*plan);
+                Ok(())
+            }
+        })?;
+        // What ends by a signal lacked memory, most likely: alone it has all of it.
+        let mut killed = killed.into_inner().expect("no worker panics with the lock");
+        killed.sort_by(|a, b| a.id.cmp(&b.id));
+        for plan in killed {
+            let twice = |message| {
+                Row::failed(
+                    &plan.id,
+                    format!("{message}, twice, the second time alone; give the job more memory"),
+                )
+            };
+            keep(&self.plan(plan)?.unwrap_or_else(twice))?;
+        }
+        Ok((to_do.len(), failed.into_inner()))
+    }
+
+    /// Whether the row of a plan is there, and made by the programs that are there now. What failed is tried again.
+    fn is_made(&self, plan: &Plan, newest: Option<SystemTime>) -> Result<bool, Failure> {
+        let path = row_path(self.dir, &plan.id);
+        let modified = fs::metadata(&path).and_then(|m| m.modified()).ok();
+        let is_older = matches!((modified, newest), (Some(row), Some(program)) if row < program);
+        if is_older {
+            return Ok(false);
+        }
+        Ok(read_row(self.dir, &plan.id)?.is_some_and(|row| row.status != RowStatus::Failed))
+    }
+
+    /// Makes a plan; its row, or how a stage was killed.
+    fn plan(&self, plan: &Plan) -> Result<Result<Row, String>, Failure> {
+        let problem = self.no_path(plan);
+        if let Ok(bytes) = fs::read(&problem) {
+            let NoPath { message } =
+                serde_json::from_slice(&bytes).map_err(|e| unreadable(&problem, &e))?;
+            return Ok(Ok(Row::failed(&plan.id, message)));
+        }
+        let (status, message) = match self.stages.run_all(&self.sweep.plan_steps(plan))? {
+            End::Done => (RowStatus::Done, None),
+            End::Negative(message) => (RowStatus::Negative, Some(message)),
+            End::Failed(message) => return Ok(Ok(Row::failed(&plan.id, message))),
+            End::Killed(message) => return Ok(Err(message)),
+        };
+        self.link(plan)?;
+        if self.sweep.reports {
+            // Exit code 1 says of its only method what its verdict has said.
+            match self.stages.run(&self.sweep.report_step(plan))? {
+                End::Done | End::Negative(_) => {}
+                End::Failed(message) => return Ok(Ok(Row::failed(&plan.id, message))),
+                End::Killed(message) => return Ok(Err(message)),
+            }
+        }
+        let numbers = Some(self.numbers(plan)?);
+        Ok(Ok(Row { id: plan.id.clone(), status, message, numbers }))
+    }
+
+    /// The numbers that the stages have left in their manifests.
+    fn numbers(&self, plan: &Plan) -> Result<Numbers, Failure> {
+        let outcome = |dir: String| -> Result<(PathBuf, Value), Failure> {
+            let path = self.dir.join(dir).join(MANIFEST);
+            let bytes = fs::read(&path).map_err(|e| unreadable(&path, &e))?;
+            let manifest: Manifest =
+                serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
+            Ok((path, manifest.outcome))
+        };
+        let at = plan.method_dir();
+        let (removal_at, removal) = outcome(format!("{at}/removal"))?;
+        let (verdict_at, verdict) = outcome(format!("{at}/verdict"))?;
+        let number = |path: &Path, value: &Value| {
+            value.as_f64().ok_or_else(|| unreadable(path, &"a number of its outcome is missing"))
+        };
+        let below_95_percent_nm = match &self.sweep.process {
+            None => None,
+            Some(_) => {
+                let (path, tolerance) = outcome(format!("{}/tolerance", plan.dir()))?;
+                Some(number(&path, &tolerance["residual"]["below_95_percent_nm"])?)
+            }
+        };
+        let kept = verdict["limits_respected"].as_bool();
+        Ok(Numbers {
+            total_time_s: number(&removal_at, &removal["total_time_s"])?,
+            rms_nm: number(&removal_at, &removal["rms_nm"])?,
+            rms_detilted_nm: number(&removal_at, &removal["rms_detilted_nm"])?,
+            below_95_percent_nm,
+            limits_kept: kept.ok_or_else(|| {
+                unreadable(&verdict_at, &"it does not say whether limits are kept")
+            })?,
+        })
+    }
+
+    /// The directory of a plan becomes that of a run, which reports and figures are made of: its map and its path are
+    /// links to those that it shares.
+    fn link(&self, plan: &Plan) -> Result<(), Failure> {
+        #[cfg(unix)]
+        for (name, target) in
+            [("surface", &self.sweep.surface), ("tool_path", &self.sweep.tool_path(plan))]
+        {
+            let link = self.dir.join(plan.dir()).join(name);
+            match std::os::unix::fs::symlink(Path::new("../..").join(target), &link) {
+                Err(e) if e.kind() != std::io::ErrorKind::AlreadyExists => {
+                    return Err(Failure::new(format!(
+                        "{}: cannot make a link: {e}",
+                        link.display()
+                    )));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}

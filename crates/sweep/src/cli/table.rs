@@ -1,0 +1,56 @@
+//! `planish-sweep table`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use planish_handoff::{Failure, Status, say};
+use planish_sweep::row::Row;
+use serde_json::{Map, Value, json};
+
+use crate::files::{again, read_row, read_sweep, write_json};
+
+#[derive(Args)]
+pub struct Table {
+    /// Directory of the sweep
+    dir: PathBuf,
+}
+
+impl Table {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let sweep = read_sweep(&self.dir)?;
+        let mut plans = Vec::new();
+        let mut failed = 0;
+        for plan in sweep.plans() {
+            let row = read_row(&self.dir, &plan.id)?;
+            let Row { status, message, numbers, .. } =
+                row.unwrap_or_else(|| Row::failed(&plan.id, "it is not made; run the sweep again"));
+            failed += usize::from(numbers.is_none());
+            let report = format!("{}/report/report.html", plan.dir());
+            let has_report = self.dir.join(&report).is_file();
+            let settings: Map<String, Value> =
+                plan.settings.iter().map(|(key, given)| (key.clone(), json!(given))).collect();
+            plans.push(json!({
+                "id": plan.id,
+                "path": plan.path,
+                "method": plan.method,
+                "settings": settings,
+                "status": status,
+                "message": message,
+                "numbers": numbers,
+                "report": has_report.then_some(report),
+                "again": again(&sweep, plan),
+            }));
+        }
+        let table = json!({
+            "name": sweep.name,
+            "mirror": sweep.mirror,
+            "has_process": sweep.process.is_some(),
+            "constraints": sweep.constraints,
+            "plans": plans,
+        });
+        let path = self.dir.join("table.json");
+        write_json(&path, &table)?;
+        say(format!("{} plans, {failed} without numbers -> {}", plans.len(), path.display()));
+        Ok(Status::Done)
+    }
+}

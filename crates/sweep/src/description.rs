@@ -1,0 +1,370 @@
+//! What the file of a sweep says.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    node::{Complaint, Key, Node, Value, parse},
+    setting::{EXCLUSIVE, Given, METHODS, Of, PATHS, Setting, one_of},
+};
+
+/// A sweep as its file describes it; paths are as they stand there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Description {
+    /// What is to be finished.
+    pub mirror: Mirror,
+    /// Flags of `planish-surface prepare`.
+    pub prepare: String,
+    /// Further tools by name: directories of `tif` artifacts.
+    pub tools: Vec<(String, String)>,
+    /// File of the machine.
+    pub machine: String,
+    /// File of the process, where the plans are judged by its errors, too.
+    pub process: Option<String>,
+    /// What a plan must keep to be recommended.
+    pub constraints: Constraints,
+    /// Whether every plan gets a report of its own.
+    pub reports: bool,
+    /// What is varied.
+    pub blocks: Vec<Block>,
+}
+
+/// Where the mirror comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Mirror {
+    /// The recipe of a fixture.
+    Fixture(String),
+    /// A map and a tool: artifacts, or files of instruments.
+    Measured {
+        /// The map.
+        surface: String,
+        /// The tool.
+        tif: String,
+        /// Flags of `planish-import surface`.
+        surface_settings: String,
+        /// Flags of `planish-import tif`.
+        tif_settings: String,
+    },
+}
+
+/// What a plan must keep to be on the front.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Constraints {
+    /// Longest time of a run, s.
+    pub max_time_s: Option<f64>,
+    /// Whether the limits of the machine must be kept.
+    pub keep_limits: bool,
+}
+
+/// Settings that are varied together: every combination is a plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Families of paths.
+    pub paths: Vec<String>,
+    /// Methods.
+    pub methods: Vec<String>,
+    /// Settings with their values, in the order of the table.
+    pub settings: Vec<(String, Vec<Given>)>,
+}
+
+/// What the text of a file describes.
+pub fn read(text: &str) -> Result<Description, Complaint> {
+    let mut top = Table::of("the sweep", &parse(text)?)?;
+    let line = top.line;
+    let mirror = top.required("mirror", "mirror: with fixture, or surface and tif")?;
+    let (mirror, prepare) = mirror_of(&mirror)?;
+    let tools = match top.take("tools") {
+        Some(node) => Table::of("tools", &node)?.texts()?,
+        None => vec![],
+    };
+    let machine = text_of("machine", &top.required("machine", "machine: FILE")?)?;
+    let process = top.take("process").map(|node| text_of("process", &node)).transpose()?;
+    let constraints = constraints_of(top.take("constraints"))?;
+    let reports = match top.take("reports") {
+        None => true,
+        Some(node) => words("reports", &node, &["every", "none"])? == ["every"],
+    };
+    let plans = top.required("plans", "plans: with path, and the settings to be varied")?;
+    top.finish()?;
+    let names: Vec<String> = tools.iter().map(|(name, _)| name.clone()).collect();
+    let blocks = match &plans.value {
+        Value::List(items) => {
+            items.iter().map(|item| block_of(item, &names)).collect::<Result<Vec<_>, _>>()?
+        }
+        _ => vec![block_of(&plans, &names)?],
+    };
+    if blocks.is_empty() {
+        return Err(Complaint::new(line, "plans is an empty list; give path and settings"));
+    }
+    Ok(Description { mirror, prepare, tools, machine, process, constraints, reports, blocks })
+}
+
+/// The mirror, and the flags that it is prepared with.
+fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
+    let mut table = Table::of("mirror", node)?;
+    let line = table.line;
+    let fixture = table.text("fixture")?;
+    let (surface, tif) = (table.text("surface")?, table.text("tif")?);
+    let (surface_settings, tif_settings) =
+        (table.text("surface_settings")?, table.text("tif_settings")?);
+    let prepare = table.text("prepare")?.unwrap_or_else(|| "--level piston".into());
+    table.finish()?;
+    let mirror = match (fixture, surface, tif) {
+        (Some(recipe), None, None) => Mirror::Fixture(recipe),
+        (None, Some(surface), Some(tif)) => Mirror::Measured {
+            surface,
+            tif,
+            surface_settings: surface_settings.unwrap_or_default(),
+            tif_settings: tif_settings.unwrap_or_else(|| "--rate".into()),
+        },
+        _ => {
+            let problem =
+                "mirror has neither fixture alone nor both surface and tif; give one of the two";
+            return Err(Complaint::new(line, problem));
+        }
+    };
+    Ok((mirror, prepare))
+}
+
+fn constraints_of(node: Option<Node>) -> Result<Constraints, Complaint> {
+    let mut constraints = Constraints { max_time_s: None, keep_limits: true };
+    let Some(node) = node else { return Ok(constraints) };
+    let mut table = Table::of("constraints", &node)?;
+    if let Some(node) = table.take("max_time_s") {
+        let Value::Number(time_s @ f64::MIN_POSITIVE..) = node.value else {
+            let problem = format!("max_time_s is {}; give a number above 0, in s", node.value);
+            return Err(Complaint::new(node.line, problem));
+        };
+        constraints.max_time_s = Some(time_s);
+    }
+    if let Some(node) = table.take("keep_limits") {
+        let Value::Flag(keep) = node.value else {
+            let problem = format!("keep_limits is {}; give true or false", node.value);
+            return Err(Complaint::new(node.line, problem));
+        };
+        constraints.keep_limits = keep;
+    }
+    table.finish()?;
+    Ok(constraints)
+}
+
+fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
+    let mut table = Table::of("plans", node)?;
+    let line = table.line;
+    let path = table.required("path", &format!("path: {}", PATHS.join(", ")))?;
+    let paths = words("path", &path, &PATHS)?;
+    let methods = match table.take("method") {
+        Some(node) => words("method", &node, &METHODS)?,
+        None => vec!["feed".into()],
+    };
+    let mut settings = Vec::new();
+    for (key, node) in table.rest() {
+        let setting = Setting::named(&key.text, key.line)?;
+        let used = paths.iter().any(|p| methods.iter().any(|m| setting.concerns(p, m)));
+        if !used {
+            let (whose, here) = match setting.of {
+                Of::Paths(of) => (of, &paths),
+                Of::Methods(of) => (of, &methods),
+            };
+            let problem = format!(
+                "{} is a setting of {}, and here is {}; leave it out",
+                key.text,
+                whose.join(", "),
+                here.join(", ")
+            );
+            return Err(Complaint::new(key.line, problem));
+        }
+        settings.push((setting, setting.values(&node, tools)?, key.line));
+    }
+    let find = |key: &str| settings.iter().find(|(setting, ..)| setting.key == key);
+    for [one, other] in EXCLUSIVE {
+        if let (Some(_), Some((.., line))) = (find(one), find(other)) {
+            let problem =
+                format!("{one} and {other} are both given; leave one out, or write two blocks");
+            return Err(Complaint::new(*line, problem));
+        }
+    }
+    let repeated =
+        |(_, values, _): &&(_, Vec<Given>, u64)| values.iter().any(|v| *v != Given::Number(1.0));
+    if let (true, Some((.., line))) =
+        (methods.iter().any(|m| m == "feed"), find("passes").filter(repeated))
+    {
+        let problem = "passes above 1 are planned by the method pvt+refined, whose times are the same in every \
+                       pass; leave feed out of this block";
+        return Err(Complaint::new(*line, problem));
+    }
+    if settings
+        .iter()
+        .map(|(_, values, _)| values.len())
+        .try_fold(1usize, usize::checked_mul)
+        .is_none()
+    {
+        return Err(Complaint::new(line, "has too many combinations; give shorter lists"));
+    }
+    let settings = settings.into_iter().map(|(s, values, _)| (s.key.into(), values)).collect();
+    Ok(Block { paths, methods, settings })
+}
+
+/// Words of a list, or a single one.
+fn words(key: &str, node: &Node, known: &[&str]) -> Result<Vec<String>, Complaint> {
+    let nodes = match &node.value {
+        Value::List(items) if !items.is_empty() => items.clone(),
+        _ => vec![node.clone()],
+    };
+    let word = |node: &Node| match one_of(node, known) {
+        Some(word) => Ok(word.to_string()),
+        None => {
+            let problem = format!("{key} is {}; give {}", node.value, known.join(", "));
+            Err(Complaint::new(node.line, problem))
+        }
+    };
+    nodes.iter().map(word).collect()
+}
+
+fn text_of(key: &str, node: &Node) -> Result<String, Complaint> {
+    match &node.value {
+        Value::Text(text) if !text.is_empty() => Ok(text.clone()),
+        other => Err(Complaint::new(node.line, format!("{key} is {other}; give a text"))),
+    }
+}
+
+/// The keys of a table, which are taken out one by one; what is left over is not known.
+struct Table {
+    what: &'static str,
+    line: u64,
+    entries: Vec<(Key, Node)>,
+    known: Vec<String>,
+}
+
+impl Table {
+    fn of(what: &'static str, node: &Node) -> Result<Self, Complaint> {
+        match &node.value {
+            Value::Map(entries) => {
+                Ok(Self { what, line: node.line, entries: entries.clone(), known: vec![] })
+            }
+            other => {
+                let problem = format!("{what} is {other}; give keys with their values");
+                Err(Complaint::new(node.line, problem))
+            }
+        }
+    }
+
+    fn take(&mut self, key: &str) -> Option<Node> {
+        self.known.push(key.into());
+        let at = self.entries.iter().position(|(k, _)| k.text == key)?;
+        Some(self.entries.remove(at).1)
+    }
+
+    fn required(&mut self, key: &str, remedy: &str) -> Result<Node, Complaint> {
+        let (what, line) = (self.what, self.line);
+        let lacking = || Complaint::new(line, format!("{what} lacks {key}; give {remedy}"));
+        self.take(key).ok_or_else(lacking)
+    }
+
+    fn text(&mut self, key: &str) -> Result<Option<String>, Complaint> {
+        self.take(key).map(|node| text_of(key, &node)).transpose()
+    }
+
+    /// Every entry as a text.
+    fn texts(self) -> Result<Vec<(String, String)>, Complaint> {
+        let entries = self.entries.into_iter();
+        entries.map(|(key, node)| Ok((key.text.clone(), text_of(&key.text, &node)?))).collect()
+    }
+
+    fn rest(self) -> Vec<(Key, Node)> {
+        self.entries
+    }
+
+    /// Nothing may be left.
+    fn finish(self) -> Result<(), Complaint> {
+        let Some((key, _)) = self.entries.first() else { return Ok(()) };
+        let known = self.known.join(", ");
+        let problem = format!("{} has no key '{}'; it has {known}", self.what, key.text);
+        Err(Complaint::new(key.line, problem))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WHOLE: &str = "\
+mirror:
+  fixture: coupon.json
+machine: m.json
+constraints: {max_time_s: 600}
+plans:
+  - path: [raster, maze]
+    pitch_mm: [1, 2]
+    seed: {from: 1, to: 3, step: 1}
+";
+
+    #[test]
+    fn a_file_is_read() {
+        let sweep = read(WHOLE).unwrap();
+        assert_eq!(sweep.mirror, Mirror::Fixture("coupon.json".into()));
+        assert_eq!(sweep.prepare, "--level piston");
+        assert_eq!(sweep.constraints, Constraints { max_time_s: Some(600.0), keep_limits: true });
+        let [block] = &sweep.blocks[..] else { panic!("one block") };
+        assert_eq!((block.paths.len(), &block.methods[..]), (2, &["feed".to_string()][..]));
+        assert_eq!(block.settings[1].1.len(), 3);
+    }
+
+    #[test]
+    fn a_mistake_is_named_with_its_line() {
+        for (from, to, said) in [
+            ("machine:", "machin:", "line 1: the sweep lacks machine; give machine: FILE"),
+            (
+                "constraints:",
+                "constraint:",
+                "line 4: the sweep has no key 'constraint'; it has mirror,",
+            ),
+            (
+                "max_time_s: 600",
+                "max_time_min: 10",
+                "line 4: constraints has no key 'max_time_min'",
+            ),
+            (
+                "max_time_s: 600",
+                "max_time_s: 10 min",
+                "line 4: max_time_s is '10 min'; give a number",
+            ),
+            (
+                "max_time_s: 600",
+                "max_time_s: -1",
+                "line 4: max_time_s is -1; give a number above 0",
+            ),
+            ("pitch_mm", "pitch", "line 7: no setting 'pitch'; write pitch_mm, in that unit"),
+            (
+                "seed",
+                "contrast",
+                "line 8: contrast is a setting of random-adaptive, and here is raster, maze",
+            ),
+            ("[raster, maze]", "rastr", "line 6: path is 'rastr'; give raster, maze"),
+            ("[raster, maze]", "[]", "line 6: path is a list; give raster, maze"),
+            (
+                "fixture: coupon.json",
+                "surface: s",
+                "line 2: mirror has neither fixture alone nor both",
+            ),
+            ("fixture: coupon.json", "fixtur: s", "line 2: mirror has no key 'fixtur'"),
+            ("fixture: coupon.json", "fixture: 3", "line 2: fixture is 3; give a text"),
+            (
+                "pitch_mm: [1, 2]",
+                "passes: 2",
+                "line 7: passes above 1 are planned by the method pvt+refined",
+            ),
+            (
+                "pitch_mm: [1, 2]",
+                "time_elasticity: 1\n    time_weight_nm2_per_s: 1",
+                "line 8: time_elasticity and time_weight_nm2_per_s are both given",
+            ),
+            ("plans:\n  - path", "plans: []\nx:\n  - path", "line 6: the sweep has no key 'x'"),
+        ] {
+            assert!(WHOLE.contains(from));
+            let complaint = read(&WHOLE.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(complaint.starts_with(said), "{complaint}");
+        }
+        assert!(read("").unwrap_err().to_string().contains("the sweep is empty"));
+        assert!(read("- 1").unwrap_err().to_string().contains("the sweep is a list"));
+    }
+}

@@ -1,0 +1,202 @@
+//! Every combination of the settings of a sweep, as plans.
+
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
+
+use crate::{
+    description::Block,
+    plan::{Ground, Plan, hash},
+    setting::{Given, SETTINGS},
+};
+
+/// Most plans of a sweep.
+const MOST_PLANS: usize = 200_000;
+
+/// The plans of these blocks, each once, in the order of the file.
+///
+/// A setting that does not concern a path or a method is left out of its plans, so that they are not made twice.
+pub fn expand(blocks: &[Block], ground: &Ground) -> Result<Vec<Plan>, String> {
+    let mut plans = Vec::new();
+    let mut seen = BTreeSet::new();
+    for block in blocks {
+        for path in &block.paths {
+            for method in &block.methods {
+                for settings in combinations(block, path, method)? {
+                    let plan = plan(path, method, settings, ground);
+                    if seen.insert(plan.id.clone()) {
+                        plans.push(plan);
+                    }
+                    if plans.len() > MOST_PLANS {
+                        return Err(too_many());
+                    }
+                }
+            }
+        }
+    }
+    Ok(plans)
+}
+
+fn too_many() -> String {
+    format!("the sweep has more than {MOST_PLANS} plans; give shorter lists")
+}
+
+/// A plan with these settings, and its names.
+pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
+    let settings = with_defaults(path, method, given);
+    let part = |of_paths: bool| -> Vec<&(String, Given)> {
+        let belongs =
+            |key: &str| SETTINGS.iter().any(|s| s.key == key && s.is_of_paths() == of_paths);
+        settings.iter().filter(|(key, _)| belongs(key)).collect()
+    };
+    let tool = settings.iter().find(|(key, _)| key == "tool").map(|(_, given)| given.to_string());
+    let tool = tool.unwrap_or_default();
+    let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash);
+    let path_id = name(path, &json!(["path", path, ground.surface, tif, part(true)]));
+    let floor: Vec<_> = settings.iter().filter(|(key, _)| key.starts_with("min_dwell_s")).collect();
+    let dwell_id = (method == "pvt+refined").then(|| name(path, &json!(["dwell", path_id, floor])));
+    let whole = json!(["plan", path_id, method, ground.machine, ground.process, part(false)]);
+    let id = name(&format!("{path}-{method}"), &whole);
+    Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
+}
+
+/// What `just run` takes where nothing is given and a stage must be told.
+fn with_defaults(
+    path: &str,
+    method: &str,
+    mut settings: Vec<(String, Given)>,
+) -> Vec<(String, Given)> {
+    let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
+    if !has(&settings, "pitch_mm") {
+        let pitch_mm = if path == "spiral" { 1.3 } else { 1.0 };
+        settings.push(("pitch_mm".into(), Given::Number(pitch_mm)));
+    }
+    if !has(&settings, "step_mm") {
+        let pitch =
+            settings.iter().find(|(key, _)| key == "pitch_mm").map(|(_, given)| given.clone());
+        let step = if path == "raster" { None } else { pitch };
+        settings.push(("step_mm".into(), step.unwrap_or(Given::Number(1.0))));
+    }
+    let has_floor = has(&settings, "min_dwell_s") || has(&settings, "min_dwell_s_per_mm");
+    if method == "pvt+refined" && !has_floor {
+        settings.push(("min_dwell_s".into(), Given::Number(0.1)));
+    }
+    settings.sort_by_key(|(key, _)| SETTINGS.iter().position(|s| s.key == *key));
+    settings
+}
+
+/// A name that begins with a word and ends with the hash of its content.
+///
+/// 12 digits: of 1e5 plans two have the same hash with a probability of 2e-5, and their names differ by word, too.
+fn name(word: &str, content: &Value) -> String {
+    format!("{word}-{}", hash(content))
+}
+
+/// Every combination of the settings that concern this path and this method; the last varies fastest.
+fn combinations(
+    block: &Block,
+    path: &str,
+    method: &str,
+) -> Result<Vec<Vec<(String, Given)>>, String> {
+    let mut combinations = vec![vec![]];
+    for (key, values) in &block.settings {
+        let setting = SETTINGS.iter().find(|setting| setting.key == key);
+        if !setting.is_some_and(|setting| setting.concerns(path, method)) {
+            continue;
+        }
+        if combinations.len().saturating_mul(values.len()) > MOST_PLANS {
+            return Err(too_many());
+        }
+        let longer = combinations.iter().flat_map(|shorter: &Vec<(String, Given)>| {
+            let with =
+                move |value: &Given| [&shorter[..], &[(key.clone(), value.clone())]].concat();
+            values.iter().map(with)
+        });
+        combinations = longer.collect();
+    }
+    Ok(combinations)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ground() -> Ground {
+        Ground {
+            surface: "s".into(),
+            tools: vec![("".into(), "t".into()), ("narrow".into(), "n".into())],
+            machine: "m".into(),
+            process: None,
+        }
+    }
+
+    fn numbers(key: &str, values: &[f64]) -> (String, Vec<Given>) {
+        (key.into(), values.iter().copied().map(Given::Number).collect())
+    }
+
+    fn block(paths: &[&str], methods: &[&str], settings: Vec<(String, Vec<Given>)>) -> Block {
+        let owned = |words: &[&str]| words.iter().map(|w| w.to_string()).collect();
+        Block { paths: owned(paths), methods: owned(methods), settings }
+    }
+
+    #[test]
+    fn every_combination_is_a_plan_once() {
+        let settings = vec![
+            numbers("pitch_mm", &[1.0, 2.0]),
+            numbers("seed", &[1.0, 2.0, 3.0]),
+            numbers("time_elasticity", &[0.5, 1.0]),
+        ];
+        let block = block(&["raster", "maze"], &["feed", "pvt+refined"], settings);
+        let plans = expand(&[block.clone(), block], &ground()).unwrap();
+        // A raster has no seed, and the closed loop no elasticity: 2 (2 + 1) + 6 (2 + 1).
+        assert_eq!(plans.len(), 2 * 3 + 6 * 3);
+        let ids: BTreeSet<_> = plans.iter().map(|p| &p.id).collect();
+        assert_eq!(ids.len(), plans.len());
+    }
+
+    #[test]
+    fn what_plans_have_in_common_has_one_name() {
+        let prices = vec![numbers("time_weight_nm2_per_s", &[0.0, 1e-5, 1e-4])];
+        let plans =
+            expand(&[block(&["raster"], &["feed", "pvt+refined"], prices)], &ground()).unwrap();
+        assert_eq!(plans.len(), 6);
+        let paths: BTreeSet<_> = plans.iter().map(|p| &p.path_id).collect();
+        let dwell: BTreeSet<_> = plans.iter().filter_map(|p| p.dwell_id.as_ref()).collect();
+        assert_eq!((paths.len(), dwell.len()), (1, 1));
+    }
+
+    #[test]
+    fn a_name_changes_with_everything_that_its_plan_is_made_of_and_with_nothing_else() {
+        let id = |ground: &Ground, pitch_mm: f64, weight: f64| {
+            let settings = vec![
+                ("pitch_mm".into(), Given::Number(pitch_mm)),
+                ("time_weight_nm2_per_s".into(), Given::Number(weight)),
+            ];
+            plan("raster", "feed", settings, ground)
+        };
+        let base = id(&ground(), 1.0, 0.0);
+        assert_eq!(base, id(&ground(), 1.0, 0.0));
+        let changed = |ground: Ground, pitch_mm, weight| {
+            let other = id(&ground, pitch_mm, weight);
+            assert_ne!(base.id, other.id);
+            base.path_id != other.path_id
+        };
+        assert!(changed(Ground { surface: "other".into(), ..ground() }, 1.0, 0.0));
+        assert!(changed(Ground { tools: vec![("".into(), "o".into())], ..ground() }, 1.0, 0.0));
+        assert!(changed(ground(), 1.5, 0.0));
+        // The path knows neither machine nor process nor price.
+        assert!(!changed(Ground { machine: "other".into(), ..ground() }, 1.0, 0.0));
+        assert!(!changed(Ground { process: Some("p".into()), ..ground() }, 1.0, 0.0));
+        assert!(!changed(ground(), 1.0, 1e-4));
+        // What is given as it would be taken anyway is the same plan.
+        assert_eq!(plan("raster", "feed", vec![], &ground()).path_id, base.path_id);
+    }
+
+    #[test]
+    fn too_many_plans_are_refused_before_they_are_made() {
+        let long: Vec<f64> = (0..10_000).map(f64::from).collect();
+        let settings = vec![numbers("pitch_mm", &long), numbers("step_mm", &long)];
+        let said = expand(&[block(&["raster"], &["feed"], settings)], &ground()).unwrap_err();
+        assert!(said.contains("more than 200000 plans"), "{said}");
+    }
+}

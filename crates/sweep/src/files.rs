@@ -1,0 +1,90 @@
+//! The files of a sweep's directory.
+
+use std::{
+    fs,
+    io::ErrorKind,
+    path::{Path, PathBuf},
+};
+
+use planish_handoff::{Failure, Inputs, OutputFile, words};
+use planish_sweep::{
+    plan::{Plan, Sweep},
+    row::Row,
+};
+use serde::Serialize;
+
+/// Version of the layout of `sweep.json`.
+pub const VERSION: u32 = 1;
+
+/// The sweep that stands in this directory.
+pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
+    let path = dir.join("sweep.json");
+    if !path.exists() {
+        let problem = "is not there; write it by planish-sweep expand";
+        return Err(Failure::new(format!("{}: {problem}", path.display())));
+    }
+    // 1e5 plans take more than an input of a stage may.
+    let bytes = fs::read(&path).map_err(|e| unreadable(&path, &e))?;
+    let sweep: Sweep = serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
+    if sweep.version != VERSION {
+        let (there, here) = (sweep.version, VERSION);
+        let problem =
+            format!("has version {there}, this program knows {here}; expand the sweep again");
+        return Err(Failure::new(format!("{}: {problem}", path.display())));
+    }
+    if sweep.rounds.is_empty() {
+        return Err(Failure::new(format!(
+            "{}: has no plans; expand the sweep again",
+            path.display()
+        )));
+    }
+    let tools = |plan: &Plan| {
+        let named = plan.get("tool").map(ToString::to_string).unwrap_or_default();
+        sweep.tools.iter().any(|(name, _)| *name == named)
+    };
+    if let Some(plan) = sweep.plans().find(|plan| !tools(plan)) {
+        let problem = format!("the tool of {} is not in it; expand the sweep again", plan.id);
+        return Err(Failure::new(format!("{}: {problem}", path.display())));
+    }
+    Ok(sweep)
+}
+
+/// The command that makes a plan again, for a shell.
+pub fn again(sweep: &Sweep, plan: &Plan) -> String {
+    let quoted = |word: String| match word.split_once('=') {
+        Some((name, value)) => format!("{name}={}", words::quote(value)),
+        None => words::quote(&word),
+    };
+    let words: Vec<String> = sweep.again(plan).into_iter().map(quoted).collect();
+    format!("just run {}", words.join(" "))
+}
+
+/// The row of a plan, where it is there.
+pub fn read_row(dir: &Path, id: &str) -> Result<Option<Row>, Failure> {
+    let path = row_path(dir, id);
+    match fs::read(&path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+        Err(e) => Err(unreadable(&path, &e)),
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|e| unreadable(&path, &e)),
+    }
+}
+
+/// Where the row of a plan stands.
+pub fn row_path(dir: &Path, id: &str) -> PathBuf {
+    dir.join("plans").join(id).join("row.json")
+}
+
+/// Writes a value as a JSON file, whole or not at all, in the place of one that stands there.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
+    let text = format!("{}\n", serde_json::to_string_pretty(value)?);
+    if fs::read(path).is_ok_and(|there| there == text.as_bytes()) {
+        return Ok(()); // Snakemake goes by the time of a file.
+    }
+    let file = OutputFile::begin("--out", path, true, &Inputs::new())?;
+    Ok(file.write(text.as_bytes())?)
+}
+
+/// A file that cannot be read.
+pub fn unreadable(path: &Path, problem: &dyn std::fmt::Display) -> Failure {
+    Failure::new(format!("{}: cannot read: {problem}", path.display()))
+}

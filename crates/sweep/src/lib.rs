@@ -1,0 +1,21 @@
+//! Many plans of one mirror: the file of a sweep becomes plans, which run in batches and share what they can.
+//!
+//! * [`node`]: YAML with the line of every value.
+//! * [`setting`]: what can be varied: names, units, bounds.
+//! * [`description`]: what the file of a sweep says.
+//! * [`expand`]: every combination of its settings.
+//! * [`plan`]: plans, and the stages that make them.
+//! * [`batch`]: which plans a job runs, and what it needs.
+//! * [`row`]: what came of a plan.
+//! * [`search`]: plans between those of the front.
+//!
+//! The binary reads the files, runs the stages, and is called by `workflow/Snakefile`.
+
+pub mod batch;
+pub mod description;
+pub mod expand;
+pub mod node;
+pub mod plan;
+pub mod row;
+pub mod search;
+pub mod setting;

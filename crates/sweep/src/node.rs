@@ -1,0 +1,218 @@
+//! YAML with the line of every value, so that a message can name it.
+
+use std::fmt;
+
+use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_saphyr::Spanned;
+
+/// What is wrong in a file, and where.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {problem}")]
+pub struct Complaint {
+    /// Line, counted from 1.
+    pub line: u64,
+    /// What is wrong, and the remedy.
+    pub problem: String,
+}
+
+impl Complaint {
+    /// A complaint about this line.
+    pub fn new(line: u64, problem: impl Into<String>) -> Self {
+        Self { line, problem: problem.into() }
+    }
+}
+
+/// A value and its line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Node {
+    /// Line, counted from 1.
+    pub line: u64,
+    /// What stands there.
+    pub value: Value,
+}
+
+/// What can stand in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// `1`, `0.8`, `1e-3`
+    Number(f64),
+    /// `raster`
+    Text(String),
+    /// `true` or `false`
+    Flag(bool),
+    /// Nothing after the colon
+    Nothing,
+    /// `[1, 2]`, or lines with hyphens
+    List(Vec<Node>),
+    /// `key: value`, in the order of the file
+    Map(Vec<(Key, Node)>),
+}
+
+/// A key and its line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Key {
+    /// Line, counted from 1.
+    pub line: u64,
+    /// The key.
+    pub text: String,
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Text(text) => write!(f, "'{text}'"),
+            Self::Flag(flag) => write!(f, "{flag}"),
+            Self::Nothing => f.write_str("empty"),
+            Self::List(_) => f.write_str("a list"),
+            Self::Map(_) => f.write_str("a table of keys"),
+        }
+    }
+}
+
+/// The value that a whole text is.
+pub fn parse(text: &str) -> Result<Node, Complaint> {
+    let parsed: Result<Spanned<Raw>, _> = serde_saphyr::from_str(text);
+    parsed.map(node).map_err(|error| {
+        let line = error.location().map_or(1, |at| at.line());
+        // The crate appends where, which stands in front already, and what it calls its settings.
+        let said = error.without_snippet().to_string();
+        let said = said.split(" at line ").next().unwrap_or(&said).to_string();
+        let said = said.split(", set DuplicateKeyPolicy").next().unwrap_or(&said).to_string();
+        Complaint::new(line, format!("{said}; this is no YAML that a sweep can be read from"))
+    })
+}
+
+/// [`Value`] with the places of the crate.
+enum Raw {
+    Number(f64),
+    Text(String),
+    Flag(bool),
+    Nothing,
+    List(Vec<Spanned<Raw>>),
+    Map(Vec<(Spanned<String>, Spanned<Raw>)>),
+}
+
+fn node(raw: Spanned<Raw>) -> Node {
+    let line = raw.referenced.line();
+    let value = match raw.value {
+        Raw::Number(number) => Value::Number(number),
+        Raw::Text(text) => Value::Text(text),
+        Raw::Flag(flag) => Value::Flag(flag),
+        Raw::Nothing => Value::Nothing,
+        Raw::List(items) => Value::List(items.into_iter().map(node).collect()),
+        Raw::Map(entries) => {
+            let key = |key: Spanned<String>| Key { line: key.referenced.line(), text: key.value };
+            Value::Map(entries.into_iter().map(|(k, v)| (key(k), node(v))).collect())
+        }
+    };
+    Node { line, value }
+}
+
+impl<'de> Deserialize<'de> for Raw {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(RawVisitor)
+    }
+}
+
+struct RawVisitor;
+
+impl<'de> Visitor<'de> for RawVisitor {
+    type Value = Raw;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, a text, a list or a table of keys")
+    }
+
+    fn visit_bool<E>(self, flag: bool) -> Result<Raw, E> {
+        Ok(Raw::Flag(flag))
+    }
+
+    fn visit_i64<E>(self, number: i64) -> Result<Raw, E> {
+        Ok(Raw::Number(number as f64))
+    }
+
+    fn visit_u64<E>(self, number: u64) -> Result<Raw, E> {
+        Ok(Raw::Number(number as f64))
+    }
+
+    fn visit_f64<E>(self, number: f64) -> Result<Raw, E> {
+        Ok(Raw::Number(number))
+    }
+
+    fn visit_str<E>(self, text: &str) -> Result<Raw, E> {
+        Ok(Raw::Text(text.into()))
+    }
+
+    fn visit_unit<E>(self) -> Result<Raw, E> {
+        Ok(Raw::Nothing)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Raw, A::Error> {
+        let mut list = Vec::new();
+        while let Some(item) = items.next_element()? {
+            list.push(item);
+        }
+        Ok(Raw::List(list))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Raw, A::Error> {
+        let mut map = Vec::new();
+        while let Some(entry) = entries.next_entry()? {
+            map.push(entry);
+        }
+        Ok(Raw::Map(map))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn complaint(text: &str) -> String {
+        parse(text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn every_value_knows_its_line() {
+        let Value::Map(top) = parse("a: 1\nb:\n  - x\n  - {c: true, d: }\n").unwrap().value else {
+            panic!("a table")
+        };
+        assert_eq!((top[0].0.line, top[0].1.value.clone()), (1, Value::Number(1.0)));
+        let Value::List(items) = &top[1].1.value else { panic!("a list") };
+        assert_eq!((items[0].line, &items[0].value), (3, &Value::Text("x".into())));
+        let Value::Map(inner) = &items[1].value else { panic!("a table") };
+        assert_eq!(inner[0].0, Key { line: 4, text: "c".into() });
+        assert_eq!((&inner[0].1.value, &inner[1].1.value), (&Value::Flag(true), &Value::Nothing));
+    }
+
+    #[test]
+    fn directions_are_words_and_not_flags() {
+        // YAML 1.1 takes y for true.
+        let Value::Map(top) = parse("scan: [x, y]").unwrap().value else { panic!("a table") };
+        let Value::List(items) = &top[0].1.value else { panic!("a list") };
+        assert_eq!(items[1].value, Value::Text("y".into()));
+    }
+
+    #[test]
+    fn what_is_no_yaml_is_refused_with_its_line() {
+        assert!(complaint("a: 1\na: 2\n").starts_with("line 2: duplicate mapping key: a"));
+        assert!(complaint("a:\n\tb: 1").starts_with("line 2: tabs"));
+        assert!(complaint("a: 1\n---\nb: 2").starts_with("line 3: "));
+        assert!(complaint("a: 1\nb: .nan").starts_with("line 2: "));
+    }
+
+    #[test]
+    fn nesting_without_end_is_refused_and_does_not_overflow_the_stack() {
+        for open in ["[", "- ", "{a: ", "? "] {
+            parse(&open.repeat(100_000)).unwrap_err();
+        }
+        // Each line ten times the one before: 1e9 values in the end.
+        let mut bomb = "a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n".to_string();
+        for i in 1..9 {
+            let refer = format!("*a{}, ", i - 1).repeat(10);
+            bomb += &format!("a{i}: &a{i} [{refer}]\n");
+        }
+        parse(&bomb).unwrap_err();
+    }
+}

@@ -1,0 +1,312 @@
+//! Plans, and the stages that make them.
+//!
+//! What is made has the hash of everything that it is made of in its name, so what several plans have in common is
+//! made once, and what is there is never out of date.
+
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::{
+    description::Constraints,
+    setting::{Given, SETTINGS, Setting},
+};
+
+/// A sweep that is ready to run: its plans, and where what they are made of stands. All paths are relative to the
+/// directory of the sweep, where its stages run, but for those of a mirror of one's own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sweep {
+    /// Version of this layout.
+    pub version: u32,
+    /// Name of the sweep: that of its file.
+    pub name: String,
+    /// Name of the mirror, for people.
+    pub mirror: String,
+    /// Stages that make the mirror.
+    pub mirror_steps: Vec<Step>,
+    /// The desired removal.
+    pub surface: String,
+    /// The tools by name; the first, without a name, is the mirror's own.
+    pub tools: Vec<(String, String)>,
+    /// File of the machine.
+    pub machine: String,
+    /// File of the process.
+    pub process: Option<String>,
+    /// Whether every plan gets a report of its own.
+    pub reports: bool,
+    /// What a plan must keep to be on the front.
+    pub constraints: Constraints,
+    /// Settings of `just run` that all plans share.
+    pub again: Vec<String>,
+    /// Hashes of what all plans are made of.
+    pub ground: Ground,
+    /// The plans of the grid, then those that were proposed round by round.
+    pub rounds: Vec<Round>,
+}
+
+/// Plans that are made together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Round {
+    /// Hash of its plans' names: another grid is another round.
+    pub id: String,
+    /// The plans.
+    pub plans: Vec<Plan>,
+}
+
+/// Hashes of what all plans are made of.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ground {
+    /// Of the desired removal.
+    pub surface: String,
+    /// Of the tools, by name; the mirror's own without one.
+    pub tools: Vec<(String, String)>,
+    /// Of the machine.
+    pub machine: String,
+    /// Of the process, where there is one.
+    pub process: Option<String>,
+}
+
+/// A run of a stage.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Step {
+    /// Name of the program.
+    pub program: String,
+    /// Its arguments.
+    pub arguments: Vec<String>,
+}
+
+/// A plan of a sweep.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Its name, which ends with the hash of what it is made of.
+    pub id: String,
+    /// That of its tool path.
+    pub path_id: String,
+    /// That of its first dwell times, where the method begins with some.
+    pub dwell_id: Option<String>,
+    /// Family of the path.
+    pub path: String,
+    /// Method.
+    pub method: String,
+    /// Settings in the order of the table.
+    pub settings: Vec<(String, Given)>,
+}
+
+impl Step {
+    /// A run of `program`.
+    pub fn new(program: &str, arguments: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        let arguments = arguments.into_iter().map(Into::into).collect();
+        Self { program: program.into(), arguments }
+    }
+}
+
+impl Plan {
+    /// The value of a setting.
+    pub fn get(&self, key: &str) -> Option<&Given> {
+        self.settings.iter().find(|(k, _)| k == key).map(|(_, given)| given)
+    }
+
+    /// The number that a setting has.
+    pub fn number(&self, key: &str) -> Option<f64> {
+        match self.get(key) {
+            Some(Given::Number(number)) => Some(*number),
+            _ => None,
+        }
+    }
+
+    /// Directory of the plan.
+    pub fn dir(&self) -> String {
+        format!("plans/{}", self.id)
+    }
+
+    /// Directory of its motion.
+    pub fn method_dir(&self) -> String {
+        format!("plans/{}/methods/{}", self.id, self.method)
+    }
+
+    /// Whether the tool goes over the path more than once.
+    fn is_repeated(&self) -> bool {
+        self.number("passes").is_some_and(|passes| passes > 1.0)
+    }
+}
+
+impl Round {
+    /// A round with these plans.
+    pub fn new(plans: Vec<Plan>) -> Self {
+        let ids: Vec<&str> = plans.iter().map(|plan| plan.id.as_str()).collect();
+        Self { id: hash(&json!(ids)), plans }
+    }
+}
+
+/// The first 12 digits of the BLAKE3 of a value, and of the version that made it.
+pub fn hash(content: &serde_json::Value) -> String {
+    let versioned = json!([env!("CARGO_PKG_VERSION"), content]);
+    blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
+}
+
+impl Sweep {
+    /// Where the size of the mirror stands when it is made.
+    pub fn mirror_file(&self) -> String {
+        format!("done/mirror-{}.json", self.ground.surface)
+    }
+
+    /// Every plan, round by round.
+    pub fn plans(&self) -> impl Iterator<Item = &Plan> {
+        self.rounds.iter().flat_map(|round| &round.plans)
+    }
+
+    /// Where the tool of a plan stands.
+    pub fn tif(&self, plan: &Plan) -> &str {
+        let name = match plan.get("tool") {
+            Some(Given::Word(name)) => name.as_str(),
+            _ => "",
+        };
+        let found = self.tools.iter().find(|(known, _)| known == name);
+        &found.expect("a plan names a tool of its sweep").1
+    }
+
+    /// Stages that make the tool path of a plan.
+    pub fn path_steps(&self, plan: &Plan) -> Vec<Step> {
+        let once = match plan.is_repeated() {
+            true => format!("paths/{}/one-pass", plan.path_id),
+            false => format!("paths/{}/path", plan.path_id),
+        };
+        let mut arguments = vec![plan.path.clone()];
+        arguments.extend(["--surface".into(), self.surface.clone()]);
+        arguments.extend(["--tif".into(), self.tif(plan).into()]);
+        for (setting, given) in plan.of_path() {
+            match (setting.key, given) {
+                ("tool" | "passes", _) => {}
+                ("scan", Given::Number(degrees)) => {
+                    arguments.push(format!("--angle-deg={degrees}"))
+                }
+                (_, given) => arguments.push(format!("{}={given}", setting.flag)),
+            }
+        }
+        arguments.extend(["--out".into(), once.clone(), "--force".into()]);
+        let mut steps = vec![Step::new("planish-toolpath", arguments)];
+        if let (true, Some(passes)) = (plan.is_repeated(), plan.number("passes")) {
+            let out = self.tool_path(plan);
+            let passes = format!("--passes={passes}");
+            let arguments =
+                ["passes", "--tool-path", &once, &passes, "--return", "--out", &out, "--force"];
+            steps.push(Step::new("planish-toolpath", arguments));
+        }
+        steps
+    }
+
+    /// The tool path of a plan.
+    pub fn tool_path(&self, plan: &Plan) -> String {
+        format!("paths/{}/path", plan.path_id)
+    }
+
+    /// The stage that makes the first dwell times of a plan, where there is one.
+    pub fn dwell_step(&self, plan: &Plan) -> Option<Step> {
+        let out = format!("dwell/{}", plan.dwell_id.as_ref()?);
+        let mut arguments = vec!["bounded-least-squares".to_string()];
+        arguments.extend(self.mirror_and_path(plan));
+        arguments.extend(plan.flags(&["min_dwell_s", "min_dwell_s_per_mm"]));
+        arguments.extend(["--out".into(), out, "--force".into()]);
+        Some(Step::new("planish-dwell", arguments))
+    }
+
+    /// Stages of the plan itself.
+    pub fn plan_steps(&self, plan: &Plan) -> Vec<Step> {
+        let at = plan.method_dir();
+        let trajectory = format!("{at}/trajectory");
+        let mut own = self.mirror_and_path(plan);
+        own.extend(["--machine".into(), self.machine.clone()]);
+        let program = match &plan.dwell_id {
+            Some(id) => {
+                own.extend(["--dwell".into(), format!("dwell/{id}")]);
+                own.extend(self.process.iter().map(|process| format!("--process={process}")));
+                "planish-refine"
+            }
+            None => "planish-feed",
+        };
+        let of_method = plan.of_method();
+        own.extend(of_method.map(|(setting, given)| format!("{}={given}", setting.flag)));
+        own.extend(["--out".into(), at.clone(), "--force".into()]);
+        let tif = self.tif(plan);
+        let (removal, verdict) = (format!("{at}/removal"), format!("{at}/verdict"));
+        let (surface, machine) = (self.surface.as_str(), self.machine.as_str());
+        let over = ["--trajectory", &trajectory, "--tif", tif, "--surface", surface];
+        let mut steps = vec![
+            Step::new(program, own),
+            Step::new("planish-simulate", [&over[..], &["--out", &removal, "--force"]].concat()),
+            Step::new(
+                "planish-verify",
+                ["--trajectory", &trajectory, "--machine", machine, "--out", &verdict, "--force"],
+            ),
+        ];
+        if let Some(process) = &self.process {
+            let (process, out) =
+                (format!("--process={process}"), format!("{}/tolerance", plan.dir()));
+            let own = [process.as_str(), "--out", &out, "--force"];
+            steps.push(Step::new("planish-tolerance", [&over[..], &own[..]].concat()));
+        }
+        steps
+    }
+
+    /// The stage that makes the report of a plan, which stands in a directory like that of a run.
+    pub fn report_step(&self, plan: &Plan) -> Step {
+        let dir = plan.dir();
+        let out = format!("{dir}/report");
+        let called =
+            [dir.as_str(), "--pipeline", &plan.id, "--fixture", &self.mirror, "--plots", "never"];
+        let own = ["--tif", self.tif(plan), "--out", &out, "--force"];
+        Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
+    }
+
+    /// The settings of `just run` that make a plan again, the pipeline first.
+    pub fn again(&self, plan: &Plan) -> Vec<String> {
+        let mut words = vec![plan.path.clone()];
+        // A plan of motion and times as one problem does not depend on the process.
+        let concerns = |word: &&String| plan.method != "feed" || !word.starts_with("process=");
+        words.extend(self.again.iter().filter(concerns).cloned());
+        for (key, given) in &plan.settings {
+            match key.as_str() {
+                "tool" => words.push(format!("tif={}", self.tif(plan))),
+                key => words.push(format!("{key}={given}")),
+            }
+        }
+        let method = if plan.method == "feed" {
+            ["plan_feed=yes", "refine=no"]
+        } else {
+            ["plan_feed=no", "refine=yes"]
+        };
+        words.extend(method.map(String::from));
+        words
+    }
+
+    fn mirror_and_path(&self, plan: &Plan) -> Vec<String> {
+        let tool_path = self.tool_path(plan);
+        let flags =
+            ["--surface", &self.surface, "--tif", self.tif(plan), "--tool-path", &tool_path];
+        flags.map(String::from).to_vec()
+    }
+}
+
+impl Plan {
+    fn of_path(&self) -> impl Iterator<Item = (&'static Setting, &Given)> {
+        self.known().filter(|(setting, _)| setting.is_of_paths())
+    }
+
+    fn of_method(&self) -> impl Iterator<Item = (&'static Setting, &Given)> {
+        self.known().filter(|(setting, _)| !setting.is_of_paths())
+    }
+
+    fn known(&self) -> impl Iterator<Item = (&'static Setting, &Given)> {
+        let known = |key: &str| SETTINGS.iter().find(|setting| setting.key == key);
+        self.settings.iter().filter_map(move |(key, given)| Some((known(key)?, given)))
+    }
+
+    fn flags<'a>(&'a self, keys: &'a [&str]) -> impl Iterator<Item = String> + 'a {
+        let chosen = self.known().filter(|(setting, _)| keys.contains(&setting.key));
+        chosen.map(|(setting, given)| format!("{}={given}", setting.flag))
+    }
+}

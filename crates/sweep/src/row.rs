@@ -1,0 +1,74 @@
+//! What came of a plan: a row of the table.
+
+use serde::{Deserialize, Serialize};
+
+use crate::description::Constraints;
+
+/// The numbers of a plan, or why there are none. The same plan gives the same bytes, wherever it was made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// The plan.
+    pub id: String,
+    /// How it ended.
+    pub status: RowStatus,
+    /// What a stage said: why there are no numbers, or why a verdict is negative.
+    pub message: Option<String>,
+    /// The numbers, where the plan was made.
+    pub numbers: Option<Numbers>,
+}
+
+/// How a plan ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RowStatus {
+    /// Made.
+    Done,
+    /// Made, and a stage gave a negative verdict: not converged, a limit exceeded.
+    Negative,
+    /// Not made.
+    Failed,
+}
+
+/// The numbers of a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Numbers {
+    /// Time of the run, s.
+    pub total_time_s: f64,
+    /// RMS of the residual, mean removed, nm.
+    pub rms_nm: f64,
+    /// RMS of the residual, plane removed, nm.
+    pub rms_detilted_nm: f64,
+    /// RMS of the residual that 95 % of the runs are below, nm, where there is a process.
+    pub below_95_percent_nm: Option<f64>,
+    /// Whether the limits of the machine are kept.
+    pub limits_kept: bool,
+}
+
+impl Row {
+    /// A plan that was not made.
+    pub fn failed(id: &str, message: impl Into<String>) -> Self {
+        Self {
+            id: id.into(),
+            status: RowStatus::Failed,
+            message: Some(message.into()),
+            numbers: None,
+        }
+    }
+
+    /// The numbers, where the plan keeps the constraints.
+    pub fn eligible(&self, constraints: &Constraints) -> Option<&Numbers> {
+        self.numbers.as_ref().filter(|numbers| {
+            (numbers.limits_kept || !constraints.keep_limits)
+                && constraints.max_time_s.is_none_or(|most| numbers.total_time_s <= most)
+        })
+    }
+}
+
+impl Numbers {
+    /// Residual against time: what 95 % of the runs are below where there is a process, else without errors.
+    pub fn point(&self) -> [f64; 2] {
+        [self.total_time_s, self.below_95_percent_nm.unwrap_or(self.rms_nm)]
+    }
+}

@@ -1,0 +1,147 @@
+//! Runs of stages, several at once.
+
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    sync::{
+        Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
+    thread,
+    time::SystemTime,
+};
+
+use planish_handoff::Failure;
+use planish_sweep::plan::Step;
+
+/// How a stage ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum End {
+    /// With 0.
+    Done,
+    /// With 1, and this reason.
+    Negative(String),
+    /// With 2, and this message.
+    Failed(String),
+    /// By a signal, or with another code that no stage has.
+    Killed(String),
+}
+
+/// Where the stages are, and where they run.
+#[derive(Clone, Debug)]
+pub struct Stages {
+    /// Folder of the programs: that of this one.
+    programs: PathBuf,
+    /// Directory of the sweep.
+    dir: PathBuf,
+}
+
+impl Stages {
+    /// The stages beside this program, running in `dir`.
+    pub fn beside(dir: &Path) -> Result<Self, Failure> {
+        let unknown = |e| Failure::new(format!("this program does not know where it is: {e}"));
+        let program = std::env::current_exe().map_err(unknown)?;
+        let programs = program.parent().unwrap_or(Path::new(".")).to_path_buf();
+        Ok(Self { programs, dir: dir.into() })
+    }
+
+    /// When the newest of these programs was built.
+    pub fn newest(&self, programs: &[&str]) -> Option<SystemTime> {
+        let built = |name: &&str| fs::metadata(self.programs.join(name)).ok()?.modified().ok();
+        programs.iter().filter_map(built).max()
+    }
+
+    /// Runs a stage to its end, on one core.
+    pub fn run(&self, step: &Step) -> Result<End, Failure> {
+        let program = self.programs.join(&step.program);
+        let cannot =
+            |e: std::io::Error| Failure::new(format!("{}: cannot run: {e}", program.display()));
+        let mut child = Command::new(&program)
+            .args(&step.arguments)
+            .current_dir(&self.dir)
+            // One plan per core: threads within a stage would wait for each other.
+            .env("RAYON_NUM_THREADS", "1")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(cannot)?;
+        // Of all that it says the last line that is an end counts.
+        let mut said = None;
+        if let Some(stderr) = child.stderr.take() {
+            for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
+                let line = String::from_utf8_lossy(&line).into_owned();
+                if ["error: ", "verdict: ", "internal error: "]
+                    .iter()
+                    .any(|start| line.starts_with(start))
+                {
+                    said = Some(line);
+                }
+            }
+        }
+        let status = child.wait().map_err(cannot)?;
+        let said = |start: &str| {
+            let said = said.as_deref().unwrap_or("it said nothing");
+            said.strip_prefix(start).unwrap_or(said).to_string()
+        };
+        Ok(match status.code() {
+            Some(0) => End::Done,
+            Some(1) => End::Negative(format!("{}: {}", step.program, said("verdict: "))),
+            Some(2) => End::Failed(format!("{}: {}", step.program, said("error: "))),
+            _ => End::Killed(format!("{}: {status}", step.program)),
+        })
+    }
+
+    /// Runs stages one after the other: the first that failed or was killed, else the first negative verdict.
+    pub fn run_all(&self, steps: &[Step]) -> Result<End, Failure> {
+        let mut end = End::Done;
+        for step in steps {
+            match self.run(step)? {
+                End::Done => {}
+                negative @ End::Negative(_) if end == End::Done => end = negative,
+                End::Negative(_) => {}
+                stop => return Ok(stop),
+            }
+        }
+        Ok(end)
+    }
+}
+
+/// Does the work for every item, `at_once` of them at the same time, in their order. The first error ends it when what
+/// is under way has ended.
+pub fn each<T: Sync>(
+    items: &[T],
+    at_once: usize,
+    work: impl Fn(&T) -> Result<(), Failure> + Sync,
+) -> Result<(), Failure> {
+    let next = AtomicUsize::new(0);
+    let error = Mutex::new(None);
+    thread::scope(|scope| {
+        for _ in 0..at_once.min(items.len()) {
+            scope.spawn(|| {
+                while let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    if let Err(failure) = work(item) {
+                        next.store(items.len(), Ordering::Relaxed);
+                        error
+                            .lock()
+                            .expect("no worker panics with the lock")
+                            .get_or_insert(failure);
+                    }
+                }
+            });
+        }
+    });
+    error.into_inner().expect("no worker panics with the lock").map_or(Ok(()), Err)
+}
+
+/// Processor seconds of the stages that have ended, where the system tells (Linux).
+pub fn processor_s_of_stages() -> Option<f64> {
+    let stat = fs::read_to_string("/proc/self/stat").ok()?;
+    // After the name, which is in brackets and may hold anything: state is field 3, cutime and cstime are 16 and 17.
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks = |number: usize| fields.get(number - 3)?.parse::<f64>().ok();
+    // Linux tells these in 1/100 s on every machine.
+    Some((ticks(16)? + ticks(17)?) / 100.0)
+}

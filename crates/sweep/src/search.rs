@@ -1,0 +1,155 @@
+//! Plans between those of the front.
+//!
+//! Between two neighbours on the front of residual against time, a plan is proposed with the settings half way: the
+//! geometric mean of numbers above 0, as pitches, floors and prices are compared by ratios. Where the neighbours have
+//! another path, method or word, each is proposed with the numbers half way to the other. The search ends when the area
+//! that the front dominates ([`dominated_area`]) has grown by less than a stated part in a round.
+
+use std::collections::BTreeSet;
+
+use planish_numerics::pareto::{dominated_area, front};
+
+use crate::{
+    expand::plan,
+    plan::{Ground, Plan},
+    setting::{Given, SETTINGS},
+};
+
+/// How far the corner of the area lies beyond the front, so that its ends count.
+const BEYOND: f64 = 1.1;
+
+/// A plan and what came of it.
+pub type Made<'a> = (&'a Plan, [f64; 2]);
+
+/// The plans to be tried next.
+pub fn proposals(made: &[Made<'_>], all: &[&Plan], ground: &Ground) -> Vec<Plan> {
+    let points: Vec<[f64; 2]> = made.iter().map(|(_, point)| *point).collect();
+    let front = front(&points);
+    let mut seen: BTreeSet<String> = all.iter().map(|plan| plan.id.clone()).collect();
+    let mut proposed = Vec::new();
+    for pair in front.windows(2) {
+        let (one, other) = (made[pair[0]].0, made[pair[1]].0);
+        for (own, towards) in [(one, other), (other, one)] {
+            let between = half_way(own, towards, ground);
+            if seen.insert(between.id.clone()) {
+                proposed.push(between);
+            }
+        }
+    }
+    proposed
+}
+
+/// By which part the area of the front has grown from the first `before` of the points to all of them.
+pub fn moved(points: &[[f64; 2]], before: usize) -> f64 {
+    let ends = |k: usize| {
+        let of_front = front(points).into_iter().map(|i| points[i][k]);
+        BEYOND * of_front.fold(0.0, f64::max)
+    };
+    let corner = [ends(0), ends(1)];
+    let (old, new) = (dominated_area(&points[..before], corner), dominated_area(points, corner));
+    if old > 0.0 { new / old - 1.0 } else { f64::INFINITY }
+}
+
+/// `own` with its numbers half way to those of the other; seeds and passes are no quantities between which others lie.
+fn half_way(own: &Plan, other: &Plan, ground: &Ground) -> Plan {
+    let settings = own.settings.iter().map(|(key, given)| {
+        let is_whole = matches!(key.as_str(), "seed" | "passes");
+        let given = match (given, other.get(key)) {
+            (Given::Number(a), Some(Given::Number(b))) if !is_whole => Given::Number(mean(*a, *b)),
+            _ => given.clone(),
+        };
+        (key.clone(), given)
+    });
+    plan(&own.path, &own.method, settings.collect(), ground)
+}
+
+fn mean(a: f64, b: f64) -> f64 {
+    match () {
+        () if a == b => a,
+        () if a > 0.0 && b > 0.0 => rounded((a * b).sqrt()),
+        () => rounded((a + b) / 2.0),
+    }
+}
+
+/// To 4 digits, which tell plans apart and can be read.
+fn rounded(x: f64) -> f64 {
+    format!("{x:.3e}").parse().expect("a formatted number is one")
+}
+
+/// Settings as a sentence: the names without what nobody varied.
+pub fn in_words(plan: &Plan) -> String {
+    let known = |key: &str| SETTINGS.iter().any(|setting| setting.key == key);
+    let settings = plan.settings.iter().filter(|(key, _)| known(key));
+    let settings: Vec<String> = settings.map(|(key, given)| format!("{key}={given}")).collect();
+    format!("{}, {}: {}", plan.path, plan.method, settings.join(" "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ground() -> Ground {
+        Ground {
+            surface: "s".into(),
+            tools: vec![("".into(), "t".into())],
+            machine: "m".into(),
+            process: None,
+        }
+    }
+
+    fn made(path: &str, pitch_mm: f64, price: f64) -> Plan {
+        let settings = [("pitch_mm", pitch_mm), ("time_weight_nm2_per_s", price)];
+        let settings = settings.map(|(k, x)| (k.to_string(), Given::Number(x)));
+        plan(path, "feed", settings.to_vec(), &ground())
+    }
+
+    #[test]
+    fn between_two_neighbours_lie_their_geometric_means() {
+        let (a, b) = (made("raster", 1.0, 1e-6), made("raster", 4.0, 1e-4));
+        let off = made("raster", 9.0, 1e-5);
+        let points = [(&a, [10.0, 1.0]), (&b, [5.0, 2.0]), (&off, [11.0, 3.0])];
+        let proposed = proposals(&points, &[&a, &b, &off], &ground());
+        let [one] = &proposed[..] else { panic!("one proposal: {proposed:?}") };
+        assert_eq!(one.number("pitch_mm"), Some(2.0));
+        assert_eq!(one.number("time_weight_nm2_per_s"), Some(1e-5));
+        // What is there is not proposed again.
+        assert!(proposals(&points, &[&a, &b, &off, one], &ground()).is_empty());
+    }
+
+    #[test]
+    fn neighbours_of_two_families_are_each_moved_towards_the_other() {
+        let (a, b) = (made("raster", 1.0, 1e-6), made("maze", 4.0, 1e-4));
+        let points = [(&a, [10.0, 1.0]), (&b, [5.0, 2.0])];
+        let proposed = proposals(&points, &[&a, &b], &ground());
+        let paths: Vec<&str> = proposed.iter().map(|p| p.path.as_str()).collect();
+        assert_eq!(paths, ["maze", "raster"]);
+        assert!(proposed.iter().all(|p| p.number("pitch_mm") == Some(2.0)));
+    }
+
+    #[test]
+    fn a_search_on_a_known_curve_ends() {
+        // Residual 1 / price against time price: the front is the hyperbola, and every point lies on it. Halving gaps
+        // fills the area below the hyperbola, so the front moves less and less.
+        let point = |plan: &Plan| {
+            let price = plan.number("time_weight_nm2_per_s").unwrap();
+            [price, 1.0 / price]
+        };
+        let mut plans = vec![made("raster", 1.0, 1.0), made("raster", 1.0, 256.0)];
+        let mut steps = Vec::new();
+        for _ in 0..8 {
+            let found: Vec<Made<'_>> = plans.iter().map(|p| (p, point(p))).collect();
+            let before = plans.len();
+            let next = proposals(&found, &plans.iter().collect::<Vec<_>>(), &ground());
+            plans.extend(next);
+            let points: Vec<[f64; 2]> = plans.iter().map(point).collect();
+            steps.push(moved(&points, before));
+            if steps.last().unwrap() < &0.01 {
+                break;
+            }
+        }
+        assert!(steps.windows(2).skip(1).all(|s| s[1] < s[0]), "{steps:?}");
+        assert!(*steps.last().unwrap() < 0.01, "{steps:?}");
+        // Each round halves every gap.
+        assert_eq!(plans.len(), (1 << steps.len()) + 1);
+    }
+}

@@ -1,0 +1,443 @@
+//! The settings that a sweep can vary: their names, units, bounds, and whose they are.
+//!
+//! They are called as in the pipelines, with the unit at the end of the name.
+
+use serde::{Deserialize, Serialize};
+
+use crate::node::{Complaint, Node, Value};
+
+/// Families of tool paths.
+pub const PATHS: [&str; 4] = ["raster", "maze", "random-adaptive", "spiral"];
+
+/// What makes dwell times and motion of a path.
+pub const METHODS: [&str; 2] = ["feed", "pvt+refined"];
+
+/// A setting that can be varied.
+#[derive(Debug)]
+pub struct Setting {
+    /// Its name, which ends with its unit.
+    pub key: &'static str,
+    /// The flag of the stage.
+    pub flag: &'static str,
+    /// What it is.
+    pub what: &'static str,
+    kind: Kind,
+    /// Whose setting it is.
+    pub of: Of,
+}
+
+#[derive(Debug)]
+enum Kind {
+    /// A number above 0.
+    Positive,
+    /// A number of at least 0.
+    NotNegative,
+    /// A number from 0 to 1.
+    Fraction,
+    /// A whole number between these.
+    Whole(f64, f64),
+    /// One of these words.
+    Word(&'static [&'static str]),
+    /// x, y, or degrees from x towards y.
+    Direction,
+    /// The name of a tool of the sweep.
+    Tool,
+}
+
+/// Whose setting it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Of {
+    /// That of these paths.
+    Paths(&'static [&'static str]),
+    /// That of these methods.
+    Methods(&'static [&'static str]),
+}
+
+/// The value of a setting in a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Given {
+    /// A number in the unit of the name.
+    Number(f64),
+    /// A word.
+    Word(String),
+}
+
+impl std::fmt::Display for Given {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Word(word) => f.write_str(word),
+        }
+    }
+}
+
+/// The largest whole number that a number of YAML keeps.
+const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
+
+/// Every setting, in the order of a table.
+pub const SETTINGS: [Setting; 18] = [
+    path("tool", "", "tool, by its name in `tools`", Kind::Tool, &PATHS),
+    path("pitch_mm", "--pitch-mm", "distance of the lines", Kind::Positive, &PATHS),
+    path("step_mm", "--step-mm", "longest segment", Kind::Positive, &PATHS),
+    path("overscan_mm", "--overscan-mm", "overscan", Kind::NotNegative, &PATHS),
+    path("scan", "--scan", "direction of the lines", Kind::Direction, &["raster"]),
+    path(
+        "turn",
+        "--turn",
+        "how lines are joined",
+        Kind::Word(&["square", "semicircle", "lift"]),
+        &["raster"],
+    ),
+    path(
+        "seed",
+        "--seed",
+        "random seed",
+        Kind::Whole(0.0, LARGEST_WHOLE),
+        &["maze", "random-adaptive"],
+    ),
+    path("tree", "--tree", "tree of the maze", Kind::Word(&["depth-first", "wilson"]), &["maze"]),
+    path(
+        "corner_radius_mm",
+        "--corner-radius-mm",
+        "radius of the corners",
+        Kind::NotNegative,
+        &["maze"],
+    ),
+    path(
+        "contrast",
+        "--contrast",
+        "exponent of the density in the removal",
+        Kind::Fraction,
+        &["random-adaptive"],
+    ),
+    path(
+        "construction",
+        "--construction",
+        "what the path goes around",
+        Kind::Word(&["mesh-tree", "tour"]),
+        &["random-adaptive"],
+    ),
+    path("passes", "--passes", "passes over the path", Kind::Whole(1.0, 99.0), &PATHS),
+    method("min_dwell_s", "--min-dwell-s", "least dwell time", Kind::NotNegative, &["pvt+refined"]),
+    method(
+        "min_dwell_s_per_mm",
+        "--min-dwell-s-per-mm",
+        "least dwell-time density",
+        Kind::NotNegative,
+        &METHODS,
+    ),
+    method(
+        "mode",
+        "--mode",
+        "shape of the PVT motion",
+        Kind::Word(&["auto", "monotone", "smooth"]),
+        &["pvt+refined"],
+    ),
+    method(
+        "time_elasticity",
+        "--time-elasticity",
+        "what one percent of time is worth, in percent of the mean square",
+        Kind::Positive,
+        &["feed"],
+    ),
+    method(
+        "time_weight_nm2_per_s",
+        "--time-weight-nm2-per-s",
+        "price of a second",
+        Kind::NotNegative,
+        &METHODS,
+    ),
+    method(
+        "node_spacing_mm",
+        "--node-spacing-mm",
+        "distance of the nodes",
+        Kind::Positive,
+        &["feed"],
+    ),
+];
+
+/// Settings of which a plan has one at most.
+pub const EXCLUSIVE: [[&str; 2]; 2] =
+    [["min_dwell_s", "min_dwell_s_per_mm"], ["time_elasticity", "time_weight_nm2_per_s"]];
+
+const fn path(
+    key: &'static str,
+    flag: &'static str,
+    what: &'static str,
+    kind: Kind,
+    of: &'static [&'static str],
+) -> Setting {
+    Setting { key, flag, what, kind, of: Of::Paths(of) }
+}
+
+const fn method(
+    key: &'static str,
+    flag: &'static str,
+    what: &'static str,
+    kind: Kind,
+    of: &'static [&'static str],
+) -> Setting {
+    Setting { key, flag, what, kind, of: Of::Methods(of) }
+}
+
+impl Setting {
+    /// The setting of this name; a complaint with the remedy where there is none.
+    pub fn named(key: &str, line: u64) -> Result<&'static Self, Complaint> {
+        if let Some(found) = SETTINGS.iter().find(|s| s.key == key) {
+            return Ok(found);
+        }
+        let stem = stem(key);
+        let alike: Vec<&str> =
+            SETTINGS.iter().map(|s| s.key).filter(|known| self::stem(known) == stem).collect();
+        let problem = match alike.is_empty() {
+            true => {
+                let known: Vec<&str> = SETTINGS.iter().map(|s| s.key).collect();
+                format!("no setting '{key}'; there are path, method, {}", known.join(", "))
+            }
+            false => format!("no setting '{key}'; write {}, in that unit", alike.join(" or ")),
+        };
+        Err(Complaint::new(line, problem))
+    }
+
+    /// Whether a plan with this path and method has this setting.
+    pub fn concerns(&self, path: &str, method: &str) -> bool {
+        match self.of {
+            Of::Paths(paths) => paths.contains(&path),
+            Of::Methods(methods) => methods.contains(&method),
+        }
+    }
+
+    /// Whether the tool path depends on it.
+    pub fn is_of_paths(&self) -> bool {
+        matches!(self.of, Of::Paths(_))
+    }
+
+    /// The values of the setting that stand in a node: one, a list, or a range.
+    pub fn values(&self, node: &Node, tools: &[String]) -> Result<Vec<Given>, Complaint> {
+        let nodes = match &node.value {
+            Value::List(items) if items.is_empty() => {
+                let problem = format!("{} is an empty list; give a value", self.key);
+                return Err(Complaint::new(node.line, problem));
+            }
+            Value::List(items) => items.clone(),
+            Value::Map(entries) => {
+                let numbers = range(self.key, node.line, entries)?;
+                numbers.map(|x| Node { line: node.line, value: Value::Number(x) }).collect()
+            }
+            _ => vec![node.clone()],
+        };
+        nodes.iter().map(|node| self.value(node, tools)).collect()
+    }
+
+    fn value(&self, node: &Node, tools: &[String]) -> Result<Given, Complaint> {
+        let refused = |wanted: String| {
+            let problem = format!("{} is {}; give {wanted}", self.key, node.value);
+            Err(Complaint::new(node.line, problem))
+        };
+        let within = |lower: bool, wanted: &str| match &node.value {
+            Value::Number(x) if lower => Ok(Given::Number(*x)),
+            Value::Text(text) if text.trim_start().starts_with(|c: char| c.is_ascii_digit()) => {
+                refused(format!("{wanted} without a unit: the unit is that of the name"))
+            }
+            _ => refused(wanted.into()),
+        };
+        let number = if let Value::Number(x) = node.value { x } else { f64::NAN };
+        match &self.kind {
+            Kind::Positive => within(number > 0.0, "a number above 0"),
+            Kind::NotNegative => within(number >= 0.0, "a number of 0 or more"),
+            Kind::Fraction => within((0.0..=1.0).contains(&number), "a number from 0 to 1"),
+            Kind::Whole(least, most) => within(
+                (*least..=*most).contains(&number) && number.fract() == 0.0,
+                &format!("a whole number from {least} to {most}"),
+            ),
+            Kind::Direction => match &node.value {
+                Value::Text(word) if word == "x" || word == "y" => Ok(Given::Word(word.clone())),
+                Value::Number(degrees) => Ok(Given::Number(*degrees)),
+                _ => refused("x, y, or degrees from x towards y".into()),
+            },
+            Kind::Word(words) => one_of(node, words).map_or_else(|| refused(words.join(", ")), Ok),
+            Kind::Tool => {
+                let names: Vec<&str> = tools.iter().map(String::as_str).collect();
+                let missing = || match names.is_empty() {
+                    true => refused("tools: NAME: DIR in the file, too".into()),
+                    false => refused(names.join(", ")),
+                };
+                one_of(node, &names).map_or_else(missing, Ok)
+            }
+        }
+    }
+}
+
+/// The word that stands there, where it is one of these.
+pub fn one_of(node: &Node, words: &[&str]) -> Option<Given> {
+    match &node.value {
+        Value::Text(text) if words.contains(&text.as_str()) => Some(Given::Word(text.clone())),
+        _ => None,
+    }
+}
+
+/// A name without the unit at its end.
+fn stem(key: &str) -> &str {
+    const UNITS: [&str; 12] = [
+        "_s_per_mm",
+        "_nm2_per_s",
+        "_s_per_m",
+        "_um2_per_s",
+        "_mm",
+        "_um",
+        "_nm",
+        "_cm",
+        "_ms",
+        "_min",
+        "_m",
+        "_s",
+    ];
+    UNITS.iter().find_map(|unit| key.strip_suffix(unit)).unwrap_or(key)
+}
+
+/// Most values that a range may have.
+const MOST_OF_A_RANGE: f64 = 10_000.0;
+
+/// The numbers of `{from: A, to: B, step: S}` or `{from: A, to: B, count: N}`, the latter in equal ratios with
+/// `spacing: logarithmic`.
+fn range(
+    key: &str,
+    line: u64,
+    entries: &[(crate::node::Key, Node)],
+) -> Result<impl Iterator<Item = f64>, Complaint> {
+    let [mut from, mut to, mut step, mut count] = [None; 4];
+    let mut logarithmic = false;
+    for (name, node) in entries {
+        let place = match name.text.as_str() {
+            "from" => &mut from,
+            "to" => &mut to,
+            "step" => &mut step,
+            "count" => &mut count,
+            "spacing" => {
+                logarithmic = match one_of(node, &["linear", "logarithmic"]) {
+                    Some(Given::Word(word)) => word == "logarithmic",
+                    _ => {
+                        let problem = format!(
+                            "spacing of {key} is {}; give linear or logarithmic",
+                            node.value
+                        );
+                        return Err(Complaint::new(node.line, problem));
+                    }
+                };
+                continue;
+            }
+            other => {
+                let problem =
+                    format!("a range has no '{other}'; it has from, to, and step or count");
+                return Err(Complaint::new(name.line, problem));
+            }
+        };
+        let Value::Number(number) = node.value else {
+            let problem = format!("{} of {key} is {}; give a number", name.text, node.value);
+            return Err(Complaint::new(node.line, problem));
+        };
+        *place = Some(number);
+    }
+    let refused =
+        |problem: String| Err(Complaint::new(line, format!("the range of {key} {problem}")));
+    let (Some(from), Some(to)) = (from, to) else {
+        return refused("lacks from or to; give both".into());
+    };
+    if from > to {
+        return refused(format!(
+            "is empty: it goes from {from} to {to}; give the smaller one first"
+        ));
+    }
+    if logarithmic && (from <= 0.0 || step.is_some()) {
+        return refused("is logarithmic; begin it above 0, and give count".into());
+    }
+    let count = match (step, count) {
+        // Its end belongs to a range, whatever rounding makes of it.
+        (Some(step), None) if step > 0.0 => ((to - from) / step + 1e-9).floor() + 1.0,
+        (None, Some(count)) if count >= 2.0 && count.fract() == 0.0 => count,
+        _ => {
+            return refused(
+                "has no length; give step above 0, or a whole count of 2 or more".into(),
+            );
+        }
+    };
+    if count > MOST_OF_A_RANGE {
+        return refused(format!("has {count} values; give at most {MOST_OF_A_RANGE}"));
+    }
+    let at = move |i: f64| match step {
+        Some(step) => from + i * step,
+        None if logarithmic => from * (to / from).powf(i / (count - 1.0)),
+        None => from + (to - from) * i / (count - 1.0),
+    };
+    Ok((0..count as usize).map(move |i| rounded(at(i as f64))))
+}
+
+/// To 12 digits: 0.8 + 2 * 0.2 is meant to be 1.2.
+fn rounded(x: f64) -> f64 {
+    format!("{x:.11e}").parse().expect("a formatted number is one")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::node::parse;
+
+    fn values(key: &str, text: &str) -> Result<Vec<String>, String> {
+        let Value::Map(top) = parse(&format!("\n{key}: {text}\n")).unwrap().value else {
+            panic!("a table")
+        };
+        let setting = Setting::named(key, 2).map_err(|e| e.to_string())?;
+        let values = setting.values(&top[0].1, &["narrow".into()]).map_err(|e| e.to_string())?;
+        Ok(values.iter().map(Given::to_string).collect())
+    }
+
+    #[test]
+    fn a_value_a_list_and_ranges_are_read() {
+        assert_eq!(values("pitch_mm", "0.8").unwrap(), ["0.8"]);
+        assert_eq!(values("scan", "[x, y, 30]").unwrap(), ["x", "y", "30"]);
+        // 0.8 + 2 * 0.2 is 1.2000000000000002 in binary; the last one is the end that was asked for.
+        let pitches = values("pitch_mm", "{from: 0.8, to: 2, step: 0.2}").unwrap();
+        assert_eq!(pitches, ["0.8", "1", "1.2", "1.4", "1.6", "1.8", "2"]);
+        assert_eq!(values("seed", "{from: 1, to: 3, count: 3}").unwrap(), ["1", "2", "3"]);
+        let prices = "{from: 1e-4, to: 1e-2, count: 3, spacing: logarithmic}";
+        assert_eq!(values("time_weight_nm2_per_s", prices).unwrap(), ["0.0001", "0.001", "0.01"]);
+        assert_eq!(values("tool", "narrow").unwrap(), ["narrow"]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line_and_the_remedy() {
+        for (key, text, said) in [
+            ("pitch_um", "800", "line 2: no setting 'pitch_um'; write pitch_mm, in that unit"),
+            ("min_dwell_ms", "1", "write min_dwell_s or min_dwell_s_per_mm, in that unit"),
+            ("ptich_mm", "1", "no setting 'ptich_mm'; there are path, method, tool, pitch_mm"),
+            (
+                "pitch_mm",
+                "1 mm",
+                "line 2: pitch_mm is '1 mm'; give a number above 0 without a unit",
+            ),
+            ("pitch_mm", "-1", "pitch_mm is -1; give a number above 0"),
+            ("pitch_mm", "[1, [2]]", "pitch_mm is a list; give a number above 0"),
+            ("pitch_mm", "", "pitch_mm is empty; give a number above 0"),
+            ("pitch_mm", "[]", "pitch_mm is an empty list; give a value"),
+            ("passes", "1.5", "passes is 1.5; give a whole number from 1 to 99"),
+            ("contrast", "2", "contrast is 2; give a number from 0 to 1"),
+            ("turn", "round", "turn is 'round'; give square, semicircle, lift"),
+            ("tool", "wide", "tool is 'wide'; give narrow"),
+            ("pitch_mm", "{from: 2, to: 1, step: 0.1}", "is empty: it goes from 2 to 1"),
+            ("pitch_mm", "{from: 1, to: 2, step: 0}", "has no length; give step above 0"),
+            ("pitch_mm", "{from: 1, to: 2}", "has no length"),
+            ("pitch_mm", "{from: 1, step: 2}", "lacks from or to"),
+            ("pitch_mm", "{from: 1, to: 2, steps: 2}", "a range has no 'steps'"),
+            (
+                "pitch_mm",
+                "{from: 1, to: 2, step: 1e-9}",
+                "has 1000000001 values; give at most 10000",
+            ),
+            ("pitch_mm", "{from: 0, to: 2, count: 3, spacing: logarithmic}", "begin it above 0"),
+        ] {
+            let complaint = values(key, text).unwrap_err();
+            assert!(complaint.contains(said) && complaint.starts_with("line 2: "), "{complaint}");
+        }
+    }
+}

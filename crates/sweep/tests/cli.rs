@@ -1,0 +1,215 @@
+//! `planish-sweep` as the workflow calls it, with the real stages.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+    time::Duration,
+};
+
+use planish_testkit::{
+    program::{binaries, run_within, text},
+    workspace,
+};
+use serde_json::Value;
+
+/// A plan of the coupon takes a second.
+const LIMIT: Duration = Duration::from_secs(120);
+
+/// Three plans on two paths, and one that cannot be made: no tool path has a floor of the dwell-time density that the
+/// largest time allows.
+const SWEEP: &str = "\
+mirror: {fixture: FIXTURE}
+machine: MACHINE
+reports: none
+plans:
+  - path: raster
+    pitch_mm: 2
+    time_elasticity: [0.5, 2]
+  - path: maze
+    pitch_mm: 2
+    seed: 3
+  - path: raster
+    pitch_mm: 1e6
+";
+
+fn planish(arguments: &[&str]) -> Output {
+    run_within(Command::new(binaries().join("planish-sweep")).args(arguments), LIMIT)
+}
+
+#[track_caller]
+fn ended(code: i32, arguments: &[&str]) -> String {
+    let output = planish(arguments);
+    let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+    said
+}
+
+/// The file of a sweep in `dir`.
+fn written(dir: &Path, sweep: &str) -> PathBuf {
+    let fixtures = workspace().join("fixtures");
+    let sweep = sweep
+        .replace("FIXTURE", fixtures.join("coupon.json").to_str().unwrap())
+        .replace("MACHINE", fixtures.join("machines/ion-beam.json").to_str().unwrap());
+    let path = dir.join("some.yaml");
+    fs::write(&path, sweep).unwrap();
+    path
+}
+
+fn expanded(dir: &Path, name: &str) -> String {
+    let file = written(dir, SWEEP);
+    let out = dir.join(name).to_str().unwrap().to_string();
+    ended(0, &["expand", file.to_str().unwrap(), "--out", &out]);
+    out
+}
+
+/// Every file below a directory that does not say how it was made: its bytes.
+fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![dir.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_symlink() || path == dir.join("done") {
+                continue;
+            }
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.insert(path.strip_prefix(dir).unwrap().into(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+fn row(dir: &str, plan: &Value) -> Value {
+    let path = Path::new(dir).join("plans").join(plan["id"].as_str().unwrap()).join("row.json");
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let one = expanded(dir.path(), "one");
+    let said = ended(2, &["run", &one, "--layer", "plans"]);
+    assert!(said.contains("make the mirror first (--layer mirror)"), "{said}");
+    ended(0, &["run", &one, "--layer", "mirror"]);
+    ended(0, &["run", &one, "--layer", "paths", "--at-once", "2"]);
+    ended(0, &["run", &one, "--layer", "plans", "--at-once", "2"]);
+
+    let two = expanded(dir.path(), "two");
+    ended(0, &["run", &two, "--layer", "mirror"]);
+    for job in ["1", "2"] {
+        ended(0, &["run", &two, "--layer", "paths", "--job", job, "--of", "2"]);
+    }
+    for job in ["3", "2", "1"] {
+        ended(0, &["run", &two, "--layer", "plans", "--job", job, "--of", "3"]);
+    }
+    for dir in [&one, &two] {
+        ended(0, &["table", dir]);
+    }
+    let (one_files, two_files) = (results(Path::new(&one)), results(Path::new(&two)));
+    let names = |files: &BTreeMap<PathBuf, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(&one_files), names(&two_files));
+    for (name, bytes) in &one_files {
+        assert!(*bytes == two_files[name], "{} differs", name.display());
+    }
+
+    // One raster for two prices; what cannot be made is a row with the message of its stage.
+    let sweep: Value = serde_json::from_slice(&one_files[Path::new("sweep.json")]).unwrap();
+    let plans = sweep["rounds"][0]["plans"].as_array().unwrap();
+    assert_eq!(plans.len(), 4);
+    assert_eq!(plans[0]["path_id"], plans[1]["path_id"]);
+    for plan in &plans[..3] {
+        assert_eq!(row(&one, plan)["status"], "done");
+        assert_eq!(row(&one, plan)["numbers"]["limits_kept"], true);
+    }
+    let failed = row(&one, &plans[3]);
+    assert_eq!((&failed["status"], &failed["numbers"]), (&"failed".into(), &Value::Null));
+    assert!(failed["message"].as_str().unwrap().starts_with("planish-toolpath: "), "{failed}");
+    // A dearer second takes less time and leaves more.
+    let number = |plan: &Value, key: &str| row(&one, plan)["numbers"][key].as_f64().unwrap();
+    assert!(number(&plans[0], "total_time_s") > number(&plans[1], "total_time_s"));
+    assert!(number(&plans[0], "rms_nm") < number(&plans[1], "rms_nm"));
+
+    let again = ended(0, &["again", &one, plans[1]["id"].as_str().unwrap()]);
+    assert!(again.starts_with("just run raster "), "{again}");
+    assert!(
+        again.contains(" pitch_mm=2 step_mm=1 time_elasticity=2 plan_feed=yes refine=no"),
+        "{again}"
+    );
+
+    // Made again, nothing is done but the plan that failed.
+    let said = ended(0, &["run", &one, "--layer", "plans", "--at-once", "2"]);
+    assert!(said.contains("3 of 4 plans are there already"), "{said}");
+    // A row that is lost is made again, and is the same.
+    let lost =
+        Path::new(&one).join("plans").join(plans[2]["id"].as_str().unwrap()).join("row.json");
+    let before = fs::read(&lost).unwrap();
+    fs::remove_file(&lost).unwrap();
+    ended(0, &["run", &one, "--layer", "plans"]);
+    assert_eq!(fs::read(&lost).unwrap(), before);
+
+    // Between the plans of the front lie others, in a round of their own; what is there is not proposed again.
+    let said = ended(0, &["propose", &one]);
+    assert!(said.contains("raster, feed: pitch_mm=2 step_mm=1 time_elasticity=1"), "{said}");
+    let said = ended(2, &["propose", &one]);
+    assert!(said.contains("has no row; make the plans of round 1 first"), "{said}");
+}
+
+#[test]
+fn a_mistake_is_named_with_its_file_and_line_and_nothing_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    for (from, to, said) in [
+        (
+            "pitch_mm: 2",
+            "pitch_um: 2000",
+            "some.yaml: line 6: no setting 'pitch_um'; write pitch_mm, in that unit",
+        ),
+        ("raster", "zigzag", "some.yaml: line 5: path is 'zigzag'; give raster, maze"),
+        (
+            "pitch_mm: 2",
+            "pitch_mm: {from: 2, to: 1, step: 1}",
+            "line 6: the range of pitch_mm is empty",
+        ),
+        ("FIXTURE", "nowhere.json", "fixture: "),
+        ("{fixture: FIXTURE}", "{surface: nowhere, tif: nowhere}", "nowhere: cannot read"),
+        (
+            "{fixture: FIXTURE}",
+            "{fixture: FIXTURE, prepare: \"'\"}",
+            "prepare: ': the quotation mark",
+        ),
+    ] {
+        assert!(SWEEP.contains(from));
+        let file = written(dir.path(), &SWEEP.replacen(from, to, 1));
+        let out = dir.path().join("out");
+        let found = ended(2, &["expand", file.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+        assert!(found.starts_with("error: ") && found.contains(said), "{found}");
+        assert!(!out.join("sweep.json").exists());
+    }
+    let unreadable = dir.path().join("binary.yaml");
+    fs::write(&unreadable, [0xff, 0xfe, 0x00]).unwrap();
+    ended(
+        2,
+        &["expand", unreadable.to_str().unwrap(), "--out", dir.path().join("o").to_str().unwrap()],
+    );
+}
+
+#[test]
+fn a_directory_that_is_somebody_elses_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = written(dir.path(), SWEEP);
+    fs::create_dir(dir.path().join("mine")).unwrap();
+    fs::write(dir.path().join("mine/notes.txt"), "mine").unwrap();
+    let mine = dir.path().join("mine").to_str().unwrap().to_string();
+    let said = ended(2, &["expand", file.to_str().unwrap(), "--out", &mine]);
+    assert!(said.contains("holds notes.txt and no sweep.json"), "{said}");
+    assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
+    let said = ended(2, &["run", &mine, "--layer", "mirror"]);
+    assert!(said.contains("sweep.json: is not there"), "{said}");
+    fs::write(dir.path().join("mine/sweep.json"), "{}").unwrap();
+    let said = ended(2, &["run", &mine, "--layer", "mirror"]);
+    assert!(said.contains("sweep.json: cannot read"), "{said}");
+}
