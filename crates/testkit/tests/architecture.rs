@@ -14,7 +14,7 @@ use planish_testkit::workspace;
 type Room = (&'static str, &'static [&'static str]);
 
 /// Layers 0 to 2, the stages that see others, what runs several stages, and the tests that see all.
-const ROOMS: [Room; 11] = [
+const ROOMS: [Room; 12] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
@@ -465,7 +465,9 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 #[test]
 fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     let mut complaints = Vec::new();
-    for folder in STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile", "campaign", "sweep"]) {
+    for folder in
+        STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile", "campaign", "sweep"])
+    {
         for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
