@@ -272,7 +272,7 @@ mod tests {
             measured_rms_nm: measured,
             pixels: 10_000,
             map_errors: vec![],
-            levels: (0..=200).map(|k| (k as f64 / 200.0, t * (0.9 + 0.001 * k as f64))).collect(),
+            levels: (0..=200).map(f64::from).map(|k| (k / 200.0, t * (0.9 + 0.001 * k))).collect(),
             nominal_rms_nm: 0.9 * t,
             total_time_s: 120.0,
             specification: None,

@@ -104,14 +104,16 @@ fn a_moved_map_is_found_with_its_sign() {
     assert!((q[0] - x[0]).abs() < 2e-3 && (q[1] - x[1]).abs() < 2e-3, "{q:?}");
 }
 
-/// The truth is within two standard errors in 95 % of the cases, with white noise and with noise that is correlated over
-/// three pixels; of 3 x 80 numbers 2.5 standard deviations are 3.5 %. The standard errors are as large as the errors
-/// scatter: an RMS of 240 numbers is known to 1 / sqrt(480) = 5 %, three of it.
+/// The truth is within two standard errors in some 94 % of the cases (36 blocks make the errors themselves uncertain),
+/// with white noise and with noise that is correlated over three pixels; of 3 x 80 numbers 2.5 standard deviations are
+/// 3.8 %. Errors scatter by 1.03 and 1.07 times the standard errors (`PLANISH_CASES=320`): an RMS of 240 numbers is known
+/// to 1 / sqrt(480) = 5 %, three of it about their mean.
 #[test]
 fn standard_errors_cover_the_truth() {
+    let cases = std::env::var("PLANISH_CASES").map_or(80, |n| n.parse::<u64>().unwrap());
     for (stream, correlated) in [(2, false), (3, true)] {
         let (mut within, mut registered, mut squares) = (0, 0, 0.0);
-        for case in 0..80 {
+        for case in 0..cases {
             let random = &mut case_generator(23, stream, case);
             let features = Features::new(random);
             let before = map(|p| features.at(p), 0.3, correlated, random);
@@ -136,9 +138,9 @@ fn standard_errors_cover_the_truth() {
             "correlated {correlated}: {part} of {registered} within two standard errors; error over standard error \
              {ratio:.3} RMS"
         );
-        assert!(registered >= 225, "{registered}");
-        assert!((0.915..=0.99).contains(&part), "{correlated}: {part}");
-        assert!((0.85..1.15).contains(&ratio), "{correlated}: {ratio}");
+        assert!(f64::from(registered) >= 0.94 * 3.0 * cases as f64, "{registered}");
+        assert!((0.902..=0.99).contains(&part), "{correlated}: {part}");
+        assert!((0.9..1.2).contains(&ratio), "{correlated}: {ratio}");
     }
 }
 

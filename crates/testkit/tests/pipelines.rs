@@ -523,7 +523,7 @@ fn what_is_no_campaign_and_no_next_run_is_refused_and_nothing_is_written() {
         (vec!["campaign-spread", "seeds=x"], "seeds is 'x'; give 1 to 999"),
         (vec!["next-run"], "before is not given"),
         (vec!["next-run", "mirror"], "'mirror' is no setting"),
-        (vec!["next-run", "before=none"], "after is not given"),
+        (vec!["next-run", "before=none"], "before none is not there"),
         ([&["next-run"], &maps[..], &["transform=none"]].concat(), "transform none is not there"),
         ([&["next-run"], &maps[..], &["surface=mirror"]].concat(), "leave surface out"),
         ([&["next-run"], &maps[..], &["out=mirror"]].concat(), "is the surface mirror"),

@@ -32,7 +32,6 @@ fn decided() -> Vec<Value> {
         error("shear", 0.05, "%", "normal"),
         error("tif_width", 1.0, "%", "normal"),
         error("tif_ellipticity", 1.0, "%", "normal"),
-        error("tif_diagonal_ellipticity", 1.0, "%", "normal"),
         error("tif_offset_x", 10.0, "um", "normal"),
         error("position_noise", 5.0, "um", "normal"),
     ]
@@ -87,6 +86,20 @@ fn every_error_adds_what_its_line_says() {
         // the sampled derivatives of this TIF, whose width is four samples, by 1 %.
         assert!((found / line - 1.0).abs() < 0.01, "{}: {found} {line}", error["kind"]);
     }
+}
+
+/// Along lines of constant feed nothing changes with x, and a diagonal ellipticity adds nothing: it needs times that
+/// differ from point to point.
+#[test]
+fn a_diagonal_ellipticity_adds_what_its_line_says() {
+    let error = error("tif_diagonal_ellipticity", 1.0, "%", "normal");
+    let motion = other();
+    let quadratic = sources(&json!([error]));
+    let found = quadratic.of(&motion, motion.len()).unwrap();
+    let found = found.variance_nm2(&times(&motion)).sqrt();
+    let line = adds(&motion, &error);
+    // The bound of the other times below: their ripple is not smooth on the cells.
+    assert!(line > 1e-3 && (found / line - 1.0).abs() < 0.02, "{found} {line}");
 }
 
 /// Q of one motion holds for other times along the same path, where the errors do not depend on the time.
