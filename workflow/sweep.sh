@@ -87,6 +87,7 @@ if [ "$refine_front" = yes ]; then
         workflow
     done
 fi
+"$programs/planish-sweep" table "$out"
 code=0
 "$programs/planish-compare" sweep "$out/table.json" --out "$out/report" --force || code=$?
 exit "$code"
