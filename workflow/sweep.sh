@@ -66,6 +66,8 @@ for setting in $given; do
     case " $config " in *" ${setting%%=*}="*) ;; *) config="$config $setting" ;; esac
 done
 
+# Nothing in the flags is a pattern of file names.
+set -f
 # shellcheck disable=SC2086  # the numbers and the flags are several words
 workflow() {
     "$root/target/snakemake/bin/snakemake" --snakefile "$root/workflow/Snakefile" --directory "$at" \

@@ -1,7 +1,7 @@
 //! `planish-sweep expand`.
 
 use std::{
-    fs,
+    fs::{self, File, OpenOptions, TryLockError},
     path::{Component, Path, PathBuf},
 };
 
@@ -43,6 +43,7 @@ impl Expand {
         let description = read(&text).map_err(|e| refused(e.to_string()))?;
         let folder = path.parent().unwrap_or(Path::new("."));
         self.refuse_foreign()?;
+        let _lock = self.alone()?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut grounds = Grounds { folder, out: &self.out, inputs, copies: vec![] };
         let mut sweep = grounds.sweep(&name, &description)?;
@@ -56,6 +57,20 @@ impl Expand {
         write_json(&self.out.join("sweep.json"), &sweep)?;
         say(format!("{name}: {counts} -> {}", self.out.join("sweep.json").display()));
         Ok(Status::Done)
+    }
+
+    /// The lock that the workflow holds while it runs, where there was one: its plans are not replaced under it.
+    fn alone(&self) -> Result<Option<File>, Failure> {
+        let Ok(lock) = OpenOptions::new().write(true).open(self.out.join("lock")) else {
+            return Ok(None);
+        };
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(Failure::new(format!(
+                "{} is in use by another just sweep; wait for its end, or give another --out",
+                self.out.display()
+            ))),
+            _ => Ok(Some(lock)),
+        }
     }
 
     /// A directory with files and without a sweep is somebody's.
@@ -268,7 +283,7 @@ fn content(path: &Path) -> Result<String, Failure> {
     }
     for file in &files {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
-        let mut open = fs::File::open(file).map_err(unreadable)?;
+        let mut open = File::open(file).map_err(unreadable)?;
         hasher.update(format!("{}:{name}:", name.len()).as_bytes());
         let before = hasher.count();
         std::io::copy(&mut open, &mut hasher).map_err(unreadable)?;
