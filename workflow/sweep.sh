@@ -90,6 +90,9 @@ if [ "$refine_front" = yes ]; then
     done
 fi
 "$programs/planish-sweep" table "$out"
+# From within, so that its manifest is the same wherever the sweep stands.
+cd "$at"
 code=0
-"$programs/planish-compare" sweep "$out/table.json" --out "$out/report" --force || code=$?
+"$programs/planish-compare" sweep table.json --out report --force || code=$?
+printf 'in %s\n' "$out"
 exit "$code"
