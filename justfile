@@ -192,6 +192,7 @@ ci: test checks
 # Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
 ci-long:
     just test-faults 1000 200
+    just test-sweep
     just test-slurm
     just test-schedulers-long
     just fuzz 10000000

@@ -14,6 +14,16 @@ socket=/tmp/planish-munge.$(printf %s "$dir" | cksum | cut -d ' ' -f 1)
 found=/run/slurm/conf
 
 if [ "$goal" = stop ]; then
+    if [ -f "$dir/slurmctld.pid" ]; then
+        # A job outlives the daemons.
+        SLURM_CONF=$dir/slurm.conf timeout 10 scancel --user="$(id -un)" || true
+        waited=0
+        while [ -n "$(SLURM_CONF=$dir/slurm.conf timeout 10 squeue --noheader --states=running,completing || true)" ] &&
+            [ $waited -lt 50 ]; do
+            sleep 0.2
+            waited=$((waited + 1))
+        done
+    fi
     [ "$(readlink "$found")" != "$dir" ] || rm -f "$found"
     for daemon in slurmd slurmctld munged; do
         [ -f "$dir/$daemon.pid" ] || continue

@@ -66,6 +66,8 @@ for setting in $given; do
     case " $config " in *" ${setting%%=*}="*) ;; *) config="$config $setting" ;; esac
 done
 
+# Nothing in the flags is a pattern of file names.
+set -f
 # shellcheck disable=SC2086  # the numbers and the flags are several words
 workflow() {
     "$root/target/snakemake/bin/snakemake" --snakefile "$root/workflow/Snakefile" --directory "$at" \
@@ -87,6 +89,10 @@ if [ "$refine_front" = yes ]; then
         workflow
     done
 fi
+"$programs/planish-sweep" table "$out"
+# From within, so that its manifest is the same wherever the sweep stands.
+cd "$at"
 code=0
-"$programs/planish-compare" sweep "$out/table.json" --out "$out/report" --force || code=$?
+"$programs/planish-compare" sweep table.json --out report --force || code=$?
+printf 'in %s\n' "$out"
 exit "$code"

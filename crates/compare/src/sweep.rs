@@ -340,7 +340,7 @@ mod tests {
         assert_eq!(swept.recommended(), Some(1));
         let sentence = swept.sentence();
         assert!(
-            sentence.contains("plan-1 is to be run: it leaves 1.030 nm RMS in 10.00 s"),
+            sentence.contains("plan-1 is to be run: it leaves 1.03 nm RMS in 10 s"),
             "{sentence}"
         );
         assert!(sentence.ends_with("just run raster pitch_mm=1"), "{sentence}");

@@ -10,7 +10,7 @@
 //! | N | pixels of the map |
 //!
 //! The path is A / p long. A plan of motion and times as one problem has nodes 0.6 w apart along it, n = A / (0.6 p w),
-//! of which m = (4 w)^2 / (0.6 p w) are within reach of each other, and takes some 30 factorisations with n m^2
+//! of which m = (8 w)^2 / (0.6 p w) are within reach of each other, and takes some 30 factorisations with n m^2
 //! multiplications. The closed loop has A / (p s) dwell points for steps of s.
 
 use serde::{Deserialize, Serialize};
@@ -66,7 +66,7 @@ pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
     let own_s = if plan.method == "feed" {
         let spacing_mm = plan.number("node_spacing_mm").unwrap_or(0.6 * tool_width_mm);
         let nodes = area_mm2 / (pitch_mm * spacing_mm);
-        let near = (4.0 * tool_width_mm).powi(2) / (pitch_mm * spacing_mm);
+        let near = (8.0 * tool_width_mm).powi(2) / (pitch_mm * spacing_mm);
         // The stage sets its nodes further apart where a factorisation would take more than this.
         30.0 * S_PER_MULTIPLICATION * (nodes * near * near).min(5e10)
     } else {

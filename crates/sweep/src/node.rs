@@ -72,7 +72,9 @@ impl fmt::Display for Value {
 
 /// The value that a whole text is.
 pub fn parse(text: &str) -> Result<Node, Complaint> {
-    let parsed: Result<Spanned<Raw>, _> = serde_saphyr::from_str(text);
+    // YAML 1.1 took y, no and off for flags, too.
+    let options = serde_saphyr::options! { strict_booleans: true };
+    let parsed: Result<Spanned<Raw>, _> = serde_saphyr::from_str_with_options(text, options);
     parsed.map(node).map_err(|error| {
         let line = error.location().map_or(1, |at| at.line());
         // The crate appends where, which stands in front already, and what it calls its settings.

@@ -266,7 +266,11 @@ impl Sweep {
     pub fn again(&self, plan: &Plan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
         // A plan of motion and times as one problem does not depend on the process.
-        let concerns = |word: &&String| plan.method != "feed" || !word.starts_with("process=");
+        let is_feed = plan.method == "feed";
+        let concerns = |word: &&String| {
+            !(is_feed && word.starts_with("process=")
+                || plan.get("tool").is_some() && word.starts_with("tif="))
+        };
         words.extend(self.again.iter().filter(concerns).cloned());
         for (key, given) in &plan.settings {
             match key.as_str() {
@@ -308,5 +312,115 @@ impl Plan {
     fn flags<'a>(&'a self, keys: &'a [&str]) -> impl Iterator<Item = String> + 'a {
         let chosen = self.known().filter(|(setting, _)| keys.contains(&setting.key));
         chosen.map(|(setting, given)| format!("{}={given}", setting.flag))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::expand::plan;
+
+    fn sweep(process: Option<&str>) -> Sweep {
+        let named = |own: &str, other: &str| {
+            vec![(String::new(), own.to_string()), ("narrow".to_string(), other.to_string())]
+        };
+        Sweep {
+            version: 1,
+            name: "s".into(),
+            mirror: "m".into(),
+            mirror_steps: vec![],
+            surface: "surface/s".into(),
+            tools: named("mirror/m/tif", "/tools/narrow"),
+            machine: "inputs/i/machine.json".into(),
+            process: process.map(String::from),
+            constraints: Constraints { max_time_s: None, keep_limits: true },
+            reports: true,
+            again: ["surface=a/b", "tif=a/t", "process=p.json"].map(String::from).to_vec(),
+            ground: Ground {
+                surface: "s".into(),
+                tools: named("t", "n"),
+                machine: "i".into(),
+                process: process.map(String::from),
+            },
+            rounds: vec![],
+        }
+    }
+
+    fn given(sweep: &Sweep, method: &str, settings: &[(&str, Given)]) -> Plan {
+        let settings = settings.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
+        plan("raster", method, settings, &sweep.ground)
+    }
+
+    fn line(step: &Step) -> String {
+        format!("{} {}", step.program, step.arguments.join(" "))
+    }
+
+    #[test]
+    fn a_path_of_several_passes_is_made_of_one_pass() {
+        let sweep = sweep(None);
+        let settings = [("passes", Given::Number(2.0)), ("scan", Given::Number(30.0))];
+        let plan = given(&sweep, "pvt+refined", &settings);
+        let steps: Vec<String> = sweep.path_steps(&plan).iter().map(line).collect();
+        let at = format!("paths/{}", plan.path_id);
+        assert_eq!(
+            steps,
+            [
+                format!(
+                    "planish-toolpath raster --surface surface/s --tif mirror/m/tif --pitch-mm=1 --step-mm=1 \
+                     --angle-deg=30 --out {at}/one-pass --force"
+                ),
+                format!(
+                    "planish-toolpath passes --tool-path {at}/one-pass --passes=2 --return --out {at}/path --force"
+                ),
+            ]
+        );
+    }
+
+    #[test]
+    fn each_method_has_its_stages_and_a_process_one_more() {
+        let of = |process, method| {
+            let sweep = sweep(process);
+            let plan = given(&sweep, method, &[("time_weight_nm2_per_s", Given::Number(1e-4))]);
+            let steps = sweep.dwell_step(&plan).into_iter().chain(sweep.plan_steps(&plan));
+            steps.map(|step| line(&step)).collect::<Vec<_>>()
+        };
+        let programs = |lines: &[String]| -> Vec<String> {
+            lines.iter().map(|l| l.split(' ').next().unwrap().into()).collect()
+        };
+        assert_eq!(
+            programs(&of(None, "feed")),
+            ["planish-feed", "planish-simulate", "planish-verify"]
+        );
+        let refined = of(Some("p.json"), "pvt+refined");
+        assert_eq!(
+            programs(&refined),
+            [
+                "planish-dwell",
+                "planish-refine",
+                "planish-simulate",
+                "planish-verify",
+                "planish-tolerance"
+            ]
+        );
+        assert!(refined[0].contains(" --min-dwell-s=0.1 "), "{}", refined[0]);
+        assert!(!refined[0].contains("weight"), "{}", refined[0]);
+        assert!(
+            refined[1].contains(" --min-dwell-s=0.1 --time-weight-nm2-per-s=0.0001 "),
+            "{}",
+            refined[1]
+        );
+        assert!(refined[1].contains(" --process=p.json "), "{}", refined[1]);
+    }
+
+    #[test]
+    fn another_tool_is_that_of_its_stages_and_of_the_command() {
+        let sweep = sweep(Some("p.json"));
+        let plan = given(&sweep, "feed", &[("tool", Given::Word("narrow".into()))]);
+        assert!(line(&sweep.plan_steps(&plan)[0]).contains("--tif /tools/narrow "));
+        let again = sweep.again(&plan).join(" ");
+        assert_eq!(
+            again,
+            "raster surface=a/b tif=/tools/narrow pitch_mm=1 step_mm=1 plan_feed=yes refine=no"
+        );
     }
 }

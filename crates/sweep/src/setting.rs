@@ -432,7 +432,7 @@ mod tests {
             (
                 "pitch_mm",
                 "{from: 1, to: 2, step: 1e-9}",
-                "has 1000000001 values; give at most 10000",
+                "has 1000000000 values; give at most 10000",
             ),
             ("pitch_mm", "{from: 0, to: 2, count: 3, spacing: logarithmic}", "begin it above 0"),
         ] {

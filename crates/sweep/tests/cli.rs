@@ -209,6 +209,14 @@ fn a_directory_that_is_somebody_elses_is_left_alone() {
     assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
     let said = ended(2, &["run", &mine, "--layer", "mirror"]);
     assert!(said.contains("sweep.json: is not there"), "{said}");
+    // While a workflow runs, its plans stay.
+    let taken = expanded(dir.path(), "taken");
+    let lock = fs::File::create(Path::new(&taken).join("lock")).unwrap();
+    lock.lock().unwrap();
+    let said = ended(2, &["expand", file.to_str().unwrap(), "--out", &taken]);
+    assert!(said.contains("is in use by another just sweep"), "{said}");
+    drop(lock);
+    expanded(dir.path(), "taken");
     fs::write(dir.path().join("mine/sweep.json"), "{}").unwrap();
     let said = ended(2, &["run", &mine, "--layer", "mirror"]);
     assert!(said.contains("sweep.json: cannot read"), "{said}");

@@ -23,8 +23,11 @@ const MARGIN_PX: [f64; 4] = [90.0, 40.0, 30.0, 60.0];
 /// Most points that are drawn beside those of the front: more could not be told apart, and would make the page slow.
 const MOST_POINTS: usize = 4000;
 
-/// Room beside the points, in decades.
-const ROOM: f64 = 0.04;
+/// Room beside the points, as a factor.
+const ROOM: f64 = 1.1;
+
+/// An axis is logarithmic from this ratio of its ends on: on shorter ones few round numbers would have a place.
+const DECADES_FROM: f64 = 10.0;
 
 /// The plans that keep the constraints, each a point that is a link to its report; those of the front are joined.
 /// `to_table` leads from the picture to the folder of the table. Empty where there is no point.
@@ -35,8 +38,12 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
         return String::new();
     }
     let scale = |k: usize| {
-        let [low, high] = range(points.iter().map(|(_, p)| p[k].max(f64::MIN_POSITIVE).log10()));
-        Scale::logarithmic([low - ROOM, high + ROOM].map(|power| 10_f64.powf(power)))
+        let [low, high] = range(points.iter().map(|(_, p)| p[k]));
+        if low > 0.0 && high > DECADES_FROM * low {
+            return Scale::logarithmic([low / ROOM, high * ROOM]);
+        }
+        let room = (ROOM - 1.0) * (high - low);
+        Scale::linear([low - room, high + room])
     };
     let frame = Frame::new([0.0; 2], SIZE_PX, MARGIN_PX, [scale(0), scale(1)]);
     let mut svg = Svg::new(FONT_PX);

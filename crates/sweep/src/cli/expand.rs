@@ -1,7 +1,7 @@
 //! `planish-sweep expand`.
 
 use std::{
-    fs,
+    fs::{self, File, OpenOptions, TryLockError},
     path::{Component, Path, PathBuf},
 };
 
@@ -12,7 +12,7 @@ use planish_sweep::{
     expand::expand,
     plan::{Ground, Round, Step, Sweep, hash},
 };
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::files::{VERSION, write_json};
 
@@ -43,6 +43,7 @@ impl Expand {
         let description = read(&text).map_err(|e| refused(e.to_string()))?;
         let folder = path.parent().unwrap_or(Path::new("."));
         self.refuse_foreign()?;
+        let _lock = self.alone()?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut grounds = Grounds { folder, out: &self.out, inputs, copies: vec![] };
         let mut sweep = grounds.sweep(&name, &description)?;
@@ -56,6 +57,20 @@ impl Expand {
         write_json(&self.out.join("sweep.json"), &sweep)?;
         say(format!("{name}: {counts} -> {}", self.out.join("sweep.json").display()));
         Ok(Status::Done)
+    }
+
+    /// The lock that the workflow holds while it runs, where there was one: its plans are not replaced under it.
+    fn alone(&self) -> Result<Option<File>, Failure> {
+        let Ok(lock) = OpenOptions::new().write(true).open(self.out.join("lock")) else {
+            return Ok(None);
+        };
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(Failure::new(format!(
+                "{} is in use by another just sweep; wait for its end, or give another --out",
+                self.out.display()
+            ))),
+            _ => Ok(Some(lock)),
+        }
     }
 
     /// A directory with files and without a sweep is somebody's.
@@ -82,6 +97,15 @@ impl Expand {
     }
 }
 
+/// A mirror and its tool: the stages that make them, where each stands and its hash, and the settings of `just run`.
+struct Made {
+    steps: Vec<Step>,
+    map: (String, String),
+    tool: (String, String),
+    name: String,
+    again: Vec<String>,
+}
+
 /// What the plans are made of, as it stands on the disk.
 struct Grounds<'a> {
     folder: &'a Path,
@@ -97,9 +121,16 @@ impl Grounds<'_> {
         // By the reader of the stages: a mistake is found before the long ones.
         Inputs::new().read_machine(&self.folder.join(&d.machine))?;
         let process = d.process.as_ref().map(|file| self.frozen("process", file)).transpose()?;
-        let mut again = vec![];
-        let (mut steps, map, map_hash, tif, tif_hash, mirror) =
-            self.mirror(&d.mirror, &mut again)?;
+        if let Some(file) = &d.process {
+            Inputs::new().read_json::<Value>("process", &self.folder.join(file))?;
+        }
+        let Made {
+            mut steps,
+            map: (map, map_hash),
+            tool: (tif, tif_hash),
+            name: mirror,
+            mut again,
+        } = self.mirror(d)?;
         let prepare = words::split(&d.prepare)
             .map_err(|e| Failure::new(format!("prepare: {}: {e}", d.prepare)))?;
         let surface_hash = hash(&json!(["surface", map_hash, prepare]));
@@ -144,14 +175,9 @@ impl Grounds<'_> {
         })
     }
 
-    /// Stages that make map and tool, where these stand, their hashes, and the name of the mirror.
-    #[allow(clippy::type_complexity)]
-    fn mirror(
-        &mut self,
-        mirror: &Mirror,
-        again: &mut Vec<String>,
-    ) -> Result<(Vec<Step>, String, String, String, String, String), Failure> {
-        match mirror {
+    /// How map and tool are made, and what `just run` calls them.
+    fn mirror(&mut self, d: &Description) -> Result<Made, Failure> {
+        match &d.mirror {
             Mirror::Fixture(recipe) => {
                 let (file, digest) = self.frozen("fixture", recipe)?;
                 let name = stem(Path::new(recipe));
@@ -161,18 +187,20 @@ impl Grounds<'_> {
                     [&file, "--out", &own, "--force"].map(str::to_string),
                 );
                 let plain = self.plain(recipe);
-                let (surface, tif) = (format!("{own}/surface"), format!("{own}/tif"));
-                if plain == Path::new("fixtures").join(format!("{name}.json")) {
-                    again.push(format!("fixture={name}"));
+                let (map, tif) = (format!("{own}/surface"), format!("{own}/tif"));
+                let is_known = plain == Path::new("fixtures").join(format!("{name}.json"));
+                // Another tool is given with the map.
+                let again = if is_known && d.tools.is_empty() {
+                    vec![format!("fixture={name}")]
                 } else {
                     let at = |dir: &str| self.out.join(dir).display().to_string();
-                    again
-                        .extend([format!("surface={}", at(&surface)), format!("tif={}", at(&tif))]);
-                }
-                Ok((vec![step], surface, digest.clone(), tif, digest, name))
+                    vec![format!("surface={}", at(&map)), format!("tif={}", at(&tif))]
+                };
+                let (map, tool) = ((map, digest.clone()), (tif, digest));
+                Ok(Made { steps: vec![step], map, tool, name, again })
             }
             Mirror::Measured { surface, tif, surface_settings, tif_settings } => {
-                let (mut steps, mut made) = (Vec::new(), Vec::new());
+                let (mut steps, mut made, mut again) = (Vec::new(), Vec::new(), Vec::new());
                 for (kind, given, settings) in
                     [("surface", surface, surface_settings), ("tif", tif, tif_settings)]
                 {
@@ -194,9 +222,8 @@ impl Grounds<'_> {
                     steps.push(Step::new("planish-import", arguments));
                     made.push((out, digest));
                 }
-                let [(map, map_hash), (tool, tool_hash)] =
-                    <[_; 2]>::try_from(made).expect("a map and a tool");
-                Ok((steps, map, map_hash, tool, tool_hash, stem(Path::new(surface))))
+                let [map, tool] = <[_; 2]>::try_from(made).expect("a map and a tool");
+                Ok(Made { steps, map, tool, name: stem(Path::new(surface)), again })
             }
         }
     }
@@ -256,7 +283,7 @@ fn content(path: &Path) -> Result<String, Failure> {
     }
     for file in &files {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
-        let mut open = fs::File::open(file).map_err(unreadable)?;
+        let mut open = File::open(file).map_err(unreadable)?;
         hasher.update(format!("{}:{name}:", name.len()).as_bytes());
         let before = hasher.count();
         std::io::copy(&mut open, &mut hasher).map_err(unreadable)?;
