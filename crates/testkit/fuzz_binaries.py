@@ -138,7 +138,7 @@ planish-import program {p.csv} --controller csv --out {from-csv}
 planish-import trace {p.csv} --tool-on tool_on --most-gap-s 5 --planned {run/methods/pvt/trajectory} --out {as-run}
 planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --measured {after} --out {truth}
 planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --out {reconciliation}
-planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --process {process.json} --corrected-tif {learnt-tif} --corrected-transform {learnt-place} --learnt-process {learnt.json} --out {learnt}
+planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --process {process.json} --corrected-tif {learnt-tif} --corrected-transform {learnt-place} --learnt-process {learnt.json} --out {learnt}
 planish-campaign measure --surface {run/surface} --process {process.json} --out {measured}
 planish-campaign decide --surface {run/surface} --trajectory {run/methods/pvt/trajectory} --tolerance {tolerance} --out {decision}
 planish-register fit {fiducials.csv} --out {where}
