@@ -114,7 +114,13 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     let names = |files: &BTreeMap<PathBuf, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
     assert_eq!(names(&one_files), names(&two_files));
     for (name, bytes) in &one_files {
-        assert!(*bytes == two_files[name], "{} differs", name.display());
+        // The commands that make plans again name the directory of their mirror.
+        let has_commands = ["sweep.json", "table.json"].contains(&name.to_str().unwrap());
+        let same = match has_commands {
+            true => text(bytes).replace(&one, &two) == text(&two_files[name]),
+            false => *bytes == two_files[name],
+        };
+        assert!(same, "{} differs", name.display());
     }
 
     // One raster for two prices; what cannot be made is a row with the message of its stage.
