@@ -233,11 +233,11 @@ feed-table *names:
 
 # `just run` and its relatives as a user calls them: hostile settings, races, exit codes
 test-pipelines: build
-    cargo test --locked -p planish-testkit --test pipelines
+    cargo test --locked --workspace --test pipelines
 
 # Run the commands of README.md and docs/ as they are printed, in a copy of this folder (makes its own virtual environment)
 test-commands: build python
-    cargo test --locked -p planish-testkit --test commands_as_printed -- --nocapture
+    cargo test --locked --workspace --test commands_as_printed -- --nocapture
 
 # Run every pipeline on small fixtures, as it stands here and as it was at a revision, and compare every array to the last bit: just same-bytes HEAD~3
 same-bytes revision:

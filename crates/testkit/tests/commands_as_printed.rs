@@ -18,8 +18,13 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// What is not run here, and why.
-const EXCEPTIONS: [(&str, &str); 11] = [
+const EXCEPTIONS: [(&str, &str); 12] = [
     ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
+    (
+        "just sweep sweeps/reference.yaml profile=slurm \
+         snakemake='--default-resources slurm_partition=NAME slurm_account=NAME'",
+        "needs a cluster; `just test-slurm` has one on this machine",
+    ),
     ("just test-faults", "minutes; .ci/run disturbs a tenth as often"),
     ("just test-schedulers-long", "an hour; a piece of it is run"),
     ("just fuzz 50000", "minutes; .ci/run gives every reader 20 000 inputs"),
