@@ -88,11 +88,6 @@ pub fn resources(plans: &[&Plan], size: &Size, jobs: usize) -> Resources {
     }
 }
 
-/// How many jobs share this many plans: `per_job` each, in at most `most` jobs.
-pub fn jobs_for(plans: usize, per_job: usize, most: usize) -> usize {
-    plans.div_ceil(per_job).clamp(1, most)
-}
-
 /// The members of job `index` of `of`: the most expensive come first, and are dealt out in turn, so that the jobs take
 /// about the same time, and end with what is short.
 pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, of: usize) -> Vec<T> {
@@ -137,13 +132,6 @@ mod tests {
         // There and back, two rounds cancel; what is left is one member more or less, the cheapest of them.
         let (least, most) = (sums.iter().min().unwrap(), sums.iter().max().unwrap());
         assert!(most - least <= 12, "{sums:?}");
-    }
-
-    #[test]
-    fn a_thousand_plans_are_at_most_sixteen_jobs() {
-        assert_eq!(jobs_for(1000, 60, 16), 16);
-        assert_eq!(jobs_for(100_000, 60, 16), 16);
-        assert_eq!([jobs_for(1, 60, 16), jobs_for(60, 60, 16), jobs_for(61, 60, 16)], [1, 1, 2]);
     }
 
     #[test]

@@ -184,7 +184,7 @@ impl Sweep {
                 ("scan", Given::Number(degrees)) => {
                     arguments.push(format!("--angle-deg={degrees}"))
                 }
-                (_, given) => arguments.push(format!("{}={given}", setting.flag)),
+                (_, given) => arguments.push(setting.flag(given)),
             }
         }
         arguments.extend(["--out".into(), once.clone(), "--force".into()]);
@@ -229,7 +229,7 @@ impl Sweep {
             None => "planish-feed",
         };
         let of_method = plan.of_method();
-        own.extend(of_method.map(|(setting, given)| format!("{}={given}", setting.flag)));
+        own.extend(of_method.map(|(setting, given)| setting.flag(given)));
         own.extend(["--out".into(), at.clone(), "--force".into()]);
         let tif = self.tif(plan);
         let (removal, verdict) = (format!("{at}/removal"), format!("{at}/verdict"));
@@ -311,7 +311,7 @@ impl Plan {
 
     fn flags<'a>(&'a self, keys: &'a [&str]) -> impl Iterator<Item = String> + 'a {
         let chosen = self.known().filter(|(setting, _)| keys.contains(&setting.key));
-        chosen.map(|(setting, given)| format!("{}={given}", setting.flag))
+        chosen.map(|(setting, given)| setting.flag(given))
     }
 }
 

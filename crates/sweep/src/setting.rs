@@ -17,10 +17,6 @@ pub const METHODS: [&str; 2] = ["feed", "pvt+refined"];
 pub struct Setting {
     /// Its name, which ends with its unit.
     pub key: &'static str,
-    /// The flag of the stage.
-    pub flag: &'static str,
-    /// What it is.
-    pub what: &'static str,
     kind: Kind,
     /// Whose setting it is.
     pub of: Of,
@@ -77,108 +73,36 @@ const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
 /// Every setting, in the order of a table.
 pub const SETTINGS: [Setting; 18] = [
-    path("tool", "", "tool, by its name in `tools`", Kind::Tool, &PATHS),
-    path("pitch_mm", "--pitch-mm", "distance of the lines", Kind::Positive, &PATHS),
-    path("step_mm", "--step-mm", "longest segment", Kind::Positive, &PATHS),
-    path("overscan_mm", "--overscan-mm", "overscan", Kind::NotNegative, &PATHS),
-    path("scan", "--scan", "direction of the lines", Kind::Direction, &["raster"]),
-    path(
-        "turn",
-        "--turn",
-        "how lines are joined",
-        Kind::Word(&["square", "semicircle", "lift"]),
-        &["raster"],
-    ),
-    path(
-        "seed",
-        "--seed",
-        "random seed",
-        Kind::Whole(0.0, LARGEST_WHOLE),
-        &["maze", "random-adaptive"],
-    ),
-    path("tree", "--tree", "tree of the maze", Kind::Word(&["depth-first", "wilson"]), &["maze"]),
-    path(
-        "corner_radius_mm",
-        "--corner-radius-mm",
-        "radius of the corners",
-        Kind::NotNegative,
-        &["maze"],
-    ),
-    path(
-        "contrast",
-        "--contrast",
-        "exponent of the density in the removal",
-        Kind::Fraction,
-        &["random-adaptive"],
-    ),
-    path(
-        "construction",
-        "--construction",
-        "what the path goes around",
-        Kind::Word(&["mesh-tree", "tour"]),
-        &["random-adaptive"],
-    ),
-    path("passes", "--passes", "passes over the path", Kind::Whole(1.0, 99.0), &PATHS),
-    method("min_dwell_s", "--min-dwell-s", "least dwell time", Kind::NotNegative, &["pvt+refined"]),
-    method(
-        "min_dwell_s_per_mm",
-        "--min-dwell-s-per-mm",
-        "least dwell-time density",
-        Kind::NotNegative,
-        &METHODS,
-    ),
-    method(
-        "mode",
-        "--mode",
-        "shape of the PVT motion",
-        Kind::Word(&["auto", "monotone", "smooth"]),
-        &["pvt+refined"],
-    ),
-    method(
-        "time_elasticity",
-        "--time-elasticity",
-        "what one percent of time is worth, in percent of the mean square",
-        Kind::Positive,
-        &["feed"],
-    ),
-    method(
-        "time_weight_nm2_per_s",
-        "--time-weight-nm2-per-s",
-        "price of a second",
-        Kind::NotNegative,
-        &METHODS,
-    ),
-    method(
-        "node_spacing_mm",
-        "--node-spacing-mm",
-        "distance of the nodes",
-        Kind::Positive,
-        &["feed"],
-    ),
+    path("tool", Kind::Tool, &PATHS),
+    path("pitch_mm", Kind::Positive, &PATHS),
+    path("step_mm", Kind::Positive, &PATHS),
+    path("overscan_mm", Kind::NotNegative, &PATHS),
+    path("scan", Kind::Direction, &["raster"]),
+    path("turn", Kind::Word(&["square", "semicircle", "lift"]), &["raster"]),
+    path("seed", Kind::Whole(0.0, LARGEST_WHOLE), &["maze", "random-adaptive"]),
+    path("tree", Kind::Word(&["depth-first", "wilson"]), &["maze"]),
+    path("corner_radius_mm", Kind::NotNegative, &["maze"]),
+    path("contrast", Kind::Fraction, &["random-adaptive"]),
+    path("construction", Kind::Word(&["mesh-tree", "tour"]), &["random-adaptive"]),
+    path("passes", Kind::Whole(1.0, 99.0), &PATHS),
+    method("min_dwell_s", Kind::NotNegative, &["pvt+refined"]),
+    method("min_dwell_s_per_mm", Kind::NotNegative, &METHODS),
+    method("mode", Kind::Word(&["auto", "monotone", "smooth"]), &["pvt+refined"]),
+    method("time_elasticity", Kind::Positive, &["feed"]),
+    method("time_weight_nm2_per_s", Kind::NotNegative, &METHODS),
+    method("node_spacing_mm", Kind::Positive, &["feed"]),
 ];
 
 /// Settings of which a plan has one at most.
 pub const EXCLUSIVE: [[&str; 2]; 2] =
     [["min_dwell_s", "min_dwell_s_per_mm"], ["time_elasticity", "time_weight_nm2_per_s"]];
 
-const fn path(
-    key: &'static str,
-    flag: &'static str,
-    what: &'static str,
-    kind: Kind,
-    of: &'static [&'static str],
-) -> Setting {
-    Setting { key, flag, what, kind, of: Of::Paths(of) }
+const fn path(key: &'static str, kind: Kind, of: &'static [&'static str]) -> Setting {
+    Setting { key, kind, of: Of::Paths(of) }
 }
 
-const fn method(
-    key: &'static str,
-    flag: &'static str,
-    what: &'static str,
-    kind: Kind,
-    of: &'static [&'static str],
-) -> Setting {
-    Setting { key, flag, what, kind, of: Of::Methods(of) }
+const fn method(key: &'static str, kind: Kind, of: &'static [&'static str]) -> Setting {
+    Setting { key, kind, of: Of::Methods(of) }
 }
 
 impl Setting {
@@ -198,6 +122,11 @@ impl Setting {
             false => format!("no setting '{key}'; write {}, in that unit", alike.join(" or ")),
         };
         Err(Complaint::new(line, problem))
+    }
+
+    /// The flag by which a stage takes a value: that of the same name.
+    pub fn flag(&self, given: &Given) -> String {
+        format!("--{}={given}", self.key.replace('_', "-"))
     }
 
     /// Whether a plan with this path and method has this setting.
