@@ -151,13 +151,17 @@ fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> 
     let failed = |doing: &str, e: std::io::Error| {
         Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))
     };
-    // Nothing is written into a directory that is somebody else's. Where there is a lock, another run
-    // may be about to say whose the directory is: that is looked at below.
-    if !out.join(LOCK).exists() {
-        owned(out, owner)?;
+    let path = out.join(LOCK);
+    // Nothing is written into a directory that is somebody else's. Where there is a lock, and be it
+    // since a moment ago, another run may be about to say whose the directory is: that is looked at
+    // below, under the lock.
+    if !path.exists()
+        && let Err(refusal) = owned(out, owner)
+        && !path.exists()
+    {
+        return Err(refusal);
     }
     fs::create_dir_all(out).map_err(|e| failed("create", e))?;
-    let path = out.join(LOCK);
     let options =
         OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
     let mut lock = options.map_err(|e| failed("write in it", e))?;
@@ -221,9 +225,8 @@ fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
 fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     let entries = match fs::read_dir(out) {
         Ok(entries) => entries,
-        Err(e) if e.kind() == ErrorKind::NotFound && fs::symlink_metadata(out).is_err() => {
-            return Ok(None);
-        }
+        // A link may lead nowhere. Whatever else is there by now, another run has just created.
+        Err(e) if e.kind() == ErrorKind::NotFound && !out.is_symlink() => return Ok(None),
         Err(e) => return Err(e),
     };
     let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
