@@ -78,7 +78,7 @@ test-slurm *settings: build snakemake
 
 [private]
 snakemake:
-    @test -d target/snakemake || python3 -m venv target/snakemake
+    @test -d target/snakemake || python3 -m venv "$(mkdir -p target && cd target && pwd -P)/snakemake"
     @target/snakemake/bin/pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
 
 # How often the truth is within two standard errors of planish-reconcile: 500 runs of the virtual machine on the fixture
