@@ -1,6 +1,6 @@
 //! How large the cells and how wide the splines of the surrogates are.
 
-use planish_types::{Axis, Grid, Tif};
+use planish_types::{Grid, Tif};
 
 use crate::model::columns::Place;
 
@@ -9,7 +9,7 @@ pub const MAX_LOSS_FACTORISED: f64 = 5e-3;
 
 /// The same where the two-level method solves for dwell points so dense that what they cannot remove
 /// decides.
-pub const MAX_LOSS_TWO_LEVEL: f64 = 1.3e-3;
+pub const MAX_LOSS_TWO_LEVEL: f64 = 2.5e-3;
 
 /// The same for gradient steps, where products with H~ are what costs.
 pub const MAX_LOSS_GRADIENT: f64 = 2e-2;
@@ -21,6 +21,16 @@ const MAX_CELL_PIXELS: usize = 16;
 /// time that problems took.
 const SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.7;
 
+/// The same, at most, for a matrix of less than [`QUICK_SPLINE_MATRIX_ELEMENTS`]: further on conjugate gradients, which
+/// have to find what wider splines cannot say, take longer than the factorisations that are saved.
+const QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.85;
+
+/// The same, at most: conjugate gradients take fifteen times as many steps as with the least pitch.
+const MAX_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 1.0;
+
+/// By what the pitch grows until the matrix is small enough.
+const WIDENED_BY: f64 = 1.05;
+
 /// Least pitch over the mean spacing of the columns: many more splines than columns are dependent, and
 /// their matrix is singular to rounding.
 const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
@@ -28,11 +38,14 @@ const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
 /// Longest column that a spline can be made of, over the pitch.
 const MAX_COLUMN_OVER_SPLINE_PITCH: f64 = 2.0;
 
-/// Most elements of the matrix of the splines (three copies of 120 MB).
-const MAX_SPLINE_MATRIX_ELEMENTS: f64 = 1.5e7;
+/// Elements of the matrix of the splines above which a wider pitch is quicker.
+const QUICK_SPLINE_MATRIX_ELEMENTS: f64 = 1.5e7;
 
-/// Most elements of the removal by all splines (200 MB).
-const MAX_SPLINE_PATCH_ELEMENTS: f64 = 2.5e7;
+/// Most elements of the matrix of the splines (three copies of 800 MB).
+const MAX_SPLINE_MATRIX_ELEMENTS: f64 = 1e8;
+
+/// Most elements of the removal by all splines (1.2 GB).
+const MAX_SPLINE_PATCH_ELEMENTS: f64 = 1.5e8;
 
 /// Pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
@@ -70,22 +83,43 @@ pub fn spline_pitch(
     cell: usize,
 ) -> Option<f64> {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
+    let width_mm = 1.0 / (along_x + along_y).sqrt();
     let of_reached =
         places.iter().zip(reached).filter(|(_, reached)| **reached).flat_map(|(p, _)| p);
     let (low, high) = extent(of_reached.map(|p| &p.position_mm));
     let size_mm = [high[0] - low[0], high[1] - low[1]];
     let count = |of: &[bool]| of.iter().filter(|of| **of).count();
-    let spacing = (size_mm[0] * size_mm[1] / count(reached) as f64).sqrt();
-    let pitch = (SPLINE_PITCH_OVER_TIF_WIDTH / (along_x + along_y).sqrt())
-        .max(MIN_SPLINE_PITCH_OVER_SPACING * spacing);
-    let wide = |axis: &Axis| axis.end_mm() - axis.start_mm();
-    let reach = [&tif.grid().x, &tif.grid().y].map(|axis| wide(axis) + 4.0 * pitch);
-    let (nodes, row) = lattice_size(size_mm, reach, pitch);
-    let cells = |k: usize, step: f64| reach[k] / (cell as f64 * step) + 4.0;
-    let patched = nodes * cells(0, map.x.step_mm()) * cells(1, map.y.step_mm());
-    let dense = count(&are_short(places, reached, pitch)) * 2 > count(reached);
-    (dense && nodes * row <= MAX_SPLINE_MATRIX_ELEMENTS && patched <= MAX_SPLINE_PATCH_ELEMENTS)
-        .then_some(pitch)
+    let spacing_mm = (size_mm[0] * size_mm[1] / count(reached) as f64).sqrt();
+    let tif_mm = [&tif.grid().x, &tif.grid().y].map(|axis| axis.end_mm() - axis.start_mm());
+    let cells_mm = [&map.x, &map.y].map(|axis| cell as f64 * axis.step_mm());
+    let pitch_mm = affordable_pitch(width_mm, size_mm, tif_mm, cells_mm)?
+        .max(MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm);
+    let dense = count(&are_short(places, reached, pitch_mm)) * 2 > count(reached);
+    dense.then_some(pitch_mm)
+}
+
+/// The least pitch, mm, for which the matrix is quickly factorised, or else is not too large, for a TIF of a width, over
+/// a rectangle; sizes of the rectangle, the TIF and a cell are [x, y].
+fn affordable_pitch(
+    width_mm: f64,
+    size_mm: [f64; 2],
+    tif_mm: [f64; 2],
+    cells_mm: [f64; 2],
+) -> Option<f64> {
+    let mut over_width = SPLINE_PITCH_OVER_TIF_WIDTH;
+    while over_width <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH {
+        let pitch_mm = over_width * width_mm;
+        let reach_mm = tif_mm.map(|size| size + 4.0 * pitch_mm);
+        let (nodes, row) = lattice_size(size_mm, reach_mm, pitch_mm);
+        let cells = |k: usize| reach_mm[k] / cells_mm[k] + 4.0;
+        let is_wide = over_width > QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH;
+        let most = if is_wide { MAX_SPLINE_MATRIX_ELEMENTS } else { QUICK_SPLINE_MATRIX_ELEMENTS };
+        if nodes * row <= most && nodes * cells(0) * cells(1) <= MAX_SPLINE_PATCH_ELEMENTS {
+            return Some(pitch_mm);
+        }
+        over_width *= WIDENED_BY;
+    }
+    None
 }
 
 /// Nodes of a lattice of splines over a rectangle of this size [x, y], and most elements of a row of its
@@ -106,4 +140,31 @@ pub fn extent<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> ([f64; 2], [f64
     points.fold(start, |(low, high), p| {
         ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])])
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn splines_are_wider_over_a_larger_part_and_none_over_one_that_is_too_large() {
+        let (width_mm, tif_mm, cells_mm) = (1.5, [8.0; 2], [0.25; 2]);
+        let over_width = |size_mm: f64| {
+            affordable_pitch(width_mm, [size_mm; 2], tif_mm, cells_mm).map(|pitch| pitch / width_mm)
+        };
+        // The elements of the matrix are as the cube of the side of a square, which at 100 mm has 1.7e7 at the least
+        // pitch and 6e6 at the largest: quick up to 150 mm, too many from 260 mm on.
+        assert_eq!(over_width(50.0), Some(SPLINE_PITCH_OVER_TIF_WIDTH));
+        let at_100_mm = over_width(100.0).unwrap();
+        assert!(
+            at_100_mm > SPLINE_PITCH_OVER_TIF_WIDTH
+                && at_100_mm < QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH
+        );
+        let at_200_mm = over_width(200.0).unwrap();
+        assert!(
+            at_200_mm > QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH
+                && at_200_mm <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH
+        );
+        assert_eq!(over_width(400.0), None);
+    }
 }
