@@ -131,8 +131,9 @@ planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine
 planish-export gcode --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ngc}
 planish-export csv --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.csv}
 planish-toolpath raster --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --machine {lab.json} --out {lab-path}
-planish-verify --trajectory {run/methods/pvt/trajectory} --machine {lab.json} --out {lab-verdict}
-planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {lab.json} --tool-output 1 --out {lab.pmc}
+planish-schedule pvt --tool-path {run/tool_path} --dwell {run/dwell} --machine {lab.json} --out {lab-motion}
+planish-verify --trajectory {lab-motion} --machine {lab.json} --out {lab-verdict}
+planish-export pmac --trajectory {lab-motion} --machine {lab.json} --tool-output 1 --out {lab.pmc}
 planish-import program {lab.pmc} --controller pmac --about {lab.pmc.json} --out {from-lab}
 planish-import program {p.dmc} --controller galil --about {p.dmc.json} --out {from-galil}
 planish-import program {p.trj} --controller xps --about {p.trj.json} --out {from-xps}
