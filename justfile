@@ -135,7 +135,9 @@ wheel: build
     @test -d target/wheel-python || python3 -m venv target/wheel-python
     @rm -f target/wheel/planish-*.whl
     target/wheel-python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheel ./python
-    @ls -l target/wheel/planish-*.whl
+    @du -ch target/release/planish-* --exclude='*.d' | tail -n 1 | sed 's/total/programs with their symbols/'
+    @du -ch target/wheel/programs/planish-* | tail -n 1 | sed 's/total/programs without/'
+    @du -h target/wheel/planish-*.whl
 
 # Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
 test-wheel: wheel
