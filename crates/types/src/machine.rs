@@ -273,8 +273,10 @@ mod tests {
             let (s, c) = (s.abs(), c.abs());
             // Most of y that the axes of 100 and 60 mm/s can do with x.
             let most = |x: f64| {
-                let y = |a: f64, b: f64, limit: f64| {
-                    if b > 1e-15 { (limit - a * x) / b } else { f64::INFINITY }
+                let y = |a: f64, b: f64, limit: f64| match b > 1e-15 {
+                    true => (limit - a * x) / b,
+                    false if a * x > limit => f64::NEG_INFINITY,
+                    false => f64::INFINITY,
                 };
                 y(c, s, 100.0).min(y(s, c, 60.0))
             };
