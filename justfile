@@ -130,6 +130,19 @@ test-interop:
     cargo build --quiet --locked -p planish-import
     target/interop/bin/python crates/import/tests/interop.py target/debug/planish-import target/interop/files
 
+# One wheel with every program, the pipelines and the Python module, in target/wheel (python/; for machines like this one)
+wheel: build
+    @test -d target/wheel-python || python3 -m venv target/wheel-python
+    @rm -f target/wheel/planish-*.whl
+    target/wheel-python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheel ./python
+    @du -ch target/release/planish-* --exclude='*.d' | tail -n 1 | sed 's/total/programs with their symbols/'
+    @du -ch target/wheel/programs/planish-* | tail -n 1 | sed 's/total/programs without/'
+    @du -h target/wheel/planish-*.whl
+
+# Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
+test-wheel: wheel
+    python/tests/try-wheel.sh target/wheel out/wheel
+
 # Coverage-guided fuzzing, this many inputs for every reader (or: just fuzz 10000000 1 hdf5 datx); needs a C++ compiler
 fuzz executions="50000" seed="1" *readers:
     fuzz/run.sh {{ executions }} {{ seed }} {{ readers }}
@@ -194,6 +207,7 @@ ci-long:
     just test-faults 1000 200
     just test-sweep
     just test-slurm
+    just test-wheel
     just test-schedulers-long
     just fuzz 10000000
     just fuzz-binaries 100000

@@ -2,7 +2,7 @@
 # From the maps before and after a run to the next one: next-run.sh before=DIR after=DIR trajectory=DIR tif=DIR
 # [transform=DIR] [process=FILE] [machine=FILE] [pipeline=raster] [least_gain_percent=5] [reconcile=FLAGS] [NAME=VALUE...]. The maps, the
 # motion (planned or traced, in the coordinates of the part) and the tool are artifacts; transform is what took the plan
-# to the machine in that run, process the errors that are known beforehand (docs/campaign.md). The other settings are those
+# to the machine in that run (what the machine file says when empty), process the errors that are known beforehand (docs/campaign.md). The other settings are those
 # of `just run`. Everything goes to out/next-run/MAP, or to OUT where out=OUT is given:
 #
 #   reconciliation  what the run taught
@@ -118,6 +118,12 @@ learn() {
     eval "set -- \"\$@\" $words"
     go_on planish-reconcile "$@"
 }
+
+# Where the part lay, when nobody measured it: as the machine file says
+if [ -z "$transform" ]; then
+    planish-register place --machine "$machine" --out "$out/place" --force
+    transform=$out/place
+fi
 
 learn --before "$before" --after "$after" --trajectory "$trajectory" --tif "$tif" \
     ${process:+--process "$process"} ${transform:+--transform "$transform"} --out "$out/reconciliation" \

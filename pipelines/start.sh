@@ -1,6 +1,6 @@
 #!/bin/sh
 # What `just run` and its relatives do: start.sh GOAL PIPELINE [NAME=VALUE...]. The goal is run or compare
-# (recipes of stages.just), or show, which prints the pipeline. The settings pass through here and `just`
+# (recipes of stages.just), or show, which prints its settings. The settings pass through here and `just`
 # as arguments, whatever they hold.
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
@@ -25,7 +25,11 @@ esac
 file=$root/pipelines/$name.just
 
 if [ "$goal" = show ]; then
-    exec cat "$file" "$root/pipelines/stages.just"
+    just --justfile "$file" --working-directory . --evaluate |
+        awk -v name="$name" -f "$root/pipelines/show.awk" - "$file" "$root/pipelines/stages.just"
+    printf '\nGiven as NAME=VALUE: just run %s NAME=VALUE... The commands of each step: pipelines/%s.just and stages.just.\n' \
+        "$name" "$name"
+    exit
 fi
 
 settings=" $(just --justfile "$file" --variables) "

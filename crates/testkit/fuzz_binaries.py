@@ -130,6 +130,11 @@ planish-export xps --trajectory {run/methods/pvt/trajectory} --machine {machine.
 planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.pmc}
 planish-export gcode --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.ngc}
 planish-export csv --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.csv}
+planish-toolpath raster --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --machine {lab.json} --out {lab-path}
+planish-schedule pvt --tool-path {run/tool_path} --dwell {run/dwell} --machine {lab.json} --out {lab-motion}
+planish-verify --trajectory {lab-motion} --machine {lab.json} --out {lab-verdict}
+planish-export pmac --trajectory {lab-motion} --machine {lab.json} --tool-output 1 --out {lab.pmc}
+planish-import program {lab.pmc} --controller pmac --about {lab.pmc.json} --out {from-lab}
 planish-import program {p.dmc} --controller galil --about {p.dmc.json} --out {from-galil}
 planish-import program {p.trj} --controller xps --about {p.trj.json} --out {from-xps}
 planish-import program {p.pmc} --controller pmac --about {p.pmc.json} --out {from-pmac}
@@ -142,6 +147,8 @@ planish-reconcile --before {run/surface} --after {after} --trajectory {run/metho
 planish-campaign measure --surface {run/surface} --process {process.json} --out {measured}
 planish-campaign decide --surface {run/surface} --trajectory {run/methods/pvt/trajectory} --tolerance {tolerance} --out {decision}
 planish-register fit {fiducials.csv} --out {where}
+planish-register fit {fiducials.csv} --machine {machine.json} --out {where-on-axes}
+planish-register place --machine {lab.json} --out {place}
 planish-register apply --transform {where} --trajectory {run/methods/pvt/trajectory} --out {on-machine}
 planish-import surface {run/surface/height_nm.npy} --unit nm --pitch-mm 0.5 --picture {a.svg} --out {from-npy}
 planish-import surface {run/surface} --flip-x --out {from-directory}
@@ -151,7 +158,8 @@ planish-surface psd --removal {run/methods/pvt/removal} --out {psd-removal}
 planish-sweep expand {sweep.yaml} --out {sweep}
 planish-compare sweep {table.json} --out {sweep-report}
 planish-compare diff --tolerance 1 {run/surface} {from-directory}
-planish-compare report {run} --measured {mirror/surface} --out {report}
+planish-compare report {run} --measured {mirror/surface} --out {run/report}
+planish-run program --run {run} --of pvt --controller galil
 """
 
 # Most of what users get wrong, and what breaks arithmetic.
@@ -218,6 +226,7 @@ def make_base(programs, base):
     (base / "recipe.json").write_text(json.dumps(RECIPE))
     fixtures = Path(__file__).resolve().parents[2] / "fixtures"
     shutil.copy(fixtures / "machines/ion-beam.json", base / "machine.json")
+    shutil.copy(fixtures / "machines/ion-beam-lab.json", base / "lab.json")
     shutil.copy(fixtures / "processes/ion-beam.json", base / "process.json")
     (base / "fiducials.csv").write_text(FIDUCIALS)
     (base / "sweep.yaml").write_text(SWEEP.format(base=base))

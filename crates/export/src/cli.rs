@@ -18,6 +18,7 @@ use planish_handoff::{
     flags::{MachineArgs, OutputFileArgs, TrajectoryArgs},
     pair, say, warn,
 };
+use planish_types::TransformNumbers;
 
 #[derive(Debug, Subcommand)]
 pub enum Method {
@@ -72,26 +73,28 @@ impl CommonArgs {
         let about = PathBuf::from(format!("{}.json", out.display()));
         let version = env!("CARGO_PKG_VERSION");
         let mut inputs = Inputs::new();
-        let machine = self.machine.read(&mut inputs)?;
-        let trajectory = self.trajectory.read(&mut inputs)?;
+        let on_axes = self.trajectory.read_on_axes(&self.machine, &mut inputs)?;
         let program_file = self.output.begin(&inputs)?;
         let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
         refuse_foreign_about(&about)?;
 
         let digest = inputs.digest("trajectory").unwrap_or_default();
+        let by = on_axes.made_by.as_ref().map_or(String::new(), |by| format!(" by {by}"));
         let origin = Origin {
             made_from: format!(
-                "trajectory {}, BLAKE3 {digest}",
+                "trajectory {}{by}, BLAKE3 {digest}",
                 self.trajectory.trajectory.display()
             ),
             made_by: format!("planish-export {version}"),
+            part_to_axes: on_axes.part_to_axes.as_ref().map(TransformNumbers::from),
+            was_on_axes: on_axes.was_there,
         };
         let common = Common {
             count_mm: self.count_mm,
             max_step_s: self.max_step_s,
             always_on: self.always_on,
         };
-        let made = program(&trajectory, &machine, controller, &common, &origin)
+        let made = program(&on_axes.motion, &on_axes.machine, controller, &common, &origin)
             .map_err(Failure::with_flags)?;
         for warning in &made.about.warnings {
             warn(warning);

@@ -6,7 +6,9 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, About, Job, Tool, decimal, header::Comment, limits::Between, tick};
+use crate::{
+    Abilities, About, Approach, Job, Tool, decimal, header::Comment, limits::Between, tick,
+};
 
 /// Decimals of all numbers.
 const DIGITS: usize = 9;
@@ -38,6 +40,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
         between: Between::Cubic,
         tool: Tool::Switched("column tool_on, from its row to the next, 0 in the last row".into()),
+        approach: Approach::Before("go to the first row, tool off: the table does not say how"),
     })?;
     let mut text = about.header(&COMMENT, "s, mm, mm/s");
     text += "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n";

@@ -21,7 +21,7 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, About, Job, Tool, header::Comment, limits::Between, positive};
+use crate::{Abilities, About, Approach, Job, Tool, header::Comment, limits::Between, positive};
 
 /// Limits of a segment.
 const MOST_DISTANCE: i64 = 44_000_000;
@@ -75,6 +75,10 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         tool: Tool::LeftToTheHost(
             "this program does not switch it: the host switches it on after BTAB, off when _BTA says that \
              the last segment has run, and off on every stop",
+        ),
+        approach: Approach::Before(
+            "go to the start with PA and BG, tool off: distances are relative, from elsewhere the whole run is displaced, \
+             and nothing notices",
         ),
     })?;
     about.sample_s = Some(sample_s);

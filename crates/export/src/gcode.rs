@@ -30,7 +30,9 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, About, Job, Tool, decimal, header::Comment, limits::Between, tick};
+use crate::{
+    Abilities, About, Approach, Job, Tool, decimal, header::Comment, limits::Between, tick,
+};
 
 /// Decimals of a position in mm and of a time in s.
 const DIGITS: usize = 9;
@@ -87,9 +89,14 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
         between: Between::Straight,
         tool: Tool::Switched(
-            "digital output 0, off before the rapid to the start and at the end: on an abort or a pause it \
-             stays as it is, HAL or ON_ABORT_COMMAND has to switch it off"
+            "digital output 0: M62 P0 on and M63 P0 off with the start of the next G1, M64 P0 on and M65 P0 off at \
+             once, off before the rapid to the start and at the end. On an abort or a pause it stays as it is, HAL \
+             or ON_ABORT_COMMAND has to switch it off"
                 .into(),
+        ),
+        approach: Approach::InProgram(
+            "the way from where the axes stand to the start is free: the program goes there by G0, straight, at the \
+             rapid feed of the controller, in the work coordinates that are active",
         ),
     })?;
     let (mode, unit) = match settings.feed {

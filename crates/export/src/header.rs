@@ -29,6 +29,7 @@ impl About {
             format!("{} segments, total time {} s", self.segments, decimal(self.total_time_s, 9)),
             format!("tool: {}", self.tool),
         ];
+        lines.extend(self.preamble.iter().cloned());
         if let (Some(segments), Some(s)) = (self.buffer_segments, self.buffer_lasts_s) {
             lines.push(format!(
                 "buffer: {segments} segments, which last {} s at least: the host adds lines faster",

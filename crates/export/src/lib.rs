@@ -2,7 +2,8 @@
 //!
 //! Every program goes the same way:
 //!
-//! 1. [`limits::check_plan`]: a motion that does not keep the limits of the machine is refused.
+//! 1. [`limits::check_plan`]: a motion that does not keep the limits of the machine is refused, and one that
+//!    leaves the travel of its axes.
 //! 2. [`table`]: the ends of the segments with their positions and velocities.
 //! 3. [`mod@quantise`]: positions to whole counts and times to whole ticks, both rounded from the start
 //!    of the motion, so that the remainder of one segment is carried into the next and nothing
@@ -27,11 +28,12 @@ pub mod gcode;
 mod header;
 pub mod limits;
 pub mod pmac;
+mod preamble;
 pub mod quantise;
 pub mod table;
 pub mod xps;
 
-use planish_types::{Invalid, Limits, Trajectory};
+use planish_types::{Invalid, Machine, Trajectory, TransformNumbers};
 use serde::Serialize;
 
 use crate::{
@@ -70,10 +72,14 @@ pub struct Common {
 }
 
 /// What the header says besides the numbers.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
     /// The trajectory: where it was, and its hash.
     pub made_from: String,
+    /// What took the motion from the part to the axes, where they read other coordinates.
+    pub part_to_axes: Option<TransformNumbers>,
+    /// Whether the motion was in the coordinates of the machine before the export.
+    pub was_on_axes: bool,
     /// Program that writes.
     pub made_by: String,
 }
@@ -98,6 +104,13 @@ pub struct About {
     pub made_from: String,
     /// Program that wrote it.
     pub made_by: String,
+    /// What took the motion from the part to the axes, where they read other coordinates: whoever reads the
+    /// program back goes the other way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part_to_axes: Option<TransformNumbers>,
+    /// Whether the motion was in the coordinates of the machine before the export.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub was_on_axes: bool,
     /// Where the axes (x, y) stand before the program, mm.
     pub start_mm: [f64; 2],
     /// Size of a count of (x, y), mm.
@@ -107,6 +120,8 @@ pub struct About {
     pub sample_s: Option<f64>,
     /// How the tool is switched, or who has to.
     pub tool: String,
+    /// What an operator is to know and to do before the program runs; at the head of it where it can have one.
+    pub preamble: Vec<String>,
     /// Unit of time of the velocities of a PMAC, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedrate_time_unit_s: Option<f64>,
@@ -134,10 +149,10 @@ pub struct About {
     pub program_blake3: String,
 }
 
-/// Writes the program of `trajectory` for `controller` on `machine`.
+/// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
 pub fn program(
     trajectory: &Trajectory,
-    machine: &Limits,
+    machine: &Machine,
     controller: &Controller,
     common: &Common,
     origin: &Origin,
@@ -164,7 +179,7 @@ pub fn program(
 /// What the modules of the controllers work on.
 struct Job<'a> {
     trajectory: &'a Trajectory,
-    machine: &'a Limits,
+    machine: &'a Machine,
     common: &'a Common,
     origin: &'a Origin,
 }
@@ -180,6 +195,15 @@ struct Abilities {
     velocity_mm_per_s: [f64; 2],
     between: Between,
     tool: Tool,
+    approach: Approach,
+}
+
+/// How the axes come to where the program begins.
+enum Approach {
+    /// The program goes there by itself: how.
+    InProgram(&'static str),
+    /// Whoever runs it goes there before: how, and what happens otherwise.
+    Before(&'static str),
 }
 
 /// Whether the program switches the tool, and how, or who has to.
@@ -227,7 +251,7 @@ impl Job<'_> {
             velocity_mm_per_s: can.velocity_mm_per_s,
         };
         let q = quantise(&table, &quanta, can.ticks)?;
-        let proof = limits::prove(&q, self.machine, can.between)?;
+        let proof = limits::prove(&q, self.machine.limits(), can.between)?;
         warnings
             .extend(proof.largest.iter().filter(|p| p.excess > 0.0).map(limits::Peak::sentence));
         let n = q.ticks.len() - 1;
@@ -236,10 +260,13 @@ impl Job<'_> {
             machine: self.machine.name().into(),
             made_from: self.origin.made_from.clone(),
             made_by: self.origin.made_by.clone(),
+            part_to_axes: self.origin.part_to_axes,
+            was_on_axes: self.origin.was_on_axes,
             start_mm: q.position_mm(0),
             count_mm: self.common.count_mm,
             sample_s: None,
             tool,
+            preamble: preamble::sentences(&q, self.machine, self.origin, &proof, &can.approach),
             feedrate_time_unit_s: None,
             tick_s: can.tick_s,
             segments: n,

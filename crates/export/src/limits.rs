@@ -32,7 +32,7 @@
 //! | c, t, dv | `Rounding` | mm, s, mm/s |
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
-use planish_types::{AxisLimits, Invalid, Limits, Trajectory};
+use planish_types::{AxisLimits, Invalid, Limits, Machine, Trajectory};
 use serde::Serialize;
 
 use crate::quantise::Quantised;
@@ -105,9 +105,11 @@ impl Peak {
     }
 }
 
-/// Refuses a plan that does not keep the limits of `machine`; names the worst place.
-pub fn check_plan(trajectory: &Trajectory, machine: &Limits) -> Result<(), Invalid> {
+/// Refuses a plan that does not keep the limits of `machine` or leaves its travel; names the worst place.
+pub fn check_plan(trajectory: &Trajectory, machine: &Machine) -> Result<(), Invalid> {
     check_magnitudes(trajectory)?;
+    check_travel(trajectory, machine)?;
+    let machine = machine.limits();
     let mut worst = Worst::default();
     for (i, segment) in trajectory.segments().enumerate() {
         // The duration is the difference of two rounded times.
@@ -132,6 +134,29 @@ pub fn check_plan(trajectory: &Trajectory, machine: &Limits) -> Result<(), Inval
         worst.steps(trajectory.len(), end, [end[0], 0.0, 0.0], limits);
     }
     worst.verdict(machine.name())
+}
+
+/// Refuses a motion that goes where the axes cannot; what the controller's rounding adds is less than a count.
+fn check_travel(trajectory: &Trajectory, machine: &Machine) -> Result<(), Invalid> {
+    for (axis, travel) in machine.travel_mm().iter().enumerate() {
+        let Some([low, high]) = *travel else { continue };
+        let reached = trajectory.segments().enumerate().map(|(i, segment)| {
+            let r = range(&segment.coefficient_mm[axis], segment.duration_s);
+            let (below, above) = (low - r.min, r.max - high);
+            if below > above { (i, below, r.min) } else { (i, above, r.max) }
+        });
+        let farthest = reached.max_by(|a, b| a.1.total_cmp(&b.1));
+        if let Some((i, beyond, position)) = farthest.filter(|f| exceeds(f.1, STEP_MM)) {
+            let name = machine.limits().axes()[axis].name();
+            let problem = format!(
+                "{name} reaches {position:.4} mm, {beyond:.4} mm beyond its travel from {low} to {high} mm"
+            );
+            let remedy =
+                "move the part (part_origin_mm of the machine), or plan with a smaller overscan";
+            return Err(Invalid::at("segment", i, problem, remedy));
+        }
+    }
+    Ok(())
 }
 
 /// Proves the limits of `machine` for the rounded motion.

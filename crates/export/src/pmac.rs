@@ -13,8 +13,12 @@
 //! the controller has to switch it off when no motion program runs. Without `tool_output` the host
 //! switches, and a motion that lifts the tool is refused.
 //!
+//! The start: positions are absolute, so from elsewhere the first segment would be a leap. A program that switches the
+//! tool goes to the start by itself (`RAPID`, each axis at its own speed, then `DWELL0`, so that the first segment
+//! begins from rest); without `tool_output` the host, which has to know when the motion begins, goes there before.
+//!
 //! Source: Turbo PMAC software reference, program commands PVT{data}, {axis}{data}:{data},
-//! M{data}=={expression}, M{data}={expression}, DWELL; Turbo PMAC user manual, Synchronous M-Variable
+//! M{data}=={expression}, M{data}={expression}, RAPID, DWELL; Turbo PMAC user manual, Synchronous M-Variable
 //! Assignment (with its note on the last move). Neither states a length of a line; 80 characters are those
 //! of a terminal.
 
@@ -22,7 +26,8 @@ use planish_types::Invalid;
 use serde::Serialize;
 
 use crate::{
-    Abilities, About, Job, Tool, decimal, header::Comment, limits::Between, positive, tick,
+    Abilities, About, Approach, Job, Tool, decimal, header::Comment, limits::Between, positive,
+    tick,
 };
 
 /// Longest segment, s.
@@ -81,13 +86,22 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
     }
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(
-            "this program does not switch it (--tool-output names an M-variable that does): the host \
+            "this program does not switch it, --tool-output names an M-variable that does: the host \
              switches it on and off, and off on every stop",
         ),
         Some(m) => Tool::Switched(format!(
-            "M{m} is 1 where it is on, 0 at the start and at the end: on an abort it stays as it is, a PLC \
-             program has to switch it off when no program runs"
+            "M{m}==1 switches it on and M{m}==0 off with the start of the next move, off on the way to the start and \
+             at the end. On an abort it stays as it is, a PLC program has to switch it off when no program runs"
         )),
+    };
+    let approach = match settings.tool_output {
+        Some(_) => Approach::InProgram(
+            "the way from where the axes stand to the start is free: the program goes there by RAPID, each axis at \
+             its own speed, not in a straight line",
+        ),
+        None => Approach::Before(
+            "go to the start, tool off: positions are absolute, from elsewhere the first segment is a leap",
+        ),
     };
     let (q, mut about) = job.quantised(Abilities {
         controller: "pmac",
@@ -96,6 +110,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
         between: Between::Cubic,
         tool,
+        approach,
     })?;
     about.feedrate_time_unit_s = Some(unit_s);
     let units = format!("mm, mm per {unit_s} s with Isx90 = {}, ms", decimal(unit_s * 1e3, 6));
@@ -108,6 +123,10 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
     };
     text += &switch(false, "=");
     text += "ABS\n";
+    if settings.tool_output.is_some() {
+        let [x, y] = about.start_mm.map(|v| decimal(v, DIGITS));
+        text += &format!("RAPID\nX{x} Y{y}\nDWELL0\n");
+    }
     let mut on = false;
     for k in 0..about.segments {
         if q.tool_on[k] != on {

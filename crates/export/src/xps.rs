@@ -16,7 +16,7 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, About, Job, Tool, decimal, limits::Between, tick};
+use crate::{Abilities, About, Approach, Job, Tool, decimal, limits::Between, tick};
 
 /// Decimals of a distance in mm, a velocity in mm/s and a time in s.
 const DIGITS: usize = 9;
@@ -48,6 +48,11 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         tool: Tool::LeftToTheHost(
             "the file cannot switch it: the host switches it, or events of the controller (start and end \
              of the trajectory) that the host configures",
+        ),
+        approach: Approach::Before(
+            "go to the start with GroupMoveAbsolute, tool off, then MultipleAxesPVTVerification, then \
+             MultipleAxesPVTExecution once: distances are relative, from elsewhere the whole run is displaced, and \
+             nothing notices",
         ),
     })?;
     let n = about.segments;

@@ -117,7 +117,12 @@ fn the_tool_is_off_before_and_after_the_program() {
         "{text}"
     );
     let (text, _) = bench.done("pmac", "t", &["--tool-output", "7"]);
-    assert!(text.contains("\nM7=0\nABS\nM7==1\nPVT100\nX2:0 Y-2:0\nM7==0\nPVT3000\n"), "{text}");
+    assert!(
+        text.contains(
+            "\nM7=0\nABS\nRAPID\nX1 Y-2\nDWELL0\nM7==1\nPVT100\nX2:0 Y-2:0\nM7==0\nPVT3000\n"
+        ),
+        "{text}"
+    );
     assert!(text.ends_with("M7==0\nDWELL0\n"), "{text}");
     let (text, _) = bench.done("csv", "t", &[]);
     assert!(text.ends_with("\n3.1,2,0,-2,0,0\n"), "{text}");

@@ -11,10 +11,16 @@ fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
         max_velocity_mm_per_s: v,
         max_acceleration_mm_per_s2: a,
         max_jerk_mm_per_s3: j,
+        ..MachineFileAxis::default()
     };
-    MachineFile { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
-        .checked()
-        .unwrap()
+    MachineFile {
+        name: "bench".into(),
+        axes: vec![axis("x"), axis("y")],
+        min_segment_s: 0.0,
+        ..MachineFile::default()
+    }
+    .checked()
+    .unwrap()
 }
 
 /// From rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
@@ -40,8 +46,9 @@ fn export(
     count: f64,
 ) -> Result<About, String> {
     let common = Common { count_mm: [count; 2], max_step_s: None, always_on: false };
-    let origin = Origin { made_from: "a test".into(), made_by: "hand".into() };
-    let made = program(plan, machine, controller, &common, &origin).map_err(|e| e.to_string())?;
+    let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
+    let made = program(plan, &machine.clone().into(), controller, &common, &origin)
+        .map_err(|e| e.to_string())?;
     assert_eq!(made.about.program_blake3, blake3::hash(made.text.as_bytes()).to_hex().as_str());
     Ok(made.about)
 }

@@ -11,10 +11,16 @@ fn machine(min_segment_s: f64) -> Limits {
         max_velocity_mm_per_s: 100.0,
         max_acceleration_mm_per_s2: 1000.0,
         max_jerk_mm_per_s3: None,
+        ..MachineFileAxis::default()
     };
-    MachineFile { name: "bench (1)".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
-        .checked()
-        .unwrap()
+    MachineFile {
+        name: "bench (1)".into(),
+        axes: vec![axis("x"), axis("y")],
+        min_segment_s,
+        ..MachineFile::default()
+    }
+    .checked()
+    .unwrap()
 }
 
 /// From rest at (1, -2) by 1.00004 mm along x to rest in 0.1 s, then 3 s of standing.
@@ -34,8 +40,8 @@ fn write(
     controller: &Controller,
     common: &Common,
 ) -> Result<String, String> {
-    let origin = Origin { made_from: "a test".into(), made_by: "hand".into() };
-    program(trajectory, &machine(0.0), controller, common, &origin)
+    let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
+    program(trajectory, &machine(0.0).into(), controller, common, &origin)
         .map(|p| p.text)
         .map_err(|e| e.to_string())
 }
@@ -61,7 +67,7 @@ fn the_text_of_every_controller() {
     let expected = "ABS\nPVT100\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0";
     assert_eq!(body(Controller::Pmac(pmac::Settings::default())), expected);
     let switched = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
-    let expected = "M7=0\nABS\nM7==1\nPVT100\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0\nM7==0\nDWELL0";
+    let expected = "M7=0\nABS\nRAPID\nX1 Y-2\nDWELL0\nM7==1\nPVT100\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0\nM7==0\nDWELL0";
     assert_eq!(body(Controller::Pmac(switched)), expected);
     let expected = "M65 P0\nG21 G90 G17 G40 G49 G94\nG64 P0.001 Q0\nG0 X1 Y-2\nG93\nM62 P0\n\
                     G1 X2 Y-2 F600\nG4 P3\nM65 P0\nG94 F60\nM2";
@@ -140,8 +146,9 @@ fn what_a_controller_cannot_do_is_refused() {
     assert!(refused(&over, &gcode, &common()).contains("x velocity reaches 150.000000 mm/s"));
     let zero = Common { count_mm: [0.0; 2], ..common() };
     assert!(refused(&motion([true; 2]), &gcode, &zero).contains("count_mm: is 0"));
-    let origin = Origin { made_from: "a test".into(), made_by: "hand".into() };
-    let slow = program(&motion([true; 2]), &machine(0.2), &gcode, &common(), &origin).unwrap_err();
+    let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
+    let slow =
+        program(&motion([true; 2]), &machine(0.2).into(), &gcode, &common(), &origin).unwrap_err();
     let slow = slow.to_string();
     assert!(slow.contains("segment[0]: lasts") && slow.contains("wants 0.2 s"), "{slow}");
 }

@@ -50,7 +50,7 @@ fn pmac(text: &str) -> Events {
                 assert!(events.is_empty(), "would happen one or two moves early");
                 on = false;
             }
-            "ABS" => {}
+            "ABS" | "RAPID" => {}
             _ if line.starts_with("PVT") => {}
             _ => {
                 on = queued.take().unwrap_or(on);
@@ -75,10 +75,16 @@ fn limits() -> Limits {
         max_velocity_mm_per_s: 100.0,
         max_acceleration_mm_per_s2: 1000.0,
         max_jerk_mm_per_s3: None,
+        ..MachineFileAxis::default()
     };
-    MachineFile { name: "bench".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
-        .checked()
-        .unwrap()
+    MachineFile {
+        name: "bench".into(),
+        axes: vec![axis("x"), axis("y")],
+        min_segment_s: 0.0,
+        ..MachineFile::default()
+    }
+    .checked()
+    .unwrap()
 }
 
 /// Moves from rest to rest (true) and stands (false).
@@ -98,8 +104,8 @@ fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
 
 fn text(plan: &Trajectory, controller: Controller) -> String {
     let common = Common { count_mm: [1e-4; 2], max_step_s: None, always_on: false };
-    let origin = Origin { made_from: "a test".into(), made_by: "hand".into() };
-    program(plan, &limits(), &controller, &common, &origin).unwrap().text
+    let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
+    program(plan, &limits().into(), &controller, &common, &origin).unwrap().text
 }
 
 fn states(events: &[(String, bool)]) -> Vec<bool> {
@@ -128,8 +134,10 @@ fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
         }
         let settings = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
         let events = pmac(&text(&plan, Controller::Pmac(settings)));
-        assert_eq!(states(&events[..n]), on, "{name}");
-        assert_eq!(events[n..], [("dwell".into(), false), ("end".into(), false)], "{name}");
+        // Off on the way to the start, and while the axes come to rest there.
+        assert_eq!(events[..2], [("move".into(), false), ("dwell".into(), false)], "{name}");
+        assert_eq!(states(&events[2..n + 2]), on, "{name}");
+        assert_eq!(events[n + 2..], [("dwell".into(), false), ("end".into(), false)], "{name}");
         let events = table(&text(&plan, Controller::Csv(csv::Settings::default())));
         assert_eq!(states(&events[..n]), on, "{name}");
         assert_eq!(events[n..], [("row".into(), false)], "{name}");

@@ -646,9 +646,12 @@ mod tests {
             max_velocity_mm_per_s: factor * velocity,
             max_acceleration_mm_per_s2: factor * acceleration,
             max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
         };
         let axes = vec![axis("x", 1.0), axis("y", 0.6)];
-        MachineFile { name: "test".into(), axes, min_segment_s: 0.0 }.checked().unwrap()
+        MachineFile { name: "test".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
+            .checked()
+            .unwrap()
     }
 
     fn sparse(rows: &[Vec<(usize, f64)>], columns: usize) -> CscMatrix<f64> {

@@ -216,9 +216,12 @@ mod tests {
             max_velocity_mm_per_s: 40.0,
             max_acceleration_mm_per_s2: acceleration,
             max_jerk_mm_per_s3: jerk,
+            ..MachineFileAxis::default()
         };
         let axes = vec![axis("x", 800.0), axis("y", 400.0)];
-        MachineFile { name: "test".into(), axes, min_segment_s: 0.0 }.checked().unwrap()
+        MachineFile { name: "test".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
+            .checked()
+            .unwrap()
     }
 
     /// Up and down with all of the acceleration, there with the tool on and back with it off.

@@ -325,9 +325,12 @@ mod tests {
             max_velocity_mm_per_s: 80.0,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
         };
         let axes = vec![axis("x", 900.0), axis("y", 500.0)];
-        MachineFile { name: "test".into(), axes, min_segment_s: 0.0 }.checked().unwrap()
+        MachineFile { name: "test".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
+            .checked()
+            .unwrap()
     }
 
     /// Right angles, an acute and an obtuse corner, a rest where the path turns back.

@@ -14,9 +14,12 @@ fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>) -> Limits {
         max_velocity_mm_per_s: factor * velocity,
         max_acceleration_mm_per_s2: factor * acceleration,
         max_jerk_mm_per_s3: jerk,
+        ..MachineFileAxis::default()
     };
     let axes = vec![axis("x", 1.0), axis("y", 0.6)];
-    MachineFile { name: "test".into(), axes, min_segment_s: 0.0 }.checked().unwrap()
+    MachineFile { name: "test".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
+        .checked()
+        .unwrap()
 }
 
 fn tif() -> Tif {

@@ -1,8 +1,8 @@
 //! The command line of every binary: its flags, and what else can be asked of them.
 //!
 //! `PROGRAM --completions SHELL` prints a completion script, `PROGRAM --man` a manual page in roff.
-//! Both are made from the same definition as `--help`, so they cannot drift from it. Every program also
-//! has `--memory-gib`, the memory that it may take ([`planish_types::budget`]).
+//! `--describe` prints the flags as JSON. All are made from the same definition as `--help`, so they cannot drift from
+//! it. Every program also has `--memory-gib`, the memory that it may take ([`planish_types::budget`]).
 
 use std::{ffi::OsString, io::Write, process::exit};
 
@@ -10,16 +10,16 @@ use clap::{Arg, CommandFactory, Parser, ValueEnum, error::ErrorKind, value_parse
 use clap_complete::Shell;
 use planish_types::budget;
 
-use crate::words;
+use crate::{describe, words};
 
 /// Id and name of the flag that every program has.
 const MEMORY: &str = "memory-gib";
 
 /// What stands at the end of every help page.
 const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a completion script, \
-                    --man a manual page.";
+                    --man a manual page, --describe the flags as JSON.";
 
-/// The parsed command line; prints and ends the program for `--completions`, `--man`, `--help` and
+/// The parsed command line; prints and ends the program for `--completions`, `--man`, `--describe`, `--help` and
 /// wrong usage.
 pub fn parse<C: Parser>() -> C {
     let arguments: Vec<OsString> = std::env::args_os().collect();
@@ -125,6 +125,7 @@ fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>
             Some(Ok(bytes))
         }
         "--man" => Some(man_page(command::<C>())),
+        "--describe" => Some(Ok(format!("{:#}\n", describe::program(command::<C>())).into_bytes())),
         _ => None,
     }
 }

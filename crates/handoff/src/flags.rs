@@ -8,9 +8,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use planish_types::{DwellTime, Limits, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{DwellTime, Limits, Machine, Surface, Tif, ToolPath, Trajectory, Transform};
 
-use crate::{Artifact, HandoffError, Inputs, Manifest, OutputFile};
+use crate::{Artifact, HandoffError, Inputs, Manifest, OutputFile, kind::MACHINE_FRAME};
 
 /// The mirror: what is to be removed, and the tool that removes it.
 #[derive(Clone, Debug, Args)]
@@ -123,6 +123,28 @@ impl TrajectoryArgs {
         Ok((trajectory, manifest))
     }
 
+    /// Reads a motion and a machine, and takes the motion to the axes; one that was taken to a machine already, by
+    /// planish-register, stays as it is.
+    pub fn read_on_axes(
+        &self,
+        machine: &MachineArgs,
+        inputs: &mut Inputs,
+    ) -> Result<OnAxes, HandoffError> {
+        let (motion, manifest): (Trajectory, _) =
+            inputs.read_with_manifest("trajectory", &self.trajectory)?;
+        let machine = inputs.read_machine(&machine.machine)?;
+        let was_there = manifest.as_ref().is_some_and(|m| m.frame == MACHINE_FRAME);
+        let made_by = manifest.map(|m| format!("{} {}", m.tool, m.method));
+        let part_to_axes = machine.part_to_axes().filter(|_| !was_there).cloned();
+        let motion = match &part_to_axes {
+            Some(transform) => transform
+                .trajectory(&motion)
+                .map_err(|e| HandoffError::new(&self.trajectory, e.to_string()))?,
+            None => motion,
+        };
+        Ok(OnAxes { motion, made_by, machine, was_there, part_to_axes })
+    }
+
     fn read_mirror(
         trajectory: Trajectory,
         manifest: Option<&Manifest>,
@@ -138,6 +160,21 @@ impl TrajectoryArgs {
     }
 }
 
+/// A motion in what the axes of a machine read.
+#[derive(Clone, Debug)]
+pub struct OnAxes {
+    /// The motion.
+    pub motion: Trajectory,
+    /// Program and method that made it, where its manifest says so.
+    pub made_by: Option<String>,
+    /// The machine.
+    pub machine: Machine,
+    /// Whether it came in the coordinates of the machine.
+    pub was_there: bool,
+    /// What took it there, where the machine file says that the two differ.
+    pub part_to_axes: Option<Transform>,
+}
+
 /// The machine.
 #[derive(Clone, Debug, Args)]
 pub struct MachineArgs {
@@ -147,9 +184,9 @@ pub struct MachineArgs {
 }
 
 impl MachineArgs {
-    /// Reads it.
+    /// Reads the limits along x and y of the part, which a plan keeps.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
-        inputs.read_machine(&self.machine)
+        Ok(inputs.read_machine(&self.machine)?.limits_on_part())
     }
 }
 

@@ -62,6 +62,7 @@ pub fn formats_markdown() -> String {
     for (key, unit, doc) in MACHINE_KEYS {
         page += &format!("| `{key}` | {unit} | {doc} |\n");
     }
+    page += MACHINE_COORDINATES;
     page += PROCESS_FILE;
     for (key, unit, doc) in PROCESS_KEYS {
         page += &format!("| `{key}` | {unit} | {doc} |\n");
@@ -70,7 +71,7 @@ pub fn formats_markdown() -> String {
 }
 
 /// Keys of a machine file, with their units; those of an axis stand under `axes`.
-const MACHINE_KEYS: [(&str, &str, &str); 7] = [
+const MACHINE_KEYS: [(&str, &str, &str); 11] = [
     ("name", "-", "Name of the machine."),
     ("axes", "-", "Exactly two objects with the keys below, x first, then y."),
     ("axes[].name", "-", "`x` or `y`."),
@@ -82,9 +83,30 @@ const MACHINE_KEYS: [(&str, &str, &str); 7] = [
         "Largest jerk; > 0; left out where the machine does not limit it.",
     ),
     (
+        "axes[].travel_mm",
+        "mm",
+        "Smallest and largest position that the axis reads; left out where nobody limits it.",
+    ),
+    (
+        "axes[].along",
+        "-",
+        "`+x`, `-x`, `+y` or `-y`: where the tool goes over the turned part when the axis counts up. Left out: the \
+         axis x along `+x`, y along `+y`.",
+    ),
+    (
         "min_segment_s",
         "s",
         "Shortest segment that the controller accepts; 0 when left out: any length.",
+    ),
+    (
+        "part_rotation_deg",
+        "degrees",
+        "Angle by which the part is turned from x towards y; 0 when left out.",
+    ),
+    (
+        "part_origin_mm",
+        "mm",
+        "What the axes [x, y] read where the tool is over the origin of the part; [0, 0] when left out.",
     ),
 ];
 
@@ -96,6 +118,16 @@ the magnitude on its own axis. A key that is not in the table is refused.
 
 | key | unit | what |
 |---|---|---|
+";
+
+const MACHINE_COORDINATES: &str = "
+Where `part_rotation_deg`, `part_origin_mm` and `along` are left out, the axes read the coordinates of the part.
+Otherwise the axis i reads q_i = s_i (R p)_j(i) + o_i over the point p of the part: R turns by `part_rotation_deg`, s
+and j are the sign and the direction of `along`, o is `part_origin_mm`. Plans stay in the coordinates of the part,
+within the largest box of limits there that the axes can follow in every direction; `planish-verify` judges, and
+`planish-export` writes, what the axes do. Where fiducials say how the part lies ([from run to run](campaign.md)),
+`planish-register apply` takes the motion to the axes, and these keys are not applied again. An axis that carries the
+part moves the tool the other way: give the opposite sign.
 ";
 
 /// Keys of a process file, with their units.

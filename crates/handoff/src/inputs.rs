@@ -8,7 +8,7 @@ use std::{
 };
 
 use ndarray::{Array2, Ix2};
-use planish_types::{Limits, MachineFile};
+use planish_types::{Machine, MachineFile};
 
 use crate::{
     HandoffError,
@@ -129,9 +129,9 @@ impl Inputs {
     }
 
     /// Reads the machine file given by `--machine`.
-    pub fn read_machine(&mut self, path: &Path) -> Result<Limits, HandoffError> {
+    pub fn read_machine(&mut self, path: &Path) -> Result<Machine, HandoffError> {
         let file: MachineFile = self.read_json("machine", path)?;
-        file.checked().map_err(|e| HandoffError::new(path, e.to_string()))
+        Machine::new(file).map_err(|e| HandoffError::new(path, e.to_string()))
     }
 
     /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.

@@ -100,6 +100,8 @@ const MAP_FRAME: &str =
     "part coordinates; arrays are [y, x]; row 0 is the smallest y; x and y ascend uniformly";
 const TIF_FRAME: &str =
     "offset from the tool centre (pixel - tool); arrays are [y, x]; row 0 is the smallest y";
+/// Frame of a path or a motion that was taken to a machine, which its manifest states: what the axes read.
+pub const MACHINE_FRAME: &str = "machine coordinates; the last axis is [x, y]";
 const PATH_FRAME: &str = "part coordinates; the last axis is [x, y]";
 
 const fn array(
@@ -341,7 +343,7 @@ pub const TRANSFORM: Kind = Kind {
             &["2", "2"],
             &["x|y of q", "x|y of p"],
             "1",
-            "Rotation, with a scale, or any matrix that does not mirror.",
+            "Rotation, with a scale, or any matrix; mirrored where the axes of the machine are.",
         ),
         array(
             "centre_mm",

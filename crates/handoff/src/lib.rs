@@ -7,6 +7,7 @@
 //! * [`artifact`]: a directory of arrays with its manifest: read, checked, hashed, written whole
 //!   or not at all.
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
+//! * `describe`: the same as data, for functions of other languages.
 //! * [`flags`]: groups of flags that several programs have.
 //! * [`Inputs`]: what a command reads, with its hashes.
 //! * [`Output`], [`OutputFile`]: what it writes; skipped where it is there already.
@@ -60,6 +61,7 @@
 mod allocator;
 pub mod artifact;
 pub mod command_line;
+mod describe;
 pub mod flags;
 pub mod formats;
 mod inputs;

@@ -20,7 +20,7 @@ pub mod gcode;
 pub mod pmac;
 pub mod xps;
 
-use planish_types::{Invalid, Trajectory};
+use planish_types::{Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
 
 /// Whose program it is.
@@ -51,6 +51,12 @@ pub struct Configuration {
     pub sample_s: Option<f64>,
     /// Unit of time of a PMAC's velocities, s.
     pub feedrate_time_unit_s: Option<f64>,
+    /// What took the motion from the part to the axes: the motion that is read goes the other way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part_to_axes: Option<TransformNumbers>,
+    /// Whether the motion was in the coordinates of the machine, and is so when it is read.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub was_on_axes: bool,
     /// BLAKE3 of the program that this belongs to; not known of one that was written by hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub program_blake3: Option<String>,
@@ -64,12 +70,15 @@ impl Configuration {
             count_mm: self.count_mm.or(about.count_mm),
             sample_s: self.sample_s.or(about.sample_s),
             feedrate_time_unit_s: self.feedrate_time_unit_s.or(about.feedrate_time_unit_s),
+            part_to_axes: self.part_to_axes.or(about.part_to_axes),
+            was_on_axes: self.was_on_axes || about.was_on_axes,
             program_blake3: self.program_blake3.or(about.program_blake3),
         }
     }
 }
 
-/// Reads a program of `controller` into the motion that it makes.
+/// Reads a program of `controller` into the motion that it makes, in the coordinates of the part where the
+/// configuration says how the part lies on the axes.
 pub fn read(
     controller: Controller,
     bytes: &[u8],
@@ -77,12 +86,16 @@ pub fn read(
 ) -> Result<Trajectory, Invalid> {
     belongs(bytes, configuration)?;
     let text = crate::text::text("program", bytes)?;
-    match controller {
+    let of_axes = match controller {
         Controller::Galil => galil::read(text, configuration),
         Controller::Xps => xps::read(text, configuration),
         Controller::Pmac => pmac::read(text, configuration),
         Controller::Gcode => gcode::read(text),
         Controller::Csv => csv::read(text),
+    }?;
+    match &configuration.part_to_axes {
+        Some(numbers) => numbers.checked()?.inverse()?.trajectory(&of_axes),
+        None => Ok(of_axes),
     }
 }
 
@@ -185,7 +198,7 @@ mod tests {
             count_mm: Some([0.001, 0.001]),
             sample_s: Some(0.001),
             feedrate_time_unit_s: Some(1.0),
-            program_blake3: None,
+            ..Configuration::default()
         }
     }
 
@@ -227,6 +240,10 @@ mod tests {
         is_the_move(&read(Controller::Pmac, pmac), false);
         let relative = "INC\nPVT100\nX1:0\nPVT200\nX0 Y0\n";
         is_the_move(&read(Controller::Pmac, relative), false);
+        // By itself to the start, wherever the axes stand.
+        let there = "ABS\nRAPID\nX1 Y-2\nDWELL0\nPVT100\nX2:0 Y-2:0\nPVT200\nX2:0 Y-2:0\n";
+        let elsewhere = Configuration { start_mm: None, ..configuration() };
+        is_the_move(&super::read(Controller::Pmac, there.as_bytes(), &elsewhere).unwrap(), false);
         let inverse =
             "%\n(a comment) G21 G90\nG0 X1 Y-2\nG93\nG1 X2 F600 ; on\nG4 P0.2\nG94 F60\nM2\n";
         is_the_move(&read(Controller::Gcode, inverse), true);
@@ -268,6 +285,13 @@ mod tests {
             (Xps, "", "moves nothing"),
             (Pmac, "X1:0\n", "before PVT"),
             (Pmac, "PVT0\nX1:0\n", "line[1]: lasts 0 ms"),
+            (Pmac, "PVT10\nX1:0\nRAPID\nX1 Y1\n", "line[3]: goes elsewhere by RAPID"),
+            (Pmac, "RAPID\nX1\nPVT10\nX1:0\n", "line[2]: goes to the start without both axes"),
+            (
+                Pmac,
+                "INC\nRAPID\nX1 Y1\nPVT10\nX1:0\n",
+                "line[3]: goes to the start without both axes",
+            ),
             (Pmac, "PVT10\nZ1:0\n", "line[2]: has \"Z"),
             (Gcode, "G93\nG1 X1\n", "line[2]: has no F"),
             (Gcode, "G93\nG0 X0 Y0\nG1 X0 F60\n", "no length"),

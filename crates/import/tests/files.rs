@@ -401,7 +401,7 @@ fn damaged_programs_are_read_or_refused() {
         count_mm: Some([1e-3; 2]),
         sample_s: Some(1e-3),
         feedrate_time_unit_s: Some(1.0),
-        program_blake3: None,
+        ..Configuration::default()
     };
     let seeds = [
         (

@@ -363,6 +363,28 @@ fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     ]
 }
 
+/// Fits `model` to fiducials on axes that mirror the part: x of the machine is turned over, before and after.
+///
+/// Refuses what [`fit`] refuses, and correspondences that do not mirror.
+pub fn fit_mirrored(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
+    let over =
+        |f: &Fiducial| Fiducial { machine_mm: [-f.machine_mm[0], f.machine_mm[1]], ..f.clone() };
+    let over: Vec<Fiducial> = fiducials.iter().map(over).collect();
+    let Registration { transform: t, mut report } = fit(&over, model)?;
+    // q_x = -(image_x + M_xx d_x + M_xy d_y): the parameters 0, 2 and 3 change their signs.
+    let sign = |i: usize| if [0, 2, 3].contains(&i) { -1.0 } else { 1.0 };
+    let [[a, b], row] = *t.matrix();
+    let [x, y] = t.image_mm();
+    let six =
+        std::array::from_fn(|i| std::array::from_fn(|j| sign(i) * sign(j) * t.covariance()[i][j]));
+    let transform = Transform::new([[-a, -b], row], t.centre_mm(), [-x, y], six)?;
+    for each in &mut report.residuals {
+        each.residual_mm[0] = -each.residual_mm[0];
+    }
+    report.angle_deg = angle(&transform);
+    Ok(Registration { transform, report })
+}
+
 /// Refuses correspondences that mirror the part; what cannot be told is a warning.
 fn refuse_mirrored(
     centred: &Centred,
@@ -371,7 +393,8 @@ fn refuse_mirrored(
     across: f64,
 ) -> Result<Vec<String>, Invalid> {
     let rms = |left: f64| (left / centred.sum_w).sqrt();
-    let remedy = "turn x or y of the map or of the machine over, or check which fiducial is which";
+    let remedy = "give the `machine` whose axes mirror, or else those that do not; turn the map over, or check which \
+                  fiducial is which";
     let [[a, b], [c, d]] = *matrix;
     if model == Model::Affine {
         let determinant = a * d - b * c;
@@ -495,11 +518,12 @@ fn report(
 
 /// The angle of a transform with its standard error, degree.
 pub fn angle(transform: &Transform) -> Estimate {
-    // theta = atan2(c - b, a + d), with M = (a, b; c, d)
+    // theta = atan2(c - m b, a + m d), with M = (a, b; c, d) and m = -1 where M mirrors
+    let m = if transform.mirrors() { -1.0 } else { 1.0 };
     let [[a, b], [c, d]] = *transform.matrix();
-    let (s, t) = (c - b, a + d);
+    let (s, t) = (c - m * b, a + m * d);
     let r = s * s + t * t;
-    let gradient = [0.0, 0.0, -s / r, -t / r, t / r, -s / r];
+    let gradient = [0.0, 0.0, -s / r, -m * t / r, t / r, -m * s / r];
     Estimate {
         value: transform.angle_rad().to_degrees(),
         standard_error: transform.variance(&gradient).sqrt().to_degrees(),

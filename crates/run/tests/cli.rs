@@ -312,3 +312,34 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     );
     refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
 }
+
+#[test]
+fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
+    let dir = tempfile::tempdir().unwrap();
+    let said = |of: &str| {
+        let flags = ["program", "--run", "run", "--of", of, "--controller", "galil"];
+        let ended = Command::new(PROGRAM).current_dir(dir.path()).args(flags).output().unwrap();
+        let text = [&ended.stdout[..], &ended.stderr[..]].concat();
+        (ended.status.code(), String::from_utf8(text).unwrap())
+    };
+    let (code, text) = said("pvt");
+    assert!(code == Some(2) && text.contains("run the report first"), "{text}");
+    fs::create_dir_all(dir.path().join("run/report")).unwrap();
+    let summary = |method: serde_json::Value| {
+        let summary =
+            json!({"answer": {"method": method, "why": "It is the least."}, "best": method});
+        fs::write(dir.path().join("run/report/summary.json"), summary.to_string()).unwrap();
+    };
+    for best in ["pvt", "pvt+galil"] {
+        summary(json!(best));
+        let (code, text) = said("pvt");
+        let expected = "the one that the report recommends: It is the least.";
+        assert!(code == Some(0) && text.contains(expected), "{text}");
+        assert!(text.contains("run/program.galil is of the plan pvt; pvt+galil is that"), "{text}");
+    }
+    summary(json!("feed"));
+    let (code, text) = said("pvt");
+    assert!(code == Some(0) && text.contains("give program_of=feed"), "{text}");
+    summary(json!(null));
+    assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
+}

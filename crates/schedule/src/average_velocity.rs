@@ -103,9 +103,13 @@ mod tests {
             max_velocity_mm_per_s: 10.0,
             max_acceleration_mm_per_s2: 1.0,
             max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
         };
         let axes = vec![axis("x"), axis("y")];
-        let limits = MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }.checked().unwrap();
+        let limits =
+            MachineFile { name: "m".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
+                .checked()
+                .unwrap();
         let s = schedule(&path, &dwell, &limits).unwrap();
         // 3 mm at 10 mm/s need 0.3 s.
         assert_eq!(s.trajectory.break_time_s(), [0.0, 0.5, 0.75, 1.05]);

@@ -165,10 +165,16 @@ mod tests {
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: j,
+            ..MachineFileAxis::default()
         };
-        MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
-            .checked()
-            .unwrap()
+        MachineFile {
+            name: "m".into(),
+            axes: vec![axis("x"), axis("y")],
+            min_segment_s,
+            ..MachineFile::default()
+        }
+        .checked()
+        .unwrap()
     }
 
     /// From rest to rest by 1 mm in 1 s: v(1/2) = 1.5, |a| <= 6, j = -12.

@@ -336,11 +336,13 @@ mod tests {
             max_velocity_mm_per_s: 100.0,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
+            ..planish_types::MachineFileAxis::default()
         };
         let limits = planish_types::MachineFile {
             name: "m".into(),
             axes: vec![axis("x", 20.0), axis("y", 15.0)],
             min_segment_s: 0.0,
+            ..planish_types::MachineFile::default()
         }
         .checked()
         .unwrap();

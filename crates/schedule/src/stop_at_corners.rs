@@ -297,10 +297,16 @@ mod tests {
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: a,
             max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
         };
-        MachineFile { name: "m".into(), axes: vec![axis("x"), axis("y")], min_segment_s: 0.0 }
-            .checked()
-            .unwrap()
+        MachineFile {
+            name: "m".into(),
+            axes: vec![axis("x"), axis("y")],
+            min_segment_s: 0.0,
+            ..MachineFile::default()
+        }
+        .checked()
+        .unwrap()
     }
 
     fn motion(points: &[[f64; 2]], dwell_s: &[f64], limits: &Limits) -> Schedule {

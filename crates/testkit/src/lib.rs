@@ -37,10 +37,16 @@ pub fn machine(velocity_mm_per_s: [f64; 2], acceleration_mm_per_s2: [f64; 2]) ->
         max_velocity_mm_per_s: velocity_mm_per_s[a],
         max_acceleration_mm_per_s2: acceleration_mm_per_s2[a],
         max_jerk_mm_per_s3: None,
+        ..MachineFileAxis::default()
     };
-    MachineFile { name: "test".into(), axes: vec![axis(0), axis(1)], min_segment_s: 0.0 }
-        .checked()
-        .unwrap()
+    MachineFile {
+        name: "test".into(),
+        axes: vec![axis(0), axis(1)],
+        min_segment_s: 0.0,
+        ..MachineFile::default()
+    }
+    .checked()
+    .unwrap()
 }
 
 /// The ion beam machine of the reference mirror.

@@ -158,6 +158,7 @@ fn any_characters_of_a_setting_reach_one_flag() {
         ("raster", "machine"),
         ("raster", "refine"),
         ("raster", "export"),
+        ("raster", "program_of"),
     ] {
         let given = format!("{setting}={hostile}");
         let output =
@@ -340,6 +341,25 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
     let program = ["run", "raster", "fixture=coupon", "frames=0", "export=galil", "out=g"];
     let text = ended_with(&run(dir.path(), &program), 0);
     assert!(text.contains("--plan='methods/pvt+refined+galil'"), "{text}");
+    // The end of the run names the plan of the program, and that it is the one to run, with the reason.
+    assert!(text.contains("program: g/program.galil is of the plan pvt+refined;"), "{text}");
+    assert!(
+        text.contains("program: the plan is the one that the report recommends: pvt+refined"),
+        "{text}"
+    );
+    let program = fs::read_to_string(dir.path().join("g/program.galil")).unwrap();
+    assert!(program.contains("methods/pvt+refined/trajectory"), "{program}");
+    for (more, said) in [
+        (
+            &["program_of=feed", "export=galil"][..],
+            "program_of=feed is not planned here; give plan_feed=yes",
+        ),
+        (&["program_of=pvt+refined", "export=galil", "refine=no"], "give refine=yes"),
+        (&["program_of=pvt"], "give a controller too (export=galil)"),
+    ] {
+        let text = ended_with(&run(dir.path(), &[&["run", "raster", "out=n"], more].concat()), 2);
+        assert!(text.contains(said) && !text.contains("planish-fixture"), "{text}");
+    }
     assert!(!dir.path().join("g/methods/feed").exists());
     ended_with(&run(dir.path(), &[&refined[..], &["refine=no"]].concat()), 0);
     assert_eq!(fs::read(&dwell).unwrap(), kept);

@@ -118,15 +118,20 @@ fn motion(random: &mut ChaCha8Rng) -> Trajectory {
 #[test]
 fn every_program_reads_back_within_half_a_count_and_half_a_tick() {
     let machine = machine([250.0, 150.0], [1e4, 1e4]);
-    let origin = Origin { made_from: "a test".into(), made_by: "planish-export".into() };
+    let origin = Origin {
+        made_from: "a test".into(),
+        made_by: "planish-export".into(),
+        ..Origin::default()
+    };
     for (case, count_mm) in (0..200).zip([1e-4, 1e-3, 2.5e-4, 1e-5].into_iter().cycle()) {
         let plan = motion(&mut case_generator(1, 7, case));
         let common =
             Common { count_mm: [count_mm, 2.0 * count_mm], max_step_s: None, always_on: true };
         for target in targets() {
             let name = format!("case {case}, count {count_mm}, {:?}", target.controller);
-            let made = program(&plan, &machine, &target.controller, &common, &origin)
-                .unwrap_or_else(|e| panic!("{name}: {e}"));
+            let made =
+                program(&plan, &machine.clone().into(), &target.controller, &common, &origin)
+                    .unwrap_or_else(|e| panic!("{name}: {e}"));
             // Through the file beside it, as a user does.
             let about = serde_json::to_string(&made.about).unwrap();
             let configuration: Configuration = serde_json::from_str(&about).unwrap();

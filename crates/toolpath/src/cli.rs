@@ -16,8 +16,8 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, say, warn,
     with_flags,
 };
-use planish_toolpath::{PathReport, usual_overscan_mm};
-use planish_types::{Surface, Tif, ToolPath, plausible};
+use planish_toolpath::{PathReport, travel_warnings, usual_overscan_mm};
+use planish_types::{Machine, Surface, Tif, ToolPath, plausible};
 use serde::Serialize;
 
 #[derive(Debug, Subcommand)]
@@ -70,6 +70,9 @@ struct RegionArgs {
     /// How far the path goes beyond the aperture, mm [default: half the TIF's size]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
+    /// Machine: a warning says where the path leaves the travel of its axes [JSON]
+    #[arg(long, value_name = "FILE")]
+    machine: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -81,6 +84,8 @@ struct Region {
     surface: Surface,
     tif: Option<Tif>,
     overscan_mm: f64,
+    /// Where its travel is limited: only then the report depends on it.
+    machine: Option<Machine>,
 }
 
 impl Region {
@@ -96,7 +101,14 @@ impl Region {
         let overscan_mm = args.overscan_mm.or(usual_mm).ok_or_else(|| {
             Failure::new("overscan: unknown; give --overscan-mm, or --tif for half its size")
         })?;
-        Ok(Self { inputs, output: args.output.clone(), surface, tif, overscan_mm })
+        let mut machine = None;
+        if let Some(file) = &args.machine {
+            let found = Inputs::new().read_machine(file)?;
+            if found.travel_mm().iter().any(Option::is_some) {
+                machine = Some(inputs.read_machine(file)?);
+            }
+        }
+        Ok(Self { inputs, output: args.output.clone(), surface, tif, overscan_mm, machine })
     }
 
     fn begin(&self, task: &Task) -> Result<Begin, Failure> {
@@ -114,6 +126,9 @@ impl Region {
     ) -> Result<Status, Failure> {
         let tif = self.tif.as_ref();
         let mut report = PathReport::new(path, &self.surface, tif, largest_pitch_mm, own, warnings);
+        if let Some(machine) = &self.machine {
+            report.warnings.extend(travel_warnings(path, &self.surface, machine));
+        }
         for warning in &mut report.warnings {
             *warning = with_flags(warning);
             warn(&*warning);

@@ -1,9 +1,68 @@
 //! What there is to say of a path that was made: its statistics, and what the user should know.
 
-use planish_types::{Surface, Tif, ToolPath};
+use planish_types::{Machine, Surface, Tif, ToolPath};
 use serde::Serialize;
 
 use crate::statistics::{PathStatistics, PitchLimit, pitch_limit, statistics};
+
+/// Where `path` leaves the travel of the axes of `machine`, and what of that is its overscan: a sentence for every
+/// axis that cannot follow it.
+///
+/// ```text
+/// too far = beyond the travel by the path;   the largest overscan = travel beyond the clear aperture, on the nearer side
+/// ```
+pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) -> Vec<String> {
+    let on_axes = |p: [f64; 2]| machine.part_to_axes().map_or(p, |transform| transform.point(p));
+    let range = |points: &mut dyn Iterator<Item = [f64; 2]>, axis: usize| {
+        let ends = [f64::INFINITY, f64::NEG_INFINITY];
+        points.map(|p| on_axes(p)[axis]).fold(ends, |[low, high], v| [low.min(v), high.max(v)])
+    };
+    let grid = surface.grid();
+    let valid = surface.height_nm().indexed_iter().filter(|(_, h)| !h.is_nan());
+    let aperture: Vec<[f64; 2]> =
+        valid.map(|((row, column), _)| [grid.x.at(column), grid.y.at(row)]).collect();
+    let mut warnings = Vec::new();
+    for (axis, travel) in machine.travel_mm().iter().enumerate() {
+        let Some([from, to]) = *travel else { continue };
+        let [low, high] = range(&mut path.point_mm().iter().copied(), axis);
+        let beyond = (from - low).max(high - to);
+        if beyond <= TRAVEL_NOISE_MM {
+            continue;
+        }
+        let [first, last] = range(&mut aperture.iter().copied(), axis);
+        let room = (first - from).min(to - last);
+        let what_fits = if room >= 0.0 {
+            format!(
+                "the clear aperture is from {first:.3} to {last:.3} mm there, which leaves an overscan of \
+                 {room:.3} mm at most (`overscan_mm`)"
+            )
+        } else {
+            format!(
+                "the clear aperture itself, from {first:.3} to {last:.3} mm there, does not fit"
+            )
+        };
+        let (length, available) = (high - low, to - from);
+        let remedy = if length <= available {
+            let least = if from > low { from - low } else { to - high };
+            format!("; with part_origin_mm of {} moved by {least:.3} mm all of it fits", AXES[axis])
+        } else {
+            String::new()
+        };
+        warnings.push(format!(
+            "the path leaves the travel of axis {} of {}: from {low:.3} to {high:.3} mm, the travel is {from} to \
+             {to} mm, {beyond:.3} mm too far; {what_fits}{remedy}",
+            AXES[axis],
+            machine.name().escape_debug()
+        ));
+    }
+    warnings
+}
+
+/// Names of the axes.
+const AXES: [&str; 2] = ["x", "y"];
+
+/// A place is known to less than this, mm: the rounding of a rotation is 1e-13.
+const TRAVEL_NOISE_MM: f64 = 1e-9;
 
 /// What there is to say of a path.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -576,11 +576,13 @@ mod tests {
             max_velocity_mm_per_s: v,
             max_acceleration_mm_per_s2: 1.0,
             max_jerk_mm_per_s3: None,
+            ..planish_types::MachineFileAxis::default()
         };
         let machine = planish_types::MachineFile {
             name: "m".into(),
             axes: vec![axis("x", 4.0), axis("y", 2.0)],
             min_segment_s: 0.0,
+            ..planish_types::MachineFile::default()
         }
         .checked()
         .unwrap();

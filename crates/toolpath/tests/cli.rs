@@ -154,6 +154,49 @@ fn every_variant_of_the_raster_is_told_by_its_flags() {
     assert!(first < 2.0 + 1e-12 && first >= last && last > 0.5 - 1e-12, "{y:?}");
 }
 
+/// The map is 20 mm long, the overscan 3 mm: the axis x, which reads 10 mm at its origin, would go from 7 to 33 mm.
+#[test]
+fn the_overscan_says_where_it_leaves_the_travel() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write_inputs(dir);
+    let machine = |travel: &str| {
+        let limits = "\"max_velocity_mm_per_s\": 20, \"max_acceleration_mm_per_s2\": 100";
+        let axes = format!("{{\"name\": \"x\", {limits}{travel}}}, {{\"name\": \"y\", {limits}}}");
+        let text =
+            format!("{{\"name\": \"bench\", \"part_origin_mm\": [10, 0], \"axes\": [{axes}]}}");
+        fs::write(dir.join("machine.json"), text).unwrap();
+    };
+    let said = |out: &str| {
+        let more = ["--tif", "tif", "--machine", "machine.json", "--out", out];
+        let output = run(dir, &[&BASIC[..], &more].concat());
+        assert_eq!(output.status.code(), Some(0));
+        String::from_utf8(output.stderr).unwrap().replace('\n', " ")
+    };
+    machine("");
+    assert!(!said("free").contains("travel"));
+    // A machine without travel says nothing of a path, and is no input of it.
+    assert!(read(&dir.join("free")).1.inputs.iter().all(|i| i.role != "machine"));
+    machine(", \"travel_mm\": [8, 40]");
+    let short = said("short");
+    for part in [
+        "the path leaves the travel of axis x of bench: from 7.000 to 33.000 mm, the travel is 8 to 40 mm, 1.000 mm too \
+         far",
+        "the clear aperture is from 10.000 to 30.000 mm there, which leaves an overscan of 2.000 mm at most \
+         (--overscan-mm)",
+        "with part_origin_mm of x moved by 1.000 mm all of it fits",
+    ] {
+        assert!(short.contains(part), "{part}: {short}");
+    }
+    assert_eq!(read(&dir.join("free")).0, read(&dir.join("short")).0);
+    machine(", \"travel_mm\": [12, 31]");
+    let small = said("small");
+    assert!(small.contains("5.000 mm too far; the clear aperture itself"), "{small}");
+    assert!(!small.contains("moved by"), "{small}");
+    machine(", \"travel_mm\": [7, 33]");
+    assert!(!said("just").contains("travel"));
+}
+
 #[test]
 fn a_coarse_pitch_is_warned_of() {
     let tmp = tempfile::tempdir().unwrap();

@@ -11,6 +11,7 @@
 //! | [`DwellTime`] | seconds per dwell point | (n) |
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | what the machine's axes can do | - |
+//! | [`Machine`] | a machine: limits, travel, and how a part lies on it | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
 //! | [`Transform`] | where a part lies on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
@@ -22,6 +23,7 @@ mod dwell_time;
 mod end;
 mod grid;
 mod limits;
+mod machine;
 pub mod plausible;
 mod surface;
 pub mod text;
@@ -36,6 +38,7 @@ pub use dwell_time::DwellTime;
 pub use end::End;
 pub use grid::{Axis, Grid, is_plausible_mm};
 pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
+pub use machine::Machine;
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::Tif;
 pub use tool_path::ToolPath;
@@ -43,7 +46,7 @@ pub use trajectory::{
     Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,
     stored_dwell_index,
 };
-pub use transform::Transform;
+pub use transform::{Transform, TransformNumbers};
 
 /// A value that cannot be what it claims to be.
 ///

@@ -1,14 +1,15 @@
-//! What a machine can do.
+//! What the axes of a machine can do.
 //!
 //! [`MachineFile`] is what a machine file says, unchecked; [`Limits`] is what a stage works with, made
-//! from it by [`MachineFile::checked`], so that no stage ever divides by a limit of zero.
+//! from it by [`MachineFile::checked`], so that no stage ever divides by a limit of zero. Where the axes
+//! travel and how a part lies on them is [`crate::Machine`].
 
 use serde::{Deserialize, Serialize};
 
 use crate::Invalid;
 
 /// Names of the axes, in their order.
-const AXES: [&str; 2] = ["x", "y"];
+pub(crate) const AXES: [&str; 2] = ["x", "y"];
 
 /// The limits of a machine: two axes, every limit positive and finite.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,7 +29,7 @@ pub struct AxisLimits {
 }
 
 /// A machine as its JSON file states it, not checked yet.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Limits")]
 pub struct MachineFile {
     /// Name of the machine.
@@ -38,10 +39,16 @@ pub struct MachineFile {
     /// Shortest segment that the controller accepts, s; 0 when it does not matter.
     #[serde(default)]
     pub min_segment_s: f64,
+    /// What the axes read where the part has its origin, mm; [0, 0] when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part_origin_mm: Option<[f64; 2]>,
+    /// Angle by which the part is turned from x towards y, degrees; 0 when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part_rotation_deg: Option<f64>,
 }
 
 /// An axis as the JSON file of a machine states it, not checked yet.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "AxisLimits")]
 pub struct MachineFileAxis {
     /// "x" or "y".
@@ -53,10 +60,18 @@ pub struct MachineFileAxis {
     /// Largest jerk, mm/s^3; absent when the machine does not limit it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_jerk_mm_per_s3: Option<f64>,
+    /// Smallest and largest position, mm; absent when nobody limits it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub travel_mm: Option<[f64; 2]>,
+    /// "+x", "-x", "+y" or "-y": where the tool goes over the turned part when the axis counts up. The axis x
+    /// goes along "+x" and y along "+y" when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub along: Option<String>,
 }
 
 impl MachineFile {
-    /// Checks what the JSON types do not: two axes named x and y, every limit positive and finite.
+    /// The limits of the axes; checks what the JSON types do not: two axes named x and y, every limit positive
+    /// and finite.
     pub fn checked(self) -> Result<Limits, Invalid> {
         let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
         if names != AXES {
@@ -108,11 +123,13 @@ impl From<&Limits> for MachineFile {
             max_velocity_mm_per_s: a.max_velocity_mm_per_s,
             max_acceleration_mm_per_s2: a.max_acceleration_mm_per_s2,
             max_jerk_mm_per_s3: a.max_jerk_mm_per_s3,
+            ..MachineFileAxis::default()
         };
         Self {
             name: limits.name.clone(),
             axes: limits.axes.iter().map(axis).collect(),
             min_segment_s: limits.min_segment_s,
+            ..Self::default()
         }
     }
 }
@@ -176,8 +193,10 @@ mod tests {
             max_velocity_mm_per_s: velocity,
             max_acceleration_mm_per_s2: 10.0,
             max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
         };
-        MachineFile { name: "m".into(), axes: names.map(axis).to_vec(), min_segment_s: 0.0 }
+        let axes = names.map(axis).to_vec();
+        MachineFile { name: "m".into(), axes, ..MachineFile::default() }
     }
 
     #[test]

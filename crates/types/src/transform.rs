@@ -1,5 +1,7 @@
 //! Where a part lies: from the coordinates of its map to those of a machine, or of another map.
 
+use serde::{Deserialize, Serialize};
+
 use crate::{Invalid, ToolPath, Trajectory, is_plausible_mm};
 
 /// Largest and smallest scale of a transform: a part and its machine are measured in the same unit, and a
@@ -7,6 +9,8 @@ use crate::{Invalid, ToolPath, Trajectory, is_plausible_mm};
 const LARGEST_SCALE: f64 = 10.0;
 
 /// `q = M (p - centre) + image`, for a point p of the part and q of the machine.
+///
+/// M mirrors where the axes of the machine are left-handed, seen from above the part.
 ///
 /// The covariance is that of the six numbers (image x, image y in mm; M xx, xy, yx, yy): of an affine
 /// transform it has the rank 6, of a rigid one 3.
@@ -19,7 +23,7 @@ pub struct Transform {
 }
 
 impl Transform {
-    /// Checks that the numbers are finite and that the matrix neither mirrors nor collapses the plane.
+    /// Checks that the numbers are finite and that the matrix does not collapse the plane.
     pub fn new(
         matrix: [[f64; 2]; 2],
         centre_mm: [f64; 2],
@@ -36,9 +40,9 @@ impl Transform {
         let determinant = a * d - b * c;
         let range = LARGEST_SCALE.powi(-2)..=LARGEST_SCALE.powi(2);
         let within = matrix.iter().flatten().all(|v| v.abs() <= LARGEST_SCALE);
-        if !(within && range.contains(&determinant)) {
+        if !(within && range.contains(&determinant.abs())) {
             let problem = format!("is {matrix:?}, with the determinant {determinant}");
-            let remedy = "give a rotation, a similarity or an affine matrix that does not mirror, about 1 in size";
+            let remedy = "give a rotation, a similarity or an affine matrix, about 1 in size";
             return Err(Invalid::whole("matrix", problem, remedy));
         }
         for i in 0..6 {
@@ -81,16 +85,24 @@ impl Transform {
         &self.covariance
     }
 
-    /// Angle by which M turns x towards y, rad: of an affine matrix that of the nearest rotation.
-    pub fn angle_rad(&self) -> f64 {
+    /// Whether M turns the part over: a negative determinant.
+    pub fn mirrors(&self) -> bool {
         let [[a, b], [c, d]] = self.matrix;
-        (c - b).atan2(a + d)
+        a * d < b * c
     }
 
-    /// Root of the determinant: the scale of a similarity.
+    /// Angle by which M turns x towards y, rad: of an affine matrix that of the nearest rotation. Of one that
+    /// mirrors it is that of M after y of the part was turned over.
+    pub fn angle_rad(&self) -> f64 {
+        let sign = if self.mirrors() { -1.0 } else { 1.0 };
+        let [[a, b], [c, d]] = self.matrix;
+        (c - sign * b).atan2(a + sign * d)
+    }
+
+    /// Root of the modulus of the determinant: the scale of a similarity.
     pub fn scale(&self) -> f64 {
         let [[a, b], [c, d]] = self.matrix;
-        (a * d - b * c).sqrt()
+        (a * d - b * c).abs().sqrt()
     }
 
     /// M v.
@@ -185,6 +197,30 @@ impl Transform {
     }
 }
 
+/// A transform without its covariance, for manifests and the files beside programs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TransformNumbers {
+    /// M, dimensionless.
+    pub matrix: [[f64; 2]; 2],
+    /// Point [x, y] of the part, mm.
+    pub centre_mm: [f64; 2],
+    /// Where it goes, mm.
+    pub image_mm: [f64; 2],
+}
+
+impl From<&Transform> for TransformNumbers {
+    fn from(t: &Transform) -> Self {
+        Self { matrix: t.matrix, centre_mm: t.centre_mm, image_mm: t.image_mm }
+    }
+}
+
+impl TransformNumbers {
+    /// The transform, known exactly.
+    pub fn checked(&self) -> Result<Transform, Invalid> {
+        Transform::new(self.matrix, self.centre_mm, self.image_mm, [[0.0; 6]; 6])
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -252,11 +288,26 @@ mod tests {
     }
 
     #[test]
-    fn mirrors_and_what_is_no_covariance_are_refused() {
+    fn a_mirror_has_an_angle_and_a_scale() {
+        // Turned by 30 degrees after y was turned over, twice as large.
+        let (sine, cosine) = (0.5, 0.75_f64.sqrt());
+        let m = [[2.0 * cosine, 2.0 * sine], [2.0 * sine, -2.0 * cosine]];
+        let t = Transform::new(m, [0.0; 2], [0.0; 2], [[0.0; 6]; 6]).unwrap();
+        assert!(t.mirrors() && !quarter().mirrors());
+        assert!(
+            (t.angle_rad().to_degrees() - 30.0).abs() < 1e-12 && (t.scale() - 2.0).abs() < 1e-15
+        );
+        let back = t.inverse().unwrap();
+        let p = back.point(t.point([3.0, -4.0]));
+        assert!((p[0] - 3.0).abs() < 1e-14 && (p[1] + 4.0).abs() < 1e-14, "{p:?}");
+    }
+
+    #[test]
+    fn what_collapses_and_what_is_no_covariance_are_refused() {
         let said = |m, covariance| {
             Transform::new(m, [0.0; 2], [0.0; 2], covariance).unwrap_err().to_string()
         };
-        assert!(said([[1.0, 0.0], [0.0, -1.0]], [[0.0; 6]; 6]).contains("the determinant -1"));
+        assert!(said([[1.0, 1.0], [1.0, 1.0]], [[0.0; 6]; 6]).contains("the determinant 0"));
         assert!(said([[1e3, 0.0], [0.0, 1e-3]], [[0.0; 6]; 6]).contains("matrix"));
         let mut c = [[0.0; 6]; 6];
         c[2][2] = -1.0;

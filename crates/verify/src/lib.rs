@@ -10,7 +10,7 @@
 //! The machine is at rest before the first and after the last break, so the velocity and the
 //! acceleration there are steps too. A step in position is a jump; a step in velocity is an
 //! infinite acceleration; a step in acceleration is an infinite jerk, and counts only against a
-//! machine with a limit on jerk.
+//! machine with a limit on jerk. Where an axis has a travel, its position stays within it.
 //!
 //! Source: the extreme value theorem; for cubics in Hermite form de Boor, *A Practical Guide to
 //! Splines*, chapter IV. The judge shares no code with the schedulers that it judges.
@@ -25,7 +25,7 @@ mod tally;
 mod verdict;
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
-use planish_types::{Invalid, Limits, Segment, Trajectory};
+use planish_types::{Invalid, Limits, Machine, Segment, Trajectory};
 use serde::Serialize;
 
 use tally::{Bound, Tally};
@@ -53,6 +53,9 @@ const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 /// coordinate (2e-13 mm at 1 m), far below anything that removes material.
 const EXCURSION_NOISE_MM: f64 = 1e-9;
 
+/// A position leaves its travel beyond this, mm; reason as above, and a rotation rounds by as much.
+const TRAVEL_NOISE_MM: f64 = 1e-9;
+
 /// A motion against the direction of its segment counts above this, mm/s; reason as above.
 const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
 
@@ -79,6 +82,17 @@ impl Default for VerifySettings {
     }
 }
 
+/// Judges the motion of the axes of `machine`: against its limits, and against its travel.
+///
+/// Refuses what [`verify`] refuses.
+pub fn verify_on_axes(
+    motion: &Trajectory,
+    machine: &Machine,
+    settings: &VerifySettings,
+) -> Result<Verdict, Invalid> {
+    judge(motion, machine.limits(), machine.travel_mm(), settings)
+}
+
 /// Judges `trajectory` against `limits` (validated, so with the two axes x and y).
 ///
 /// Refuses tolerances that are negative or not finite, and numbers beyond 1e60. One pass over the
@@ -88,9 +102,18 @@ pub fn verify(
     limits: &Limits,
     settings: &VerifySettings,
 ) -> Result<Verdict, Invalid> {
+    judge(trajectory, limits, &[None; 2], settings)
+}
+
+fn judge(
+    trajectory: &Trajectory,
+    limits: &Limits,
+    travel_mm: &[Option<[f64; 2]>; 2],
+    settings: &VerifySettings,
+) -> Result<Verdict, Invalid> {
     check_settings(settings)?;
     check_magnitudes(trajectory)?;
-    let mut axes = [0, 1].map(|axis| AxisTally::new(limits, settings, axis));
+    let mut axes = [0, 1].map(|axis| AxisTally::new(limits, travel_mm[axis], settings, axis));
     let mut duration = Tally::new(
         "segment duration",
         "s",
@@ -121,6 +144,7 @@ type State = [f64; 3];
 /// Everything that is collected along one axis.
 struct AxisTally {
     name: &'static str,
+    travel_mm: Option<[f64; 2]>,
     /// Position, velocity, acceleration, jerk.
     ranges: [Tally; 4],
     /// Position, velocity, acceleration.
@@ -132,7 +156,12 @@ struct AxisTally {
 }
 
 impl AxisTally {
-    fn new(limits: &Limits, settings: &VerifySettings, axis: usize) -> Self {
+    fn new(
+        limits: &Limits,
+        travel_mm: Option<[f64; 2]>,
+        settings: &VerifySettings,
+        axis: usize,
+    ) -> Self {
         let limit = &limits.axes()[axis];
         let (v, a) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
         let velocity_step = settings.velocity_step_mm_per_s + VELOCITY_STEP_ALLOWANCE * v;
@@ -143,7 +172,7 @@ impl AxisTally {
         let name = limit.name();
         Self {
             ranges: [
-                Tally::new(format!("{name} position"), "mm", None),
+                Tally::new(format!("{name} position"), "mm", travel_mm.map(Bound::Between)),
                 Tally::new(format!("{name} velocity"), "mm/s", within(v)),
                 Tally::new(format!("{name} acceleration"), "mm/s^2", within(a)),
                 Tally::new(
@@ -162,6 +191,7 @@ impl AxisTally {
                 ),
             ],
             name,
+            travel_mm,
             overshoot: Excursions::new(EXCURSION_NOISE_MM),
             reversal: Excursions::new(REVERSAL_NOISE_MM_PER_S),
             before: None,
@@ -176,11 +206,12 @@ impl AxisTally {
         let a = derivative(&v);
         let orders = [*c, v, a, derivative(&a)];
         let ranges = orders.map(|q| range(&q, h));
-        for (tally, r) in self.ranges.iter_mut().zip(&ranges) {
+        let roundings = [TRAVEL_NOISE_MM, 0.0, 0.0, 0.0];
+        for ((tally, r), rounding) in self.ranges.iter_mut().zip(&ranges).zip(roundings) {
             tally.add(
                 Place::new(i, segment, r.min_at, r.min),
                 Place::new(i, segment, r.max_at, r.max),
-                0.0,
+                rounding,
             );
         }
 
@@ -223,6 +254,7 @@ impl AxisTally {
             self.steps.map(Tally::finish);
         AxisVerdict {
             name: self.name.into(),
+            travel_mm: self.travel_mm,
             position_mm,
             velocity_mm_per_s,
             acceleration_mm_per_s2,

@@ -8,7 +8,8 @@ use planish_handoff::{
     flags::{MachineArgs, OutputArgs, TrajectoryArgs},
     kind, run, say, task,
 };
-use planish_verify::{VerifySettings, verify};
+use planish_types::TransformNumbers;
+use planish_verify::{VerifySettings, verify_on_axes};
 
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
@@ -17,6 +18,8 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict";
 
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
+///
+/// Judged is what the axes do: where the machine file says how the part lies on them, the motion is taken there.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -47,8 +50,8 @@ fn main() -> ExitCode {
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
         };
         let mut inputs = Inputs::new();
-        let trajectory = cli.trajectory.read(&mut inputs)?;
-        let limits = cli.machine.read(&mut inputs)?;
+        let on_axes = cli.trajectory.read_on_axes(&cli.machine, &mut inputs)?;
+        let machine = &on_axes.machine;
         let task = task!("verify", settings);
         let mut output =
             match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
@@ -56,17 +59,20 @@ fn main() -> ExitCode {
                 Begin::Run(output) => output,
             };
 
-        let verdict = verify(&trajectory, &limits, &settings)?;
+        let verdict = verify_on_axes(&on_axes.motion, machine, &settings)?;
 
         let status = verdict.reason().map_or(Status::Done, Status::Negative);
-        let outcome = serde_json::to_value(&verdict)?;
+        let mut outcome = serde_json::to_value(&verdict)?;
+        if let Some(transform) = &on_axes.part_to_axes {
+            outcome["part_to_axes"] = serde_json::to_value(TransformNumbers::from(transform))?;
+        }
         output.write_arrays(&kind::VERDICT, &[], &[], outcome, &status)?;
         let [vx, vy] = verdict.max_velocity_mm_per_s;
         let [ax, ay] = verdict.max_acceleration_mm_per_s2;
         say(format!(
             "{}: velocity up to {vx:.2}, {vy:.2} mm/s, acceleration up to {ax:.1}, {ay:.1} mm/s^2 \
              (x, y) in {} segments, limits {} -> {}",
-            limits.name(),
+            machine.name(),
             verdict.segment_count,
             if verdict.limits_respected { "kept" } else { "exceeded" },
             cli.output.out.display()

@@ -19,12 +19,16 @@ pub(crate) enum Bound {
     StepWithin(f64),
     /// A value of at least this.
     AtLeast(f64),
+    /// A value from the first to the second.
+    Between([f64; 2]),
 }
 
 impl Bound {
-    fn value(self) -> f64 {
+    /// The number that bounds, where it is one.
+    fn value(self) -> Option<f64> {
         match self {
-            Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => v,
+            Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => Some(v),
+            Self::Between(_) => None,
         }
     }
 
@@ -34,16 +38,18 @@ impl Bound {
             Self::Within(limit) => value.abs() > limit * (1.0 + LIMIT_ALLOWANCE) + rounding,
             Self::StepWithin(tolerance) => value.abs() > tolerance + rounding,
             Self::AtLeast(limit) => value < limit * (1.0 - LIMIT_ALLOWANCE) - rounding,
+            Self::Between(_) => self.badness(value) > rounding,
         }
     }
 
-    /// How near: 1 is the bound itself. `None` when the bound is zero (a tolerance may be).
+    /// How near: 1 is the bound itself. `None` when the bound is zero (a tolerance may be), or two.
     fn ratio(self, value: f64) -> Option<f64> {
         match self {
             Self::Within(limit) | Self::StepWithin(limit) => {
                 (limit > 0.0).then(|| value.abs() / limit)
             }
             Self::AtLeast(limit) => Some(limit / value),
+            Self::Between(_) => None,
         }
     }
 
@@ -52,6 +58,8 @@ impl Bound {
         match self {
             Self::Within(_) | Self::StepWithin(_) => value.abs(),
             Self::AtLeast(_) => -value,
+            // How far beyond the nearer end.
+            Self::Between([low, high]) => (low - value).max(value - high),
         }
     }
 
@@ -75,6 +83,11 @@ impl Bound {
                  smallest of {} {unit} (segments that are: {count})",
                 significant(*value, 7),
                 significant(limit, 7)
+            ),
+            Self::Between([low, high]) => format!(
+                "{name} reaches {value:.6} {unit} in segment {index} at {time_s:.6} s, {:.6} {unit} beyond \
+                 the travel from {low} to {high} {unit} (segments that leave it: {count})",
+                self.badness(*value)
             ),
         }
     }
@@ -131,7 +144,7 @@ impl Tally {
         Check {
             min,
             max,
-            limit: self.bound.map(Bound::value),
+            limit: self.bound.and_then(Bound::value),
             exceeded: self.exceeding_count > 0,
             exceeding_count: self.exceeding_count,
             worst_ratio: self.bound.and_then(|b| b.ratio(worst_value)),

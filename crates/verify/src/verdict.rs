@@ -37,7 +37,8 @@ pub struct Check {
     pub min: Place,
     /// Largest value.
     pub max: Place,
-    /// Largest magnitude that is allowed (for durations: smallest value); absent when anything is.
+    /// Largest magnitude that is allowed (for durations: smallest value); absent when anything is, and for a
+    /// position, which has two ends (`travel_mm` of its axis).
     pub limit: Option<f64>,
     /// Whether the limit is exceeded, rounding allowed for.
     pub exceeded: bool,
@@ -90,7 +91,10 @@ impl Excursions {
 pub struct AxisVerdict {
     /// "x" or "y".
     pub name: String,
-    /// Range of the position, mm; no limit.
+    /// Smallest and largest position that the axis takes, mm; absent when nobody limits it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub travel_mm: Option<[f64; 2]>,
+    /// Range of the position, mm.
     pub position_mm: Check,
     /// Range of the velocity, mm/s.
     pub velocity_mm_per_s: Check,
@@ -112,8 +116,9 @@ pub struct AxisVerdict {
 
 impl AxisVerdict {
     /// What can be exceeded, the gravest first.
-    fn checks(&self) -> [&Check; 6] {
+    fn checks(&self) -> [&Check; 7] {
         [
+            &self.position_mm,
             &self.position_step_mm,
             &self.velocity_step_mm_per_s,
             &self.velocity_mm_per_s,

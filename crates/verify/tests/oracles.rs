@@ -13,10 +13,16 @@ fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>, min_segment_s: f
         max_velocity_mm_per_s: velocity,
         max_acceleration_mm_per_s2: acceleration,
         max_jerk_mm_per_s3: jerk,
+        ..MachineFileAxis::default()
     };
-    MachineFile { name: "test".into(), axes: vec![axis("x"), axis("y")], min_segment_s }
-        .checked()
-        .unwrap()
+    MachineFile {
+        name: "test".into(),
+        axes: vec![axis("x"), axis("y")],
+        min_segment_s,
+        ..MachineFile::default()
+    }
+    .checked()
+    .unwrap()
 }
 
 /// A trajectory from durations and coefficients of x; y rests at 0. Dwell indices count from 100.

@@ -1,7 +1,11 @@
 //! What the screen needs of a run, down-sampled where there is more.
 
+use std::borrow::Cow;
+
 use ndarray::Array3;
-use planish_types::{Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
+use planish_types::{
+    Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory, TransformNumbers,
+};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -151,6 +155,14 @@ struct Allotment {
     frame_pixels: usize,
 }
 
+/// The motion that the verdict is about: that of the axes, where they do not read the coordinates of the part.
+fn on_axes<'a>(motion: &'a Trajectory, verdict: &Value) -> Cow<'a, Trajectory> {
+    serde_json::from_value::<TransformNumbers>(verdict["part_to_axes"].clone())
+        .ok()
+        .and_then(|numbers| numbers.checked().ok()?.trajectory(motion).ok())
+        .map_or(Cow::Borrowed(motion), Cow::Owned)
+}
+
 fn view(run: Run, allotment: &Allotment) -> View {
     let grid = *run.desired.grid();
     let every = block_side(&grid, allotment.pixels);
@@ -165,7 +177,7 @@ fn view(run: Run, allotment: &Allotment) -> View {
         residual: on_screen(m.removal.residual(), every),
         after: analysed(m.removal.residual()),
         line: motion::line(&m.trajectory, allotment.points),
-        ranges: motion::ranges(&m.trajectory, allotment.pieces),
+        ranges: motion::ranges(&on_axes(&m.trajectory, &m.verdict), allotment.pieces),
         dwell: run
             .path
             .as_ref()

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, pair, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind::MACHINE_FRAME, pair,
+    say, task,
 };
 use planish_import::program::{self, Configuration, Controller};
 use planish_types::Trajectory;
@@ -46,7 +47,7 @@ impl ProgramArgs {
             count_mm: self.count_mm,
             sample_s: self.sample_s,
             feedrate_time_unit_s: self.feedrate_time_unit_s,
-            program_blake3: None,
+            ..Configuration::default()
         };
         let configuration = match &self.about {
             Some(path) => {
@@ -73,6 +74,9 @@ impl ProgramArgs {
             "total_time_s": motion.total_time_s(),
             "always_on": motion.tool_on().iter().all(|on| *on),
         });
+        if configuration.was_on_axes {
+            output.set_frame(MACHINE_FRAME);
+        }
         output.write(&motion, outcome, &Status::Done)?;
         say(format!(
             "planish-import: {} segments, {:.4} s -> {}",

@@ -4,9 +4,10 @@
 //!
 //! `M<n>==1` and `M<n>==0` switch the tool with the start of the next move, `M<n>=0` and `M<n>=1` when the
 //! line is read, which is known before the first move only; `DWELL` stands and executes what is queued.
-//! A program without them has the tool on always; one that has them ends with the tool off.
+//! `RAPID` before the first `PVT` goes to where the motion starts; a program without it starts where the axes stand.
+//! A program without switches has the tool on always; one that has them ends with the tool off.
 //!
-//! Source: Turbo PMAC software reference, program commands PVT, {axis}{data}:{data}, M{data}==, M{data}=,
+//! Source: Turbo PMAC software reference, program commands PVT, RAPID, {axis}{data}:{data}, M{data}==, M{data}=,
 //! DWELL; Turbo PMAC user manual, Synchronous M-Variable Assignment.
 
 use planish_types::{Invalid, Trajectory};
@@ -15,20 +16,32 @@ use super::{Configuration, Knot, finite, needed, positive, through, wrong};
 
 /// The motion of a program.
 pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Invalid> {
-    let start_mm = needed("start_mm", configuration.start_mm)?;
+    let goes_there = text.lines().any(|line| code(line) == "RAPID");
+    let start_mm = match goes_there {
+        // Where the axes stand before does not matter.
+        true => configuration.start_mm.unwrap_or_default(),
+        false => needed("start_mm", configuration.start_mm)?,
+    };
     let unit_s = needed("feedrate_time_unit_s", configuration.feedrate_time_unit_s)?;
     let unit_s = positive("feedrate_time_unit_s", unit_s)?;
     let mut last =
         Knot { time_s: 0.0, position_mm: start_mm, velocity_mm_per_s: [0.0; 2], tool_on: true };
     let mut knots = vec![last];
     let (mut segment_ms, mut absolute, mut total_ms) = (None, true, 0.0);
+    let mut rapid = false;
     let mut output = Output::default();
     for (i, line) in text.lines().enumerate() {
-        let line = line.split(';').next().unwrap_or_default().trim();
+        let line = code(line);
         match line {
             "" => continue,
             "ABS" => absolute = true,
             "INC" => absolute = false,
+            "RAPID" if segment_ms.is_none() => rapid = true,
+            "RAPID" => return Err(wrong(i + 1, "goes elsewhere by RAPID among the segments")),
+            _ if rapid && segment_ms.is_none() && line.starts_with(['X', 'Y']) => {
+                last.position_mm = rapid_to(i + 1, line, absolute)?;
+                knots = vec![last];
+            }
             _ if line.starts_with("PVT") => {
                 let ms = constant(i + 1, &line[3..])?;
                 if ms <= 0.0 {
@@ -86,6 +99,23 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
     }
     output.end()?;
     through(&knots)
+}
+
+/// A line without its comment.
+fn code(line: &str) -> &str {
+    line.split(';').next().unwrap_or_default().trim()
+}
+
+/// Where a rapid move goes: both axes, absolute, so that it does not matter where they stood.
+fn rapid_to(line: usize, text: &str, absolute: bool) -> Result<[f64; 2], Invalid> {
+    let whole =
+        "goes to the start without both axes, or by a distance: the motion would start anywhere";
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let [x, y] = words[..] else { return Err(wrong(line, whole)) };
+    match (x.strip_prefix('X'), y.strip_prefix('Y')) {
+        (Some(x), Some(y)) if absolute => Ok([finite(line, x)?, finite(line, y)?]),
+        _ => Err(wrong(line, whole)),
+    }
 }
 
 /// The M-variable that switches the tool.

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind::MACHINE_FRAME, say,
+    task,
 };
 use planish_register::fit::angle;
-use planish_types::{ToolPath, Trajectory, Transform};
-use serde_json::{Value, json};
+use planish_types::{ToolPath, Trajectory, Transform, TransformNumbers};
+use serde_json::json;
 
 use super::with_error;
 
@@ -30,9 +31,6 @@ pub struct ApplyArgs {
     #[command(flatten)]
     output: OutputArgs,
 }
-
-/// Frame of what is taken to a machine; back on the part it is that of the kind.
-const MACHINE_FRAME: &str = "machine coordinates; the last axis is [x, y]";
 
 impl ApplyArgs {
     pub fn run(&self) -> Result<Status, Failure> {
@@ -58,8 +56,8 @@ impl ApplyArgs {
         transform: &Transform,
         moved: impl FnOnce(&Transform) -> Result<T, Failure>,
     ) -> Result<Status, Failure> {
-        let task =
-            task!("apply", json!({ "inverse": self.inverse, "transform": words(transform) }));
+        let numbers = TransformNumbers::from(transform);
+        let task = task!("apply", json!({ "inverse": self.inverse, "transform": numbers }));
         let mut output = match Output::directory(&self.output, T::KIND).begin(&task, inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -71,19 +69,11 @@ impl ApplyArgs {
         output.write(&moved, json!({}), &Status::Done)?;
         let [x, y] = transform.point([0.0, 0.0]);
         say(format!(
-            "planish-register: turned by {} degree, the origin to {x:.4}, {y:.4} mm -> {}",
+            "planish-register: {}turned by {} degree, the origin to {x:.4}, {y:.4} mm -> {}",
+            if transform.mirrors() { "turned over, " } else { "" },
             with_error(angle(transform), 5),
             self.output.out.display()
         ));
         Ok(Status::Done)
     }
-}
-
-/// A transform for a manifest.
-fn words(transform: &Transform) -> Value {
-    json!({
-        "matrix": transform.matrix(),
-        "centre_mm": transform.centre_mm(),
-        "image_mm": transform.image_mm(),
-    })
 }

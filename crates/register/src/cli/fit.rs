@@ -8,7 +8,7 @@ use planish_handoff::{
 };
 use planish_register::{
     fiducials,
-    fit::{Model, fit},
+    fit::{Model, fit, fit_mirrored},
 };
 use planish_types::{Transform, text::significant};
 use serde_json::json;
@@ -25,6 +25,9 @@ pub struct FitArgs {
     /// What may be between map and machine
     #[arg(long, value_enum, default_value = "rigid")]
     model: Model,
+    /// Machine whose axes the fiducials were measured with, where its file says that they mirror the part [JSON]
+    #[arg(long, value_name = "FILE")]
+    machine: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -33,6 +36,10 @@ impl FitArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let bytes = inputs.read_bytes("fiducials", &self.file, MOST_BYTES)?;
+        let mirrors = match &self.machine {
+            Some(file) => inputs.read_machine(file)?.part_to_axes().is_some_and(Transform::mirrors),
+            None => false,
+        };
         let task = task!("fit", json!({ "model": self.model }));
         let output = Output::directory(&self.output, Transform::KIND);
         let mut output = match output.begin(&task, &inputs)? {
@@ -43,7 +50,10 @@ impl FitArgs {
             |e: &dyn std::error::Error| Failure::new(format!("{}: {e}", self.file.display()));
         let text = String::from_utf8(bytes).map_err(|e| about(&e))?;
         let fiducials = fiducials::read(&text).map_err(|e| about(&e))?;
-        let found = fit(&fiducials, self.model).map_err(|e| about(&e))?;
+        let found = if mirrors { fit_mirrored } else { fit }(&fiducials, self.model);
+        let found = found.map_err(|e| {
+            Failure::new(planish_handoff::with_flags(&format!("{}: {e}", self.file.display())))
+        })?;
         let report = &found.report;
         let status = report.drawback().map_or(Status::Done, Status::Negative);
         output.write(&found.transform, json!({ "registration": report }), &status)?;

@@ -141,9 +141,13 @@ mod tests {
             max_velocity_mm_per_s: 1e4,
             max_acceleration_mm_per_s2: 1e4,
             max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
         };
         let axes = vec![axis("x"), axis("y")];
-        let limits = MachineFile { name: "m".into(), axes, min_segment_s: 0.0 }.checked().unwrap();
+        let limits =
+            MachineFile { name: "m".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
+                .checked()
+                .unwrap();
         let displacement_mm = points.windows(2).map(|w| w[1] - w[0]).collect();
         AxisProblem::new(displacement_mm, Mode::Smooth, &limits.axes()[0])
     }

@@ -26,7 +26,8 @@ impl InspectArgs {
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let mut found = serde_json::to_value(statistics(&path, &surface))?;
         if let Some(file) = &self.machine {
-            found["least_time_s"] = time_lower_bound_s(&path, &inputs.read_machine(file)?).into();
+            found["least_time_s"] =
+                time_lower_bound_s(&path, &inputs.read_machine(file)?.limits_on_part()).into();
         }
         say(serde_json::to_string_pretty(&found)?);
         Ok(Status::Done)

@@ -38,6 +38,9 @@ pub struct MultiPitchArgs {
     /// How far the path goes beyond the aperture, mm [default: half the TIF's size]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
+    /// Machine: a warning says where the path leaves the travel of its axes [JSON]
+    #[arg(long, value_name = "FILE")]
+    machine: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -49,6 +52,7 @@ impl MultiPitchArgs {
             tif: Some(self.tif.clone()),
             pitch_mm: self.min_pitch_mm,
             overscan_mm: self.overscan_mm,
+            machine: self.machine.clone(),
             output: self.output.clone(),
         })?;
         let tif = on.tif.as_ref().ok_or_else(|| Failure::new("tif: give --tif"))?;

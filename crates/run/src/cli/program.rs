@@ -1,0 +1,65 @@
+//! `planish-run program`: of which plan the program of a run is, and why.
+
+use std::{fs, path::PathBuf};
+
+use clap::Args;
+use planish_handoff::{Failure, Status, say, warn};
+use serde::Deserialize;
+
+#[derive(Args)]
+pub struct Program {
+    /// Directory of the run, with its report and the file program.CONTROLLER
+    #[arg(long, value_name = "DIR")]
+    run: PathBuf,
+    /// Plan that the program was written of
+    #[arg(long, value_name = "NAME")]
+    of: String,
+    /// Controller of the program
+    #[arg(long, value_name = "NAME")]
+    controller: String,
+}
+
+/// What is read of `report/summary.json`.
+#[derive(Deserialize)]
+struct Summary {
+    answer: Answer,
+}
+
+#[derive(Deserialize)]
+struct Answer {
+    method: Option<String>,
+    why: String,
+}
+
+impl Program {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let path = self.run.join("report/summary.json");
+        let about = |e: &dyn std::fmt::Display| {
+            Failure::new(format!("{}: cannot be read: {e}; run the report first", path.display()))
+        };
+        let text = fs::read(&path).map_err(|e| about(&e))?;
+        let Summary { answer } = serde_json::from_slice(&text).map_err(|e| about(&e))?;
+        let Self { of, controller, .. } = self;
+        let program = self.run.join(format!("program.{controller}"));
+        let read_back = format!("{of}+{controller}");
+        say(format!(
+            "program: {} is of the plan {of}; {read_back} is that program, read back and judged",
+            program.display()
+        ));
+        match answer.method {
+            Some(best) if best == *of || best == read_back => {
+                say(format!(
+                    "program: the plan is the one that the report recommends: {}",
+                    answer.why
+                ));
+            }
+            Some(best) => warn(format!(
+                "the program is of the plan {of}, and the report recommends {best}: {} For a program of it give \
+                 program_of={best}, where its segments are long enough for the counts and ticks of the controller",
+                answer.why
+            )),
+            None => warn(format!("the report recommends no plan of this run: {}", answer.why)),
+        }
+        Ok(Status::Done)
+    }
+}

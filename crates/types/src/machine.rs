@@ -1,0 +1,323 @@
+//! A machine as it stands in a lab: what its axes can do, how far they travel, and how a part lies on them.
+//!
+//! A plan is made in the coordinates of the part. What the axes read is
+//!
+//! ```text
+//! q_i = s_i (R p)_j(i) + o_i            R = [[cos t, -sin t], [sin t, cos t]]
+//! ```
+//!
+//! for a point p of the part that is turned by t: axis i counts up where the tool goes along s_i times the
+//! direction j(i) of the turned part, and reads o_i where the part has its origin. A quarter turn is exact.
+//!
+//! | symbol | in the machine file | unit |
+//! |---|---|---|
+//! | t | `part_rotation_deg` | degrees |
+//! | s_i, j(i) | `along` of the axis | - |
+//! | o_i | `part_origin_mm` | mm |
+//!
+//! A stage that plans in the coordinates of the part needs limits there ([`Machine::limits_on_part`]): the largest
+//! box of (x, y) that the axes can follow in every direction,
+//!
+//! ```text
+//! |M| w <= limit of the axes            M = matrix of q;  w_x w_y largest
+//! ```
+//!
+//! which for axes along x and y is each axis's own limit.
+
+use crate::{AxisLimits, Invalid, Limits, MachineFile, Transform, is_plausible_mm, limits::AXES};
+
+/// A machine: limits of its axes, their travel, and how a part lies on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Machine {
+    limits: Limits,
+    travel_mm: [Option<[f64; 2]>; 2],
+    part_to_axes: Option<Transform>,
+}
+
+/// Axes that read the coordinates of the part and travel as far as anybody likes.
+impl From<Limits> for Machine {
+    fn from(limits: Limits) -> Self {
+        Self { limits, travel_mm: [None; 2], part_to_axes: None }
+    }
+}
+
+impl Machine {
+    /// Checks what a machine file says.
+    pub fn new(file: MachineFile) -> Result<Self, Invalid> {
+        let limits = file.clone().checked()?;
+        let mut travel_mm = [None; 2];
+        for (i, axis) in file.axes.iter().enumerate() {
+            if let Some(travel) = axis.travel_mm {
+                let [low, high] = travel;
+                if !(travel.iter().all(|v| is_plausible_mm(*v)) && low < high) {
+                    let problem = format!("travel_mm is [{low}, {high}]");
+                    let remedy = "give the smallest and the largest position in mm, in this order";
+                    return Err(Invalid::at("axes", i, problem, remedy));
+                }
+                travel_mm[i] = Some(travel);
+            }
+        }
+        let part_to_axes = part_to_axes(&file)?;
+        Ok(Self { limits, travel_mm, part_to_axes })
+    }
+
+    /// Name of the machine.
+    pub fn name(&self) -> &str {
+        self.limits.name()
+    }
+
+    /// What the axes can do.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Smallest and largest position of the axes x and y, mm; none where nobody limits it.
+    pub fn travel_mm(&self) -> &[Option<[f64; 2]>; 2] {
+        &self.travel_mm
+    }
+
+    /// From the coordinates of the part to what the axes read; none where both are the same.
+    pub fn part_to_axes(&self) -> Option<&Transform> {
+        self.part_to_axes.as_ref()
+    }
+
+    /// What the axes can do along x and y of the part, in every direction at once.
+    pub fn limits_on_part(&self) -> Limits {
+        let Some(transform) = &self.part_to_axes else { return self.limits.clone() };
+        let axes = self.limits.axes();
+        let boxed = |limit: fn(&AxisLimits) -> Option<f64>| {
+            largest_box(transform.matrix(), axes.each_ref().map(limit))
+        };
+        let velocity = boxed(|a| Some(a.max_velocity_mm_per_s()));
+        let acceleration = boxed(|a| Some(a.max_acceleration_mm_per_s2()));
+        let jerk = boxed(AxisLimits::max_jerk_mm_per_s3);
+        let mut file = MachineFile::from(&self.limits);
+        for (i, axis) in file.axes.iter_mut().enumerate() {
+            axis.max_velocity_mm_per_s = velocity[i].expect("velocity is limited");
+            axis.max_acceleration_mm_per_s2 = acceleration[i].expect("acceleration is limited");
+            axis.max_jerk_mm_per_s3 = jerk[i];
+        }
+        file.checked().expect("a box of limits is a box of limits")
+    }
+}
+
+/// q of the module; none where it is p.
+fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
+    let origin_mm = file.part_origin_mm.unwrap_or_default();
+    if let Some(i) = origin_mm.iter().position(|v| !is_plausible_mm(*v)) {
+        let remedy = "give what the axes read where the part has its origin, in mm";
+        return Err(Invalid::at("part_origin_mm", i, format!("is {}", origin_mm[i]), remedy));
+    }
+    let turn_deg = file.part_rotation_deg.unwrap_or_default();
+    if !(turn_deg.is_finite() && turn_deg.abs() <= 360.0) {
+        let problem = format!("is {turn_deg}");
+        return Err(Invalid::whole("part_rotation_deg", problem, "give degrees from -360 to 360"));
+    }
+    let directions = [0, 1].map(|i| direction(i, file.axes[i].along.as_deref()));
+    let [x, y] = directions;
+    let (x, y) = (x?, y?);
+    if x.0 == y.0 {
+        let along = format!("are along {} and {}", written(x), written(y));
+        let remedy = "let one axis go along x of the part and the other along y";
+        return Err(Invalid::whole("axes", along, remedy));
+    }
+    let (sine, cosine) = sine_cosine(turn_deg);
+    let turned = [[cosine, -sine], [sine, cosine]];
+    let matrix = [x, y].map(|(j, sign)| turned[j].map(|v| sign * v + 0.0));
+    if matrix == [[1.0, 0.0], [0.0, 1.0]] && origin_mm == [0.0; 2] {
+        return Ok(None);
+    }
+    Transform::new(matrix, [0.0; 2], origin_mm, [[0.0; 6]; 6]).map(Some)
+}
+
+/// j and s of the axis `i`.
+fn direction(i: usize, along: Option<&str>) -> Result<(usize, f64), Invalid> {
+    match along {
+        None => Ok((i, 1.0)),
+        Some("x" | "+x") => Ok((0, 1.0)),
+        Some("-x") => Ok((0, -1.0)),
+        Some("y" | "+y") => Ok((1, 1.0)),
+        Some("-y") => Ok((1, -1.0)),
+        Some(other) => {
+            let short: String = other.chars().take(20).collect();
+            let remedy = "give \"+x\", \"-x\", \"+y\" or \"-y\": where the tool goes over the part";
+            Err(Invalid::at("axes", i, format!("along is {short:?}"), remedy))
+        }
+    }
+}
+
+fn written((j, sign): (usize, f64)) -> String {
+    format!("{}{}", if sign < 0.0 { "-" } else { "+" }, AXES[j])
+}
+
+/// Sine and cosine of an angle in degrees, exact at quarter turns.
+fn sine_cosine(angle_deg: f64) -> (f64, f64) {
+    match angle_deg.rem_euclid(360.0) {
+        0.0 => (0.0, 1.0),
+        90.0 => (1.0, 0.0),
+        180.0 => (0.0, -1.0),
+        270.0 => (-1.0, 0.0),
+        _ => angle_deg.to_radians().sin_cos(),
+    }
+}
+
+/// The box w of the largest w_x w_y with |M| w <= `limits`, for M of orthogonal rows; none where nothing limits.
+fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] {
+    // a w_x + b w_y <= c
+    let rows: Vec<[f64; 3]> =
+        (0..2).filter_map(|i| limits[i].map(|c| [m[i][0].abs(), m[i][1].abs(), c])).collect();
+    if rows.iter().any(|[a, b, _]| *a == 0.0 || *b == 0.0) {
+        // Each axis goes along x or along y.
+        let along =
+            |j: usize| rows.iter().filter(|r| r[j] > 0.0).map(|r| r[2] / r[j]).reduce(f64::min);
+        return [along(0), along(1)];
+    }
+    // The largest product on one line: w_x = c / 2a, w_y = c / 2b. Else the corner of both.
+    let middle = rows.iter().map(|[a, b, c]| [c / (2.0 * a), c / (2.0 * b)]);
+    let within = |w: &[f64; 2]| rows.iter().all(|[a, b, c]| a * w[0] + b * w[1] <= *c);
+    let product = |w: &[f64; 2]| w[0] * w[1];
+    let best = middle.filter(within).max_by(|v, w| product(v).total_cmp(&product(w)));
+    let corner = || {
+        let [[a, b, c], [d, e, f]] = [rows[0], rows[1]];
+        let determinant = a * e - b * d;
+        [(c * e - b * f) / determinant, (a * f - c * d) / determinant]
+    };
+    match rows.len() {
+        0 => [None; 2],
+        _ => best.unwrap_or_else(corner).map(Some),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::MachineFileAxis;
+
+    fn file() -> MachineFile {
+        let axis = |name: &str, factor: f64| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: 100.0 * factor,
+            max_acceleration_mm_per_s2: 1000.0 * factor,
+            max_jerk_mm_per_s3: Some(1e4 * factor),
+            ..MachineFileAxis::default()
+        };
+        let axes = vec![axis("x", 1.0), axis("y", 0.6)];
+        MachineFile { name: "m".into(), axes, ..MachineFile::default() }
+    }
+
+    fn along(x: &str, y: &str) -> MachineFile {
+        let mut file = file();
+        file.axes[0].along = Some(x.into());
+        file.axes[1].along = Some(y.into());
+        file
+    }
+
+    fn turned(angle_deg: f64) -> MachineFile {
+        MachineFile { part_rotation_deg: Some(angle_deg), ..file() }
+    }
+
+    #[test]
+    fn a_machine_without_the_new_keys_is_its_limits() {
+        let machine = Machine::new(file()).unwrap();
+        assert_eq!((machine.part_to_axes(), machine.travel_mm()), (None, &[None; 2]));
+        assert_eq!(machine.limits_on_part(), file().checked().unwrap());
+        // Neither does what states the same.
+        let same = MachineFile { part_rotation_deg: Some(360.0), ..along("+x", "y") };
+        assert_eq!(Machine::new(same).unwrap().part_to_axes(), None);
+    }
+
+    #[test]
+    fn a_quarter_turn_is_an_exchange_of_the_axes() {
+        for (angle_deg, x, y) in
+            [(90.0, "-y", "+x"), (180.0, "-x", "-y"), (270.0, "+y", "-x"), (-90.0, "+y", "-x")]
+        {
+            let [a, b] = [turned(angle_deg), along(x, y)].map(|f| Machine::new(f).unwrap());
+            assert_eq!(a, b, "{angle_deg}");
+        }
+        // x of the part comes to lie along y, y along -x: the axes read (10 - y, 20 + x).
+        let file = MachineFile { part_origin_mm: Some([10.0, 20.0]), ..turned(90.0) };
+        let machine = Machine::new(file).unwrap();
+        assert_eq!(machine.part_to_axes().unwrap().point([1.0, 2.0]), [8.0, 21.0]);
+        // Along x of the part the axis y moves.
+        let limits = machine.limits_on_part();
+        assert_eq!(limits.max_velocity_mm_per_s(), [60.0, 100.0]);
+        assert_eq!(limits.axes()[1].max_jerk_mm_per_s3(), Some(1e4));
+    }
+
+    #[test]
+    fn axes_are_exchanged_turned_over_and_turned() {
+        // First turned by 30 degrees, then axis x counts against y of the turned part, axis y along x.
+        let file = MachineFile {
+            part_rotation_deg: Some(30.0),
+            part_origin_mm: Some([1.0, 2.0]),
+            ..along("-y", "+x")
+        };
+        let machine = Machine::new(file).unwrap();
+        let q = machine.part_to_axes().unwrap().point([2.0, 0.0]);
+        let expected = [1.0 - 1.0, 2.0 + 3.0_f64.sqrt()];
+        assert!((0..2).all(|i| (q[i] - expected[i]).abs() < 1e-15), "{q:?}");
+        let mirrors = |x, y| Machine::new(along(x, y)).unwrap().part_to_axes().unwrap().mirrors();
+        assert_eq!(
+            (mirrors("+y", "+x"), mirrors("-y", "+x"), mirrors("-x", "+y")),
+            (true, false, true)
+        );
+    }
+
+    /// Every corner of the box is within the limits of the axes, and no box of a larger product is: found by trying.
+    #[test]
+    fn the_box_on_the_part_is_the_largest_that_the_axes_follow() {
+        for angle_deg in [0.0, 1.0, 20.0, 31.0, 45.0, 60.0, 89.0, 130.0] {
+            let machine = Machine::new(turned(angle_deg)).unwrap();
+            let [wx, wy] = machine.limits_on_part().max_velocity_mm_per_s();
+            let (s, c) = f64::to_radians(angle_deg).sin_cos();
+            let (s, c) = (s.abs(), c.abs());
+            // Most of y that the axes of 100 and 60 mm/s can do with x.
+            let most = |x: f64| {
+                let y = |a: f64, b: f64, limit: f64| match b > 1e-15 {
+                    true => (limit - a * x) / b,
+                    false if a * x > limit => f64::NEG_INFINITY,
+                    false => f64::INFINITY,
+                };
+                y(c, s, 100.0).min(y(s, c, 60.0))
+            };
+            assert!(wy <= most(wx) * (1.0 + 1e-12), "{angle_deg}: {wx} {wy}");
+            let tried = (0..=4000).map(|k| 0.05 * f64::from(k)).map(|x| x * most(x));
+            let best = tried.fold(0.0, f64::max);
+            assert!(wx * wy >= best * (1.0 - 1e-9), "{angle_deg}: {wx} x {wy} is less than {best}");
+        }
+        // A limit of one axis alone limits both directions, where it has a part in both.
+        let mut one = turned(30.0);
+        one.axes[1].max_jerk_mm_per_s3 = None;
+        let jerk =
+            Machine::new(one).unwrap().limits_on_part().axes().map(|a| a.max_jerk_mm_per_s3());
+        assert!((jerk[0].unwrap() - 5e3 / 0.75_f64.sqrt()).abs() < 1e-9, "{jerk:?}");
+        assert!((jerk[1].unwrap() - 1e4).abs() < 1e-9, "{jerk:?}");
+        let mut one = turned(90.0);
+        one.axes[1].max_jerk_mm_per_s3 = None;
+        let jerk =
+            Machine::new(one).unwrap().limits_on_part().axes().map(|a| a.max_jerk_mm_per_s3());
+        assert_eq!(jerk, [None, Some(1e4)]);
+    }
+
+    #[test]
+    fn what_is_no_machine_is_refused_with_its_place() {
+        let said = |file: MachineFile| Machine::new(file).unwrap_err().to_string();
+        assert!(said(along("+z", "+y")).contains("axes[0]: along is \"+z\"; give \"+x\""));
+        assert!(said(along("+x", "-x")).contains("axes: are along +x and -x; let one axis"));
+        // The axis x goes along +x when nothing is said.
+        let mut both = file();
+        both.axes[1].along = Some("x".into());
+        assert!(said(both).contains("axes: are along +x and +x"));
+        for travel in [[1.0, 1.0], [2.0, 1.0], [f64::NAN, 1.0], [0.0, 1e9]] {
+            let mut file = file();
+            file.axes[1].travel_mm = Some(travel);
+            assert!(said(file).contains("axes[1]: travel_mm is ["), "{travel:?}");
+        }
+        let away = MachineFile { part_origin_mm: Some([0.0, f64::INFINITY]), ..file() };
+        assert!(said(away).contains("part_origin_mm[1]: is inf"));
+        assert!(said(turned(400.0)).contains("part_rotation_deg: is 400; give degrees"));
+        let mut slow = file();
+        slow.axes[0].max_velocity_mm_per_s = 0.0;
+        assert!(said(slow).contains("axes[0]: max_velocity_mm_per_s is 0"));
+    }
+}

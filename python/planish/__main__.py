@@ -1,0 +1,51 @@
+"""`planish run PIPELINE NAME=VALUE...`: the pipelines of the repository, without a clone of it."""
+
+import os
+import pathlib
+import subprocess
+import sys
+import sysconfig
+
+from . import PlanishError, programs
+
+USAGE = """planish run PIPELINE [NAME=VALUE...]   run a pipeline: planish run raster surface=mirror tif=tool machine=m.json
+planish show PIPELINE                  its settings, with their defaults and units
+planish list                           pipelines, fixture mirrors and machines that are here
+planish-STAGE --help                   one stage at a time; from Python: import planish
+"""
+
+
+def share():
+    """The folder with pipelines/ and fixtures/: in the wheel, or the clone."""
+    here = pathlib.Path(__file__).resolve().parent
+    return here / "share" if (here / "share").is_dir() else here.parents[1]
+
+
+def main():
+    arguments = sys.argv[1:]
+    goal = arguments[0] if arguments else ""
+    if goal in ("", "-h", "--help", "help"):
+        print(USAGE, end="")
+        return 0
+    if goal == "list":
+        for folder, ending in (("pipelines", ".just"), ("fixtures", ".json"), ("fixtures/machines", ".json")):
+            names = [p for p in sorted((share() / folder).glob(f"*{ending}")) if p.stem != "stages"]
+            print(f"{folder}: " + ", ".join(str(p) if folder.endswith("machines") else p.stem for p in names))
+        return 0
+    if goal not in ("run", "show") or len(arguments) < 2:
+        print(f"error: '{' '.join(arguments)}' is no command\n{USAGE}", end="", file=sys.stderr)
+        return 2
+    try:
+        folder = programs()
+    except PlanishError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    # `just` is beside this Python, whether or not its environment is active.
+    path = os.pathsep.join([str(folder), sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
+    environment = {**os.environ, "PATH": path, "PLANISH_PROGRAMS": str(folder)}
+    command = ["sh", str(share() / "pipelines/start.sh"), *arguments]
+    return subprocess.run(command, env=environment).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""What a new user does with the wheel: a mirror made with NumPy, from its arrays to programs in the machine's own axes.
+
+    environment/bin/python try_wheel.py        in an empty directory; ends with 0 when all of it is as it should be
+
+A mirror of 150 x 40 mm, a Gaussian tool, and a machine whose axes are exchanged and displaced. Checked are the bytes of
+what a function writes against those of the command line, the program read back against the plan, and the messages.
+"""
+
+import hashlib
+import json
+import pathlib
+import subprocess
+import sys
+import time
+
+import numpy as np
+import planish
+
+MACHINE = {
+    "name": "lab",
+    "part_origin_mm": [60.0, 100.0],
+    "axes": [
+        {"name": "x", "max_velocity_mm_per_s": 250, "max_acceleration_mm_per_s2": 2000, "travel_mm": [0, 120], "along": "+y"},
+        {"name": "y", "max_velocity_mm_per_s": 200, "max_acceleration_mm_per_s2": 2000, "travel_mm": [0, 200], "along": "-x"},
+    ],
+}
+
+
+def mirror():
+    """Height in nm: two bumps and a wave; and the rate of a tool of 5 nm/s and 2.5 mm standard deviation."""
+    x, y = np.arange(-75, 75.25, 0.5), np.arange(-20, 20.25, 0.5)
+    bump = lambda at, width: np.exp(-((x[None, :] - at) ** 2 + (y[:, None] - 0.2 * at) ** 2) / (2 * width**2))
+    height = 60 * bump(-30, 12) + 45 * bump(35, 16) + 4 * np.cos(2 * np.pi * x / 50)[None, :] + 20
+    d = np.arange(-8, 8.25, 0.5)
+    rate = 5 * np.exp(-(d[None, :] ** 2 + d[:, None] ** 2) / (2 * 2.5**2))
+    planish.save("mirror", height_nm=height, x_mm=x, y_mm=y)
+    planish.save("tool", rate_nm_per_s=rate, x_mm=d, y_mm=d)
+    pathlib.Path("machine.json").write_text(json.dumps(MACHINE))
+    back = planish.load("mirror")
+    assert np.array_equal(back["height_nm"], height) and back.kind is None
+
+
+def digests(folder):
+    return {
+        str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in sorted(pathlib.Path(folder).rglob("*"))
+        if file.is_file()
+    }
+
+
+def functions_write_what_the_command_line_writes():
+    made = planish.toolpath.raster(surface="mirror", tif="tool", pitch_mm=2, step_mm=2.0, out="made/path")
+    assert made.kind == "tool_path" and made["point_mm"].shape[1] == 2
+    dwell = planish.dwell.bounded_least_squares(
+        surface="mirror", tif="tool", tool_path=made, min_dwell_s=0.02, out="made/dwell"
+    )
+    motion = planish.schedule.pvt(tool_path=made, dwell=dwell, machine="machine.json", out="made/trajectory")
+    verdict = planish.verify(trajectory=motion, machine="machine.json", out="made/verdict")
+    assert verdict.negative is None and verdict.outcome["limits_respected"], verdict.outcome
+    first = digests("made")
+    pathlib.Path("made").rename("by-functions")
+    for command in (
+        "toolpath raster --surface=mirror --tif=tool --pitch-mm=2 --step-mm=2.0 --out=made/path",
+        "dwell bounded-least-squares --surface=mirror --tif=tool --tool-path=made/path --min-dwell-s=0.02 --out=made/dwell",
+        "schedule pvt --tool-path=made/path --dwell=made/dwell --machine=machine.json --out=made/trajectory",
+        "verify --trajectory=made/trajectory --machine=machine.json --out=made/verdict",
+    ):
+        program, *words = command.split()
+        subprocess.run([planish.programs() / f"planish-{program}", *words], check=True, capture_output=True)
+    assert digests("made") == first, "a function writes other bytes than the command line"
+    print(f"functions: {len(first)} files, the bytes of the command line")
+
+
+def messages_say_what_to_do():
+    for call, error, said in (
+        (lambda: planish.toolpath.raster(surface="mirror", pich_mm=1), TypeError, "no argument 'pich_mm'; there are surface"),
+        (lambda: planish.load("nowhere"), planish.PlanishError, "nowhere: is no directory"),
+        (lambda: planish.save("made", x_mm=[1.0]), FileExistsError, "made: holds something else"),
+        (lambda: planish.polish, AttributeError, "no program 'polish'; there are bspline_feed"),
+        (lambda: planish.toolpath.zigzag, AttributeError, "no command 'zigzag'; there are"),
+        (
+            lambda: planish.toolpath.raster(surface="mirror", tif="tool", pitch_mm=-1, step_mm=1, out="no"),
+            planish.PlanishError,
+            "pitch",
+        ),
+    ):
+        try:
+            call()
+        except error as e:
+            assert said in str(e), f"{e}"
+        else:
+            raise AssertionError(f"{said}: was not refused")
+    assert "Distance between neighbouring lines, mm" in planish.toolpath.raster.__doc__
+
+
+def the_first_mirror():
+    begun = time.monotonic()
+    planish_command = planish.programs() / "planish"
+    settings = "surface=mirror tif=tool machine=machine.json pitch_mm=2 step_mm=2 frames=0 export=galil out=first"
+    ran = subprocess.run([planish_command, "run", "raster", *settings.split()], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    # Which plan the program is of; and that the report recommends it, or which other one (a warning).
+    said = [line for line in (ran.stdout + ran.stderr).splitlines() if "program" in line and "report recommends" in line]
+    assert len(said) == 1 and "pvt+refined" in said[0], ran.stdout + ran.stderr
+    print(said[0])
+    print(f"first mirror: planned, and its program written and judged, in {time.monotonic() - begun:.0f} s")
+    plan = planish.load("first/methods/pvt+refined/trajectory")
+    planish.export.gcode(trajectory=plan, machine="machine.json", out="first/program.ngc")
+    for name, controller in (("program.galil", "galil"), ("program.ngc", "gcode")):
+        about = json.loads(pathlib.Path("first", f"{name}.json").read_text())
+        start = plan["coefficient_mm"][0, :, 0]
+        expected = [60 + start[1], 100 - start[0]]
+        assert np.allclose(about["start_mm"], expected, atol=1e-4), about["start_mm"]
+        back = planish.import_.program(
+            f"first/{name}", controller=controller, about=f"first/{name}.json", out=f"first/back-{controller}"
+        )
+        apart = np.abs(back["coefficient_mm"][:, :, 0] - plan["coefficient_mm"][:, :, 0]).max()
+        # Half a count of 0.1 um, and what nine decimals lose.
+        assert apart <= 0.51e-4, f"{controller}: {apart} mm"
+        print(f"{controller}: starts at x {about['start_mm'][0]:.4f}, y {about['start_mm'][1]:.4f} mm of the machine, "
+              f"read back within {apart:.1e} mm of the plan")
+    shown = subprocess.run([planish_command, "show", "raster"], capture_output=True, text=True)
+    assert shown.returncode == 0 and "pitch_mm" in shown.stdout, shown.stdout + shown.stderr
+    assert not (pathlib.Path(planish.__file__).parent / "share/out").exists()
+
+
+if __name__ == "__main__":
+    mirror()
+    functions_write_what_the_command_line_writes()
+    messages_say_what_to_do()
+    the_first_mirror()
+    print("the wheel is as it should be")
+    sys.exit(0)
