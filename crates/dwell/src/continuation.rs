@@ -132,7 +132,7 @@ mod tests {
         let decided = |j: usize| [1, 4, 6].contains(&j);
         let c = Continuation::new(&path, decided);
         let u: Vec<f64> = (0..8).map(|j| if decided(j) { 0.3 + j as f64 } else { 0.0 }).collect();
-        let s: Vec<f64> = (0..8).map(|j| (1.3 * j as f64).sin()).collect();
+        let s: Vec<f64> = (0..8).map(|j| (1.3 * f64::from(j)).sin()).collect();
         let (mut pu, mut ps) = (u.clone(), s.clone());
         c.apply(&mut pu);
         c.gather(&mut ps);
