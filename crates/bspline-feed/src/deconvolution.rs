@@ -17,7 +17,10 @@
 //! d_m <- the solution for line m (crate::limited),   r <- r - G_m (change of d_m)           (2)
 //! ```
 //!
-//! Each step lowers (1). What a sweep leaves is what several lines together could do and none alone:
+//! Each step of the convex-concave procedure lowers (1); one of knot removal may raise it, because it
+//! starts from all knots again. A sweep that raises (1) is given up, and ends the sweeps.
+//!
+//! What a sweep leaves is what several lines together could do and none alone:
 //! it fades by a factor of about 1 - lambda, lambda being an eigenvalue of the scaled normal
 //! matrix, so the parts of the map that the tool can correct come first. Lines that do not see each other's
 //! pixels are solved at the same time; the result does not depend on the number of threads.
@@ -97,6 +100,18 @@ pub struct Problem {
     groups: Vec<Vec<usize>>,
 }
 
+/// Where the sweeps begin.
+#[derive(Clone, Debug)]
+pub struct Start {
+    /// Control values of every line, positive, s/mm.
+    pub d: Vec<Vec<f64>>,
+    /// c, nm.
+    pub piston_nm: f64,
+    /// Whether they keep the limits. One that does not may leave less than is possible, so that the first sweep may
+    /// raise the objective.
+    pub is_within: bool,
+}
+
 /// Control values, and what they leave.
 #[derive(Clone, Debug)]
 pub struct State {
@@ -110,6 +125,8 @@ pub struct State {
     pub objective: Vec<f64>,
     /// Whether the objective fell by less than the tolerance in the last sweep.
     pub converged: bool,
+    /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
+    pub given_up_nm2: Option<f64>,
     /// Knots that are left by knot removal.
     pub kept: Vec<Knots>,
     /// Lines on which knot removal ended without an interior knot, and the procedure took over.
@@ -156,48 +173,58 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Sweeps from the control values `start` (positive) and the piston; `other_nm` (ny, nx) is what is
-    /// removed beside the passes.
+    /// Sweeps from a start; `other_nm` (ny, nx) is what is removed beside the passes. What is returned is no worse
+    /// than a start within the limits.
     pub fn solve(
         &self,
         surface: &Surface,
         other_nm: &Array2<f64>,
-        start: Vec<Vec<f64>>,
-        piston_nm: f64,
+        start: Start,
         settings: &Settings,
     ) -> Result<State, FeedError> {
-        let mut state = self.start(surface, other_nm, start, piston_nm);
-        state.objective.push(self.objective(&state, settings));
+        let mut may_rise = !start.is_within;
+        let mut state = self.start(surface, other_nm, start);
+        let mut before = self.objective(&state, settings);
+        state.objective.push(before);
         while state.objective.len() <= settings.max_sweeps {
-            // Knot removal may raise the objective; a worse state is given up.
-            let last = (settings.refinement == Refinement::KnotRemoval).then(|| state.clone());
+            let last = state.clone();
             self.sweep(&mut state, settings)?;
             if settings.free_piston {
                 free_piston(surface, &mut state);
             }
             let now = self.objective(&state, settings);
-            let before = state.objective[state.objective.len() - 1];
-            // The start may break the limits and so be lower than what is possible.
-            let first = state.objective.len() == 1;
-            match last {
-                Some(last) if !first && now > before => state = last,
-                _ => state.objective.push(now),
+            let stands = (before - now).abs() <= settings.tolerance * before;
+            if now > before && !may_rise {
+                state = last;
+                // The procedure asks for a little less than the limit, so that at its end a sweep may raise the
+                // objective by a trace: within the tolerance it stands still. Knot removal promises nothing.
+                state.converged = stands && settings.refinement == Refinement::ConvexConcave;
+                state.given_up_nm2 = (!state.converged).then_some(now);
+                break;
             }
-            if !first && before - now <= settings.tolerance * before {
+            state.objective.push(now);
+            if stands && !may_rise {
                 state.converged = true;
                 break;
             }
+            (before, may_rise) = (now, false);
         }
         Ok(state)
     }
 
-    fn start(
+    /// Objective (1) of a start, nm^2.
+    pub fn value(
         &self,
         surface: &Surface,
         other_nm: &Array2<f64>,
-        d: Vec<Vec<f64>>,
-        piston_nm: f64,
-    ) -> State {
+        start: Start,
+        settings: &Settings,
+    ) -> f64 {
+        self.objective(&self.start(surface, other_nm, start), settings)
+    }
+
+    fn start(&self, surface: &Surface, other_nm: &Array2<f64>, start: Start) -> State {
+        let Start { d, piston_nm, .. } = start;
         // r = z + c - other - G d on the valid pixels
         let mut residual_nm = surface.height_nm() - other_nm + piston_nm;
         residual_nm.mapv_inplace(|r| if r.is_nan() { 0.0 } else { r });
@@ -212,6 +239,7 @@ impl Problem {
             residual_nm,
             objective: Vec::new(),
             converged: false,
+            given_up_nm2: None,
             kept: self.lines.iter().map(|l| l.knots.clone()).collect(),
             fallbacks: 0,
             rows_mm: vec![Vec::new(); self.lines.len()],

@@ -175,6 +175,39 @@ pub fn convex_concave_step(
     Ok(slowed(knots, quadratic_program(objective, limits.min_density_s_per_mm, &rows)?, limit))
 }
 
+/// The control values within the limits next to the positive `wanted`: `wanted` itself where it keeps them, and
+/// what the procedure makes of `min |d - wanted|^2` otherwise.
+pub fn next_within(
+    knots: &Knots,
+    limits: FeedLimits,
+    wanted: Vec<f64>,
+) -> Result<Vec<f64>, String> {
+    let limit = ACCEPTED * limits.max_acceleration_mm_per_s2;
+    let least = limits.min_density_s_per_mm;
+    if wanted.iter().all(|d| *d >= least)
+        && highest_peak(knots, &wanted).acceleration_mm_per_s2 <= limit
+    {
+        return Ok(wanted);
+    }
+    let objective = Quadratic { p: Array2::eye(wanted.len()), q: wanted.clone() };
+    closest_within(&objective, knots, limits, wanted)
+}
+
+/// The procedure from `start` to where it settles.
+pub fn closest_within(
+    objective: &Quadratic,
+    knots: &Knots,
+    limits: FeedLimits,
+    start: Vec<f64>,
+) -> Result<Vec<f64>, String> {
+    let mut rows_mm = Vec::new();
+    (0..STEPS_TO_SETTLE)
+        .try_fold(start, |d, _| convex_concave_step(objective, knots, limits, &d, &mut rows_mm))
+}
+
+/// Steps of the procedure from a feed beyond the limits; it changes by less than 1e-3 after five.
+const STEPS_TO_SETTLE: usize = 6;
+
 /// `d` plus the least of the doubled constants that brings |a| within the limit.
 fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
     let mut more = 1e-3 * d.iter().copied().fold(f64::INFINITY, f64::min);

@@ -17,11 +17,12 @@ use planish_types::{
     DensityNodes, DwellDensity, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget,
     plausible::{self, Rms},
 };
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
     FeedError,
-    deconvolution::{self, Problem, Refinement},
+    deconvolution::{self, Problem, Refinement, Start},
     limited,
     motion::{FitReport, Links, Motion, motion},
     passes::{Pass, passes},
@@ -121,11 +122,15 @@ pub struct Report {
     /// Gauss-Seidel sweeps of all rounds.
     pub sweeps: usize,
     /// How it ended: `converged` (the last sweep lowered the objective by less than the tolerance),
-    /// `sweep-limit`, `link-limit` (what the links remove still changes), or `direct` for the VRR feed,
-    /// which is not iterated.
+    /// `sweep-limit`, `stopped` (the next sweep would have raised the objective), `link-limit` (what the
+    /// links remove still changes), or `direct` for the VRR feed, which is not iterated.
     pub end: End,
-    /// Objective at the start and after every sweep of the last round, nm^2.
+    /// Objective at the start and after every sweep of the last round, nm^2. It never rises, but from a start that
+    /// breaks the limits.
     pub objective_nm2: Vec<f64>,
+    /// Objective after the sweep that would have raised it and was given up, nm^2.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub given_up_nm2: Option<f64>,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm; absent for VRR.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_rms_nm: Option<f64>,
@@ -167,6 +172,7 @@ impl Plan {
                  raise `max_sweeps` or `tolerance`",
                 r.sweeps, settings.tolerance
             )),
+            End::Stopped => Some(self.stopped(settings)),
             End::LinkLimit => Some(
                 "not converged: what the turn-arounds remove still changes from round to round; give the \
                  path more overscan, so that they lie off the part"
@@ -180,6 +186,27 @@ impl Plan {
                 _ => plausible::too_long(total_time_s),
             },
         }
+    }
+
+    /// What is to be said of a sweep that was given up.
+    fn stopped(&self, settings: &Settings) -> String {
+        let r = &self.report;
+        let (done, last) = (r.objective_nm2.len() - 1, r.objective_nm2[r.objective_nm2.len() - 1]);
+        let raised = r.given_up_nm2.unwrap_or(last);
+        let kept = if done == 0 {
+            "the plan is its start, the feed of the volumetric removal rate".to_string()
+        } else {
+            format!("the plan is that of sweep {done}")
+        };
+        let remedy = match settings.refinement {
+            Refinement::KnotRemoval => "take `refinement` convex-concave, which keeps all knots",
+            Refinement::ConvexConcave => "raise `tolerance`",
+        };
+        format!(
+            "not converged: sweep {} raised the objective from {last:.6e} to {raised:.6e} nm^2 and was given \
+             up, so {kept}; {remedy}",
+            done + 1
+        )
     }
 }
 
@@ -227,14 +254,25 @@ pub fn plan(
         }
         Method::Deconvolution => {
             let problem = Problem::new(&passes, knots.clone(), tif, surface)?;
-            let (mut d, mut piston_nm) = guess.start(&passes, &knots);
+            let mut start = guess.start(&passes, &knots);
+            if settings.refinement == Refinement::KnotRemoval {
+                start = within(start, &passes, &knots)?;
+            }
             let mut other_nm = Array2::zeros(surface.grid().shape());
             let mut sweeps = 0;
             let mut rounds = 0;
             loop {
                 rounds += 1;
                 let how = deconvolution_settings(settings);
-                let state = problem.solve(surface, &other_nm, d, piston_nm, &how)?;
+                let mut state = problem.solve(surface, &other_nm, start.clone(), &how)?;
+                // Worse than its start, which the limits may excuse: then not worse than the start within them.
+                if !start.is_within && state.objective.last() > state.objective.first() {
+                    let near = within(start, &passes, &knots)?;
+                    let value = problem.value(surface, &other_nm, near.clone(), &how);
+                    if state.objective.last() > Some(&value) {
+                        state = problem.solve(surface, &other_nm, near, &how)?;
+                    }
+                }
                 let motion = run(&state.d)?;
                 let now_nm = motion.link_removal_nm(tif, surface);
                 let change = largest(&(&now_nm - &other_nm), surface);
@@ -246,7 +284,8 @@ pub fn plan(
                     let state = Some(state);
                     break Solved { d, motion, link_removal_nm, piston_nm, sweeps, settled, state };
                 }
-                (d, piston_nm, other_nm) = (state.d, state.piston_nm, now_nm);
+                start = Start { d: state.d, piston_nm: state.piston_nm, is_within: true };
+                other_nm = now_nm;
             }
         }
     };
@@ -379,6 +418,17 @@ fn width_mm(tif: &Tif) -> f64 {
     ((8.0 * std::f64::consts::LN_2).sqrt() * (0.5 * r2).sqrt()).max(least)
 }
 
+/// The start next to this one that keeps the limits.
+fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedError> {
+    let near = (start.d.into_par_iter().zip(passes).zip(knots).enumerate()).map(
+        |(m, ((d, pass), knots))| {
+            limited::next_within(knots, deconvolution::limits(pass), d)
+                .map_err(|status| FeedError::Solver { pass: m, status })
+        },
+    );
+    Ok(Start { d: near.collect::<Result<_, _>>()?, is_within: true, ..start })
+}
+
 /// What the VRR feed needs.
 struct Guess<'a> {
     surface: &'a Surface,
@@ -388,9 +438,9 @@ struct Guess<'a> {
 }
 
 impl Guess<'_> {
-    /// The VRR feed of the map as the TIF sees it, as control values, and the piston with which the
-    /// lowest place gets the largest feed.
-    fn start(&self, passes: &[Pass], knots: &[Knots]) -> (Vec<Vec<f64>>, f64) {
+    /// The VRR feed of the map as the TIF sees it, as control values, whatever the acceleration, and the piston
+    /// with which the lowest place gets the largest feed.
+    fn start(&self, passes: &[Pass], knots: &[Knots]) -> Start {
         let vrr = self.tif.vrr_nm_mm2_per_s();
         let seen: Vec<Vec<Option<f64>>> = (passes.iter().zip(knots))
             .map(|(p, k)| k.greville().iter().map(|s| self.average_nm(p.at(*s))).collect())
@@ -408,7 +458,7 @@ impl Guess<'_> {
             };
             seen[m].iter().map(density).collect()
         });
-        (d.collect(), piston_nm)
+        Start { d: d.collect(), piston_nm, is_within: false }
     }
 
     /// The splines closest to the VRR feed within the limits, and the piston with which the lowest pixel
@@ -432,13 +482,9 @@ impl Guess<'_> {
                 vrr::density_s_per_mm(z, self.pitches[m], vrr, least)
             };
             let objective = vrr::closest(knots, wanted);
-            let mut d: Vec<f64> = knots.greville().iter().map(|s| wanted(*s)).collect();
-            let mut rows = Vec::new();
-            // The procedure settles within a few steps.
-            for _ in 0..VRR_STEPS {
-                d = limited::convex_concave_step(&objective, knots, limits, &d, &mut rows)
-                    .map_err(|status| FeedError::Solver { pass: m, status })?;
-            }
+            let start = knots.greville().iter().map(|s| wanted(*s)).collect();
+            let d = limited::closest_within(&objective, knots, limits, start)
+                .map_err(|status| FeedError::Solver { pass: m, status })?;
             all.push(d);
         }
         Ok((all, piston_nm))
@@ -466,9 +512,6 @@ impl Guess<'_> {
         (volume > 0.1 * self.tif.vrr_nm_mm2_per_s()).then(|| sum / weight)
     }
 }
-
-/// Steps of the convex-concave procedure for the baseline; it changes by less than 1e-3 after five.
-const VRR_STEPS: usize = 6;
 
 /// Largest magnitude on the valid pixels.
 fn largest(map: &Array2<f64>, surface: &Surface) -> f64 {
@@ -520,11 +563,13 @@ fn report(
         sweeps: solved.sweeps,
         end: match &solved.state {
             None => End::Direct,
+            Some(state) if state.given_up_nm2.is_some() => End::Stopped,
             Some(state) if !state.converged => End::SweepLimit,
             Some(_) if !solved.settled => End::LinkLimit,
             Some(_) => End::Converged,
         },
         objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
+        given_up_nm2: solved.state.as_ref().and_then(|s| s.given_up_nm2),
         model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),
         model_rms_detilted_nm: residual.map(|r| r.detilted_nm),
         acceleration_use,

@@ -11,7 +11,7 @@ use planish_bspline_feed::{
 };
 use planish_numerics::bspline::Knots;
 use planish_testkit::maps::largest_magnitude;
-use planish_types::{Axis, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{Axis, End, Grid, Limits, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -197,8 +197,8 @@ fn control_values(knots: &Knots, values: &[f64]) -> Vec<f64> {
 #[test]
 fn the_acceleration_is_kept_and_the_procedure_leaves_less_than_knot_removal() {
     let free = ridges_with(Refinement::ConvexConcave, 1e6);
-    let procedure = ridges_with(Refinement::ConvexConcave, 2.0);
-    let removal = ridges_with(Refinement::KnotRemoval, 2.0);
+    let procedure = ridges_with(Refinement::ConvexConcave, 20.0);
+    let removal = ridges_with(Refinement::KnotRemoval, 20.0);
     let rms = |p: &Plan| p.report.model_rms_nm.unwrap();
     assert!(procedure.report.acceleration_use > 0.99, "the limit matters");
     for p in [&procedure, &removal] {
@@ -207,6 +207,26 @@ fn the_acceleration_is_kept_and_the_procedure_leaves_less_than_knot_removal() {
     assert!(removal.report.knots_left < procedure.report.knots_left);
     assert!(rms(&free) <= rms(&procedure), "{} {}", rms(&free), rms(&procedure));
     assert!(rms(&procedure) <= rms(&removal), "{} {}", rms(&procedure), rms(&removal));
+}
+
+#[test]
+fn a_sweep_that_raises_the_objective_is_given_up_and_said() {
+    let settings = Settings { refinement: Refinement::KnotRemoval, ..Settings::default() };
+    // With a weak machine the first sweep is worse than its start, the feed of the volumetric removal rate; with a
+    // stronger one some sweeps lower the objective before one raises it.
+    for (acceleration, sweeps) in [(2.0, 0..1), (20.0, 1..10)] {
+        let given_up = ridges_with(Refinement::KnotRemoval, acceleration);
+        let r = &given_up.report;
+        assert_eq!(r.end, End::Stopped, "{r:?}");
+        let o = &r.objective_nm2;
+        assert!(sweeps.contains(&(o.len() - 1)), "{o:?}");
+        assert!(o.windows(2).all(|w| w[1] < w[0]), "{o:?}");
+        assert!(r.given_up_nm2.unwrap() > o[o.len() - 1], "{r:?}");
+        let said = given_up.drawback(&ridges(), &settings).unwrap();
+        assert!(said.contains("raised the objective") && said.contains("was given up"), "{said}");
+        // What is returned is a plan: within the limits.
+        assert!(r.acceleration_use <= 1.0 && r.feed_use <= 1.0, "{r:?}");
+    }
 }
 
 #[test]

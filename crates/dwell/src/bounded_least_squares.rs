@@ -30,7 +30,8 @@
 //! gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
 //! result. B is applied by FFT, which is exact where the TIF has the pitch of the map; otherwise its
 //! columns are stored, unless they are too many.
-//! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound.
+//! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound in (1); in what is returned
+//! they have the density of their neighbours (`continuation`), which removes less than 1e-4 of a column there.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
 //! Opt. Express 29 (2021) 38737, with the free piston, the density smoothness and the certificate.

@@ -176,6 +176,61 @@ impl Cells {
     }
 }
 
+/// Nodes that are no unknowns have the time of the unknown next to them.
+pub(crate) struct Spread {
+    /// Node, and the unknown whose time it has.
+    ties: Vec<(u32, u32)>,
+}
+
+impl Spread {
+    /// For the nodes that belong to a dwell point (`owned`) but are not `active` (both by rows): the nearest active
+    /// node, counted in steps to one of the eight neighbours.
+    pub fn new(owned: &Array2<bool>, active: &[bool]) -> Self {
+        let (ny, nx) = owned.dim();
+        let mut source: Vec<u32> = vec![NO_POINT; active.len()];
+        let mut front: Vec<u32> = Vec::new();
+        for (k, active) in active.iter().enumerate() {
+            if *active {
+                source[k] = k as u32;
+                front.push(k as u32);
+            }
+        }
+        let mut ties = Vec::new();
+        while !front.is_empty() {
+            let mut next = Vec::new();
+            for k in front {
+                let (r, c) = (k as usize / nx, k as usize % nx);
+                for row in r.saturating_sub(1)..(r + 2).min(ny) {
+                    for column in c.saturating_sub(1)..(c + 2).min(nx) {
+                        let to = row * nx + column;
+                        if source[to] == NO_POINT && owned[[row, column]] {
+                            source[to] = source[k as usize];
+                            ties.push((to as u32, source[to]));
+                            next.push(to as u32);
+                        }
+                    }
+                }
+            }
+            front = next;
+        }
+        Self { ties }
+    }
+
+    /// The times of the other nodes from those of the unknowns.
+    pub fn apply(&self, t: &mut [f64]) {
+        for (node, source) in &self.ties {
+            t[*node as usize] = t[*source as usize];
+        }
+    }
+
+    /// Adjoint: what counts for a node counts for the unknown whose time it has.
+    pub fn gather(&self, s: &mut [f64]) {
+        for (node, source) in &self.ties {
+            s[*source as usize] += s[*node as usize];
+        }
+    }
+}
+
 /// Points sorted into squares, for the search of the nearest one.
 struct Buckets {
     start: [f64; 2],

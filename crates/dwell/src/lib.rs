@@ -22,6 +22,7 @@ pub mod bcls;
 pub mod bounded_least_squares;
 mod bounds;
 mod coarse;
+mod continuation;
 mod dwell_map;
 mod extension;
 pub mod lucy_richardson;

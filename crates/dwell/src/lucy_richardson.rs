@@ -11,7 +11,8 @@
 //! likelihood never falls, and after every step the removed volume is the desired one. `B' w` in place of the volume of the
 //! TIF is the whole treatment of the boundary: a dwell point near it is judged by the pixels that it
 //! reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the best
-//! one reaches stay at the floor.
+//! one reaches are no unknowns: the density of their neighbours goes on there, in every step, so that what they
+//! remove is counted.
 //!
 //! The unknowns are the dwell times of the path (smoothness of the density along the path), or a map
 //! of dwell times on the pixels, as in the source (smoothness in two dimensions), which then goes to
@@ -53,7 +54,8 @@ use serde::Serialize;
 use crate::{
     DwellError,
     coarse::{self, CoarseMap, MAX_SQUARE_PIXELS},
-    dwell_map::Cells,
+    continuation::Continuation,
+    dwell_map::{Cells, Spread},
     problem::{Model, Problem, Solution, check, check_steps},
 };
 
@@ -143,7 +145,7 @@ impl Report {
     }
 }
 
-/// A dwell point below this fraction of the largest `B' w` stays at the floor.
+/// Below this fraction of the largest `B' w` the density of the neighbours goes on.
 const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 
 /// No dwell time exceeds this multiple of the mean: at the edge of the reach T may run away.
@@ -221,6 +223,9 @@ fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>
     let largest = model.sensitivity.iter().copied().fold(0.0, f64::max);
     let active: Vec<bool> =
         model.sensitivity.iter().map(|s| *s > MIN_SENSITIVITY_FRACTION * largest).collect();
+    let beyond = Continuation::new(model.problem.path, |j| active[j]);
+    let mut sensitivity = model.sensitivity.clone();
+    beyond.gather(&mut sensitivity);
     // Density q = t / (l_j / l); p_j = (q_{j+1} - q_j) / sqrt(|..|^2 + eps^2), kappa_j = p_j - p_{j-1}
     let curvature = |t: &[f64], mean: f64| -> Vec<f64> {
         let slope = |j: usize| {
@@ -241,14 +246,24 @@ fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>
             .collect()
     };
     let unknown = Unknown {
-        forward: &|t| model.operator.apply(t),
-        adjoint: &|m| model.operator.adjoint(m),
+        forward: &|t| {
+            let mut t = t.to_vec();
+            beyond.apply(&mut t);
+            model.operator.apply(&t)
+        },
+        adjoint: &|m| {
+            let mut s = model.operator.adjoint(m);
+            beyond.gather(&mut s);
+            s
+        },
         curvature: &curvature,
-        sensitivity: &model.sensitivity,
+        sensitivity: &sensitivity,
         active: &active,
         uniform: &model.shape,
     };
-    iterate(&model.weight, e, &unknown, settings)
+    let (mut t, report) = iterate(&model.weight, e, &unknown, settings);
+    beyond.apply(&mut t);
+    (t, report)
 }
 
 fn on_map(
@@ -264,15 +279,20 @@ fn on_map(
     let shape = map.shape();
     let sensitivity = map.adjoint(&weight);
     let largest = sensitivity.iter().copied().fold(0.0, f64::max);
-    let active: Vec<bool> = (sensitivity.iter().zip(&map.at_nodes(&cells.owned())))
+    let owned = map.at_nodes(&cells.owned());
+    let active: Vec<bool> = (sensitivity.iter().zip(&owned))
         .map(|(s, owned)| *owned && *s > MIN_SENSITIVITY_FRACTION * largest)
         .collect();
     if !active.iter().any(|a| *a) {
         return Err(DwellError::OutOfReach { points: path.len() });
     }
-    let sensitivity = sensitivity.into_raw_vec_and_offset().0;
+    let beyond = Spread::new(&owned, &active);
+    let mut sensitivity = sensitivity.into_raw_vec_and_offset().0;
+    beyond.gather(&mut sensitivity);
     let removal = |t: &[f64]| -> Array2<f64> {
-        map.removal(ArrayView2::from_shape(shape, t).expect("one per node"))
+        let mut t = t.to_vec();
+        beyond.apply(&mut t);
+        map.removal(ArrayView2::from_shape(shape, &t).expect("one per node"))
     };
     // Differences over `size` pixels, and a curvature in cells: `size` times that in pixels.
     let step = size as f64;
@@ -285,16 +305,26 @@ fn on_map(
     };
     let unknown = Unknown {
         forward: &removal,
-        adjoint: &|m| map.adjoint(m).into_raw_vec_and_offset().0,
+        adjoint: &|m| {
+            let mut s = map.adjoint(m).into_raw_vec_and_offset().0;
+            beyond.gather(&mut s);
+            s
+        },
         curvature: &curvature,
         sensitivity: &sensitivity,
         active: &active,
         uniform: &vec![1.0; active.len()],
     };
-    let (t, mut report) = iterate(&weight, &e, &unknown, settings);
+    let (mut t, mut report) = iterate(&weight, &e, &unknown, settings);
+    beyond.apply(&mut t);
     report.pixels_per_cell = size;
     let seconds = map.prolong(Array2::from_shape_vec(shape, t).expect("one per node"));
-    Ok((cells.to_path(&seconds, path.len()), report))
+    let mut t = cells.to_path(&seconds, path.len());
+    // Where the lattice of tool positions ends within the cell of a dwell point, its time is not all there.
+    let most = model.sensitivity.iter().copied().fold(0.0, f64::max);
+    let reached = |j: usize| model.sensitivity[j] > MIN_SENSITIVITY_FRACTION * most;
+    Continuation::new(path, reached).apply(&mut t);
+    Ok((t, report))
 }
 
 /// Whether the pixel nearest to `p` counts.

@@ -34,6 +34,7 @@ use serde::Serialize;
 use crate::{
     DwellError,
     bounds::{self, Bound, pixel_weights},
+    continuation::Continuation,
     model::{
         FFT_ROUNDING, ROWS_PER_TASK, UNREACHED_FRACTION,
         columns::{Columns, Place},
@@ -93,7 +94,7 @@ pub struct Outcome {
     pub total_time_s: f64,
     /// Dwell points at their floor that reach the map.
     pub at_floor: usize,
-    /// Dwell points that do not reach the map, at their floor.
+    /// Dwell points that do not reach the map; they have the density of their neighbours.
     pub unreached_points: usize,
     /// Valid pixels that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
@@ -198,7 +199,15 @@ impl<'a> Model<'a> {
              the lowest to the highest pixel of the map",
             self.lo[j]
         );
-        let remedy = "lower the least dwell time, or widen the pitch";
+        let path = self.problem.path;
+        let remedy = match median_length_mm(path) {
+            Some(step) => format!(
+                "the path has {} dwell points, {step:.3} mm apart: give a least dwell time per mm \
+                 (`min_dwell_s_per_mm`), a path with longer steps or a wider pitch, or a lower floor",
+                path.len()
+            ),
+            None => "lower the least dwell time".to_string(),
+        };
         Err(Invalid::at("min_dwell", j, problem, remedy))
     }
 
@@ -358,8 +367,20 @@ impl<'a> Model<'a> {
         counted(&ones, FFT_ROUNDING * ones.iter().copied().fold(0.0, f64::max))
     }
 
+    /// What the dwell times do, those of unreached dwell points from the density of their neighbours.
+    pub fn finish<R>(&self, mut dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
+        let hi = vec![f64::INFINITY; dwell_s.len()];
+        let unreached = Continuation::new(self.problem.path, |j| self.reached(j));
+        unreached.apply_within(&mut dwell_s, &self.lo, &hi);
+        self.finish_as_they_are(dwell_s, report)
+    }
+
     /// What the dwell times do.
-    pub fn finish<R>(&self, dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
+    pub fn finish_as_they_are<R>(
+        &self,
+        dwell_s: Vec<f64>,
+        report: R,
+    ) -> Result<Solution<R>, DwellError> {
         let removal = self.operator.apply(&dwell_s);
         let residual = Zip::from(self.problem.desired.height_nm())
             .and(&removal)

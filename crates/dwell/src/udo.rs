@@ -138,18 +138,20 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         rms_nm.push(rms(&after));
         (t, residual) = (next, after);
     }
-    let dwell_s = match settings.floor {
+    let report = Report { end, iterations: rms_nm.len() - 1, rms_nm };
+    match settings.floor {
         Floor::Model => {
-            (0..t.len()).map(|j| model.lo[j] + if model.reached(j) { t[j] } else { 0.0 }).collect()
+            let above = |j: usize| if model.reached(j) { t[j] } else { 0.0 };
+            model.finish((0..t.len()).map(|j| model.lo[j] + above(j)).collect(), report)
         }
         Floor::Shift => {
             // t - min t + the floor; a floor that differs from point to point is met everywhere.
             let lift = (0..t.len()).map(|j| model.lo[j] - t[j]).fold(f64::NEG_INFINITY, f64::max);
-            t.iter().zip(&model.lo).map(|(t, lo)| (t + lift).max(*lo)).collect()
+            let dwell_s = t.iter().zip(&model.lo).map(|(t, lo)| (t + lift).max(*lo)).collect();
+            // As published: what is not reached has its image of the extended map, too.
+            model.finish_as_they_are(dwell_s, report)
         }
-    };
-    let report = Report { end, iterations: rms_nm.len() - 1, rms_nm };
-    model.finish(dwell_s, report)
+    }
 }
 
 /// gamma of (1): least RMS of `z - gamma m`, means removed.

@@ -327,6 +327,45 @@ fn pixels_out_of_reach_are_counted_and_a_path_beside_the_part_is_refused() {
 }
 
 #[test]
+fn where_nothing_is_reached_the_density_of_the_neighbours_goes_on() {
+    // Lines that end 4.5 mm beyond the map, of which the tool reaches 3.25 mm.
+    let (desired, tool, path) = (surface(bowl()), bell(), path(4.5));
+    let seen: Vec<f64> = patches(&Columns::Segment.places(&path), &tool, &grid())
+        .iter()
+        .map(|p| p.rate_nm_per_s.sum())
+        .collect();
+    let largest = seen.iter().copied().fold(0.0, f64::max);
+    let reached: Vec<usize> = (0..path.len()).filter(|j| seen[*j] > 1e-9 * largest).collect();
+    for (name, solve, _) in SOLVERS {
+        let case = Case {
+            desired: &desired,
+            tif: &tool,
+            path: &path,
+            weight: None,
+            floor_s_per_mm: FLOOR,
+        };
+        let found = solve(&case).unwrap_or_else(|e| panic!("{name}: {e}"));
+        if name == "udo with a shift" {
+            continue; // as published
+        }
+        let q = |j: usize| found.dwell.dwell_s()[j] / path.segment_length_mm(j);
+        let mut above = 0;
+        for j in (0..path.len()).filter(|j| !reached.contains(j)) {
+            let next = reached.partition_point(|k| *k < j);
+            let before = q(reached[next.saturating_sub(1)]);
+            let after = q(reached[next.min(reached.len() - 1)]);
+            // Rounding of a density of 0.1.
+            let (low, high) = (before.min(after) - 1e-12, before.max(after) + 1e-12);
+            assert!((low..=high).contains(&q(j)), "{name} {j}: {before} {} {after}", q(j));
+            above += usize::from(q(j) > 1.01 * FLOOR);
+        }
+        // Lucy and Richardson's density does not fall towards the edge of the reach; at the floor there would
+        // be a step.
+        assert!(!name.starts_with("lucy") || above > 100, "{name}: {above} are above the floor");
+    }
+}
+
+#[test]
 fn a_floor_above_the_map_and_a_tool_larger_than_the_map_are_refused_or_done() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let case =
@@ -511,17 +550,17 @@ fn lucy_richardson_raises_the_likelihood_and_keeps_the_volume() {
         // Rounding of a sum of 1800 terms of order 100.
         assert!(l.windows(2).all(|w| w[1] >= w[0] - 1e-8), "{l:?}");
         assert!(l[40] > l[0] + 10.0);
-        // Every dwell point that takes part has more than the floor.
+        // Every dwell point that takes part has more than the floor, and so have those beyond them.
         let above = found.dwell.dwell_s().iter().filter(|t| **t > FLOOR * 0.5).count();
         if unknowns == Unknowns::Path {
-            assert_eq!(above, found.report.active);
+            assert!(found.report.active < above && above == path.len(), "{above}");
             // sum w B t' = sum w E after every step, here with the piston of E unknown: the dwell
             // time of the unsmoothed and of the smoothed solution remove nearly the same.
             let smooth = lucy_richardson::Settings { total_variation: 0.01, ..settings };
             let smooth = lucy_richardson::solve(&case.problem(), &smooth).unwrap();
             let (a, b) = (found.outcome.total_time_s, smooth.outcome.total_time_s);
-            // The edge, where a second removes less, moves a few percent.
-            assert!((a / b - 1.0).abs() < 0.05, "{a} {b}");
+            // The edge, where a second removes less, moves a few percent, and what goes on beyond it moves along.
+            assert!((a / b - 1.0).abs() < 0.1, "{a} {b}");
             let rough = |t: &[f64]| -> f64 { t.windows(2).map(|w| (w[1] - w[0]).abs()).sum() };
             let (a, b) = (rough(found.dwell.dwell_s()), rough(smooth.dwell.dwell_s()));
             assert!(b < 0.99 * a, "total variation {b} of {a}");

@@ -1,9 +1,9 @@
-//! How deep and how sharp the valleys of a removal are: `valleys RUN_DIR` reads the surface and the
-//! removal of every method of a run, and prints per method, from the profile along x that is the
-//! mean over the middle half of the rows,
+//! How deep and how sharp the valleys are that a removal makes: `valleys RUN_DIR` reads the surface and the
+//! removal of every method of a run, and prints per method, from the profile along x of what is left of a
+//! plane (the removal upside down), the mean over the middle half of the rows,
 //!
-//! * the depth of every valley (a local minimum of the desired removal 20 % of its PV below the peaks
-//!   beside it) below the mean of those peaks, desired and predicted, and the error;
+//! * the depth of every valley (a local minimum of the desired profile 20 % of its PV below the crests
+//!   beside it) below the mean of those crests, desired and predicted, and the error;
 //! * the amplitude spectrum at the harmonics of the profile (Hann window), predicted over desired.
 
 use std::{env, fs, path::Path};
@@ -11,15 +11,15 @@ use std::{env, fs, path::Path};
 use planish_handoff::artifact;
 use planish_types::{Removal, Surface};
 
-/// Mean over the middle half of the rows.
+/// What a removal leaves of a plane, mean over the middle half of the rows, nm.
 fn profile(map: &ndarray::Array2<f64>) -> Vec<f64> {
     let ny = map.nrows();
     let rows = ny / 4..ny - ny / 4;
     let n = rows.len() as f64;
-    (0..map.ncols()).map(|c| rows.clone().map(|r| map[[r, c]]).sum::<f64>() / n).collect()
+    (0..map.ncols()).map(|c| -rows.clone().map(|r| map[[r, c]]).sum::<f64>() / n).collect()
 }
 
-/// Places (peak before, valley, peak after) of the valleys of `z`.
+/// Places (crest before, valley, crest after) of the valleys of `z`.
 fn valleys(z: &[f64]) -> Vec<[usize; 3]> {
     let (low, high) = z.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
     let enough = 0.2 * (high - low);
@@ -38,12 +38,12 @@ fn valleys(z: &[f64]) -> Vec<[usize; 3]> {
     turns.windows(3).filter(|w| z[w[1]] < z[w[0]]).map(|w| [w[0], w[1], w[2]]).collect()
 }
 
-/// Depth below the mean of the peaks, each sought within `reach` pixels of its place.
+/// Depth below the mean of the crests, each sought within `reach` pixels of its place.
 fn depth(z: &[f64], [a, valley, b]: [usize; 3], reach: usize) -> f64 {
     let near = |k: usize| &z[k.saturating_sub(reach)..(k + reach + 1).min(z.len())];
-    let peak = |k: usize| near(k).iter().copied().fold(f64::MIN, f64::max);
+    let crest = |k: usize| near(k).iter().copied().fold(f64::MIN, f64::max);
     let low = near(valley).iter().copied().fold(f64::MAX, f64::min);
-    0.5 * (peak(a) + peak(b)) - low
+    0.5 * (crest(a) + crest(b)) - low
 }
 
 /// Amplitude at `frequency` (per mm) under a Hann window.

@@ -8,7 +8,7 @@ use std::{env, fs, process::Command, time::Duration};
 
 use planish_dwell::{
     bounded_least_squares::{self, Bound},
-    columns::Columns,
+    columns::{Columns, patches},
 };
 use planish_schedule::{
     constant_acceleration, position, pvt, pvt_as_published, pvt_as_published::RestCondition,
@@ -273,7 +273,12 @@ fn best_dwell_on_the_published_raster_points() {
         bounded_least_squares::solve(&mirror.desired, &mirror.tif, &path, None, &settings).unwrap();
     let trajectory = position::schedule(&path, &solution.dwell).unwrap();
     let removal = simulated(&mirror, &trajectory, GRIDDED);
-    near("total time, s", solution.dwell.total_s(), 434.7, 0.5);
+    // The dwell points that do not reach the map at the floor, as in the independent computation.
+    let columns = patches(&Columns::Point.places(&path), &mirror.tif, mirror.desired.grid());
+    let at_floor: f64 = (solution.dwell.dwell_s().iter().zip(&columns))
+        .map(|(t, p)| if p.rate_nm_per_s.iter().all(|r| *r == 0.0) { 0.1 } else { *t })
+        .sum();
+    near("total time, s", at_floor, 434.7, 0.5);
     near("residual, nm detilted", removal.residual().detilted_rms_nm(), 0.14845, 2e-5);
 }
 

@@ -8,7 +8,8 @@ use planish_fixture::{Recipe, make};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::workspace;
 use planish_toolpath::{
-    LineOrder, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch, pitch_limit, raster,
+    LineOrder, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch, multi_pitch::Links,
+    pitch_limit, raster,
 };
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath, Trajectory};
 
@@ -154,6 +155,7 @@ fn multi_pitch_keeps_the_ripple_in_a_band_and_removes_less_too_much() {
         min_area_mm2: None,
         step_mm: 1.0,
         overscan_mm: 14.0,
+        links: Links::On,
     };
     let made = multi_pitch(surface, tif, &settings).unwrap();
     let (vrr, v) = (tif.vrr_nm_mm2_per_s(), settings.max_velocity_mm_per_s);

@@ -11,7 +11,8 @@ use planish_handoff::artifact;
 use planish_testkit::{maps::random_aperture, program::save};
 use planish_toolpath::{
     LineOrder, MultiPitch, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch,
-    multi_pitch::class_pitches_mm, raster, statistics,
+    multi_pitch::{Links, class_pitches_mm},
+    raster, statistics,
 };
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
 use proptest::prelude::*;
@@ -40,6 +41,7 @@ fn settings(classes: usize, max_velocity_mm_per_s: f64) -> MultiPitchSettings {
         min_area_mm2: None,
         step_mm: 1.0,
         overscan_mm: 3.0,
+        links: Links::On,
     }
 }
 
@@ -210,6 +212,37 @@ fn no_line_reaches_into_the_region_beside_it() {
 }
 
 #[test]
+fn the_tool_is_lifted_along_borders_or_on_every_link() {
+    // Shallow on the left, deep on the right of a wavy border.
+    let surface =
+        map([40.0, 30.0], 0.25, |x, y| if x < 20.0 + (0.4 * y).sin() { 20.0 } else { 100.0 });
+    let tif = tif(1.0);
+    let with = |links| {
+        let settings = MultiPitchSettings { links, ..settings(2, tif.vrr_nm_mm2_per_s() / 20.0) };
+        multi_pitch(&surface, &tif, &settings).unwrap()
+    };
+    let made = [Links::On, Links::Outside, Links::Off].map(with);
+    // Links with the tool on: beside the border inside the part, and beyond the part.
+    let links = made.each_ref().map(|made| {
+        let path = &made.path;
+        // A line may begin where the one before it ended, to rounding.
+        let across = |i: &usize| path.displacement_mm(*i)[1].abs() > 1e-6;
+        let on = (0..path.len()).filter(|i| path.tool_on()[*i]).filter(across);
+        let inside = |i: &usize| (1.0..39.0).contains(&path.dwell_point_mm()[*i][0]);
+        let (inner, outer): (Vec<usize>, Vec<usize>) = on.partition(inside);
+        [inner.len(), outer.len()]
+    });
+    let [on, outside, off] = links;
+    // Both regions have a link at every other end of their lines: 30 mm in pitches of up to 2 mm.
+    assert!(on[0] > 20 && on[1] > 20, "{links:?}");
+    assert_eq!((outside, off), ([0, on[1]], [0, 0]));
+    // The lines are the same, and so is where they are.
+    let [a, b, c] = made.each_ref().map(|m| line_length_mm(m).iter().sum::<f64>());
+    assert!((a / b - 1.0).abs() < 1e-12 && (a / c - 1.0).abs() < 1e-12, "{a} {b} {c}");
+    assert!(made[1..].iter().all(|m| m.region_idx == made[0].region_idx));
+}
+
+#[test]
 fn the_area_of_the_lines_is_that_of_the_regions() {
     let tif = tif(1.0);
     let vrr = tif.vrr_nm_mm2_per_s();
@@ -309,6 +342,7 @@ prop_compose! {
         min_area_mm2 in prop_oneof![Just(None), Just(Some(0.0)), (0.0..30.0_f64).prop_map(Some)],
         step_mm in 0.3..3.0_f64,
         overscan_mm in prop_oneof![Just(0.0), 0.0..3.0_f64],
+        links in prop_oneof![Just(Links::On), Just(Links::Outside), Just(Links::Off)],
     ) -> MultiPitchSettings {
         MultiPitchSettings {
             classes,
@@ -318,6 +352,7 @@ prop_compose! {
             min_area_mm2,
             step_mm,
             overscan_mm,
+            links,
         }
     }
 }

@@ -39,6 +39,8 @@ pub struct BoundedProblem<'a> {
     pub lo: &'a [f64],
     /// Upper bounds; the lower ones of unreached columns, which keep them whatever the others do.
     pub hi: Vec<f64>,
+    /// Upper bounds as given.
+    pub hi_given: &'a [f64],
     pub reached: Vec<bool>,
     /// Diagonal of H without the penalty.
     pub diagonal: Vec<f64>,
@@ -162,6 +164,7 @@ impl<'a> BoundedProblem<'a> {
             weight,
             lo: &program.lo,
             hi,
+            hi_given: &program.hi,
             reached,
             diagonal,
             strongest,

@@ -11,7 +11,7 @@ use planish_types::{
 use serde::Serialize;
 
 use super::{minimise::Iterate, prepared::BoundedProblem};
-use crate::{model::FFT_ROUNDING, surrogate::Surrogate};
+use crate::{continuation::Continuation, model::FFT_ROUNDING, surrogate::Surrogate};
 
 /// How the steps of the surrogate are found; manifests hold its name in kebab case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -57,7 +57,7 @@ pub struct Report {
     pub at_lower_bound: usize,
     /// Dwell points at their upper bound.
     pub at_upper_bound: usize,
-    /// Dwell points that do not reach the map, at their lower bound.
+    /// Dwell points that do not reach the map; they have the density of their neighbours.
     pub unreached_points: usize,
     /// Valid pixels that no dwell point reaches: nothing can be corrected there.
     pub unreached_pixels: usize,
@@ -105,9 +105,11 @@ impl BoundedProblem<'_> {
     /// What the result of [`Self::minimise`] at this beta is.
     pub(super) fn finish(
         &self,
-        iterate: Iterate,
+        mut iterate: Iterate,
         smoothness: f64,
     ) -> Result<BoundedSolution, Invalid> {
+        let unreached = Continuation::new(self.path, |j| self.reached[j]);
+        unreached.apply_within(&mut iterate.t, self.lo, self.hi_given);
         let t = &iterate.t;
         let reached = |j: &usize| self.reached[*j];
         let mut residual = self.desired.height_nm() - &iterate.removal_nm;

@@ -19,7 +19,9 @@ pub struct Claim {
     ratio: Option<f64>,
     found: Verdict,
     expected: Verdict,
-    why: &'static str,
+    /// Whether it follows from the inputs alone, by a formula.
+    is_arithmetic: bool,
+    why: String,
 }
 
 impl Claim {
@@ -35,11 +37,37 @@ impl Claim {
             ratio: Some(ratio),
             found: if agrees { Verdict::Agrees } else { Verdict::Differs },
             expected: Verdict::Agrees,
-            why: "",
+            is_arithmetic: false,
+            why: String::new(),
         }
     }
 
-    /// A number that should be small: below it is better.
+    /// A number that follows from the inputs alone, by the formula that is named: it says that the formula is the
+    /// paper's, and nothing about a method.
+    pub fn arithmetic(
+        what: &str,
+        unit: &str,
+        paper: f64,
+        ours: f64,
+        within: f64,
+        formula: &str,
+    ) -> Self {
+        Self {
+            is_arithmetic: true,
+            why: formula.into(),
+            ..Self::number(what, unit, paper, ours, within)
+        }
+    }
+
+    /// A number that the paper has for another part or tool and that should be small: ours is not larger.
+    pub fn at_most(what: &str, unit: &str, paper: f64, ours: f64) -> Self {
+        let mut claim = Self::number(what, unit, paper, ours, 0.0);
+        claim.found = if ours <= paper { Verdict::Agrees } else { Verdict::Differs };
+        claim.ours = format!("{}{}{unit}", significant(ours, 3), space(unit));
+        claim
+    }
+
+    /// A number that should be small, on the same part with the same tool: below it is better.
     pub fn small(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
         let mut claim = Self::number(what, unit, paper, ours, within);
         if ours < paper * (1.0 - within) {
@@ -57,7 +85,8 @@ impl Claim {
             ratio: None,
             found: if holds { Verdict::Agrees } else { Verdict::Differs },
             expected: Verdict::Agrees,
-            why: "",
+            is_arithmetic: false,
+            why: String::new(),
         }
     }
 
@@ -67,18 +96,18 @@ impl Claim {
     }
 
     /// Expected to differ, because ...
-    pub fn differs(self, why: &'static str) -> Self {
-        Self { expected: Verdict::Differs, why, ..self }
+    pub fn differs(self, why: impl Into<String>) -> Self {
+        Self { expected: Verdict::Differs, why: why.into(), ..self }
     }
 
     /// Expected to be better, because ...
-    pub fn better(self, why: &'static str) -> Self {
-        Self { expected: Verdict::Better, why, ..self }
+    pub fn better(self, why: impl Into<String>) -> Self {
+        Self { expected: Verdict::Better, why: why.into(), ..self }
     }
 
     /// Expected to agree, with a remark.
-    pub fn remark(self, why: &'static str) -> Self {
-        Self { why, ..self }
+    pub fn remark(self, why: impl Into<String>) -> Self {
+        Self { why: why.into(), ..self }
     }
 
     /// Whether the verdict is the expected one.
@@ -89,11 +118,12 @@ impl Claim {
     fn cells(&self) -> [String; 5] {
         let verdict = match self.found {
             Verdict::Agrees if self.paper == NOT_GIVEN => "holds",
+            Verdict::Agrees if self.is_arithmetic => "arithmetic",
             Verdict::Agrees => "agrees",
             Verdict::Better => "better",
             Verdict::Differs => "differs",
         };
-        let remark = match (self.as_expected(), self.found, self.why) {
+        let remark = match (self.as_expected(), self.found, self.why.as_str()) {
             (false, ..) => format!("{verdict}; EXPECTED: {:?}", self.expected),
             (true, _, "") => verdict.into(),
             (true, Verdict::Agrees, why) => format!("{verdict}; {why}"),

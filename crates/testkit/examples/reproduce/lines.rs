@@ -89,11 +89,16 @@ fn flat(size_mm: [f64; 2]) -> Surface {
     Surface::new(grid, Array2::zeros(grid.shape())).expect("a plane")
 }
 
-/// Lines along x, one of them at y = 0.
+/// Lines along x, one of them at y = 0, in steps of at most 1 mm.
 pub fn lines(part: &Surface, pitch_mm: f64, overscan_mm: f64) -> ToolPath {
+    lines_in_steps(part, pitch_mm, 1.0, overscan_mm)
+}
+
+/// The same in steps of at most `step_mm`.
+pub fn lines_in_steps(part: &Surface, pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> ToolPath {
     let settings = RasterSettings {
         pitch_mm,
-        step_mm: 1.0,
+        step_mm,
         overscan_mm,
         scan: Scan::X,
         turn: Turn::Square,

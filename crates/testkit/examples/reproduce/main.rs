@@ -5,7 +5,8 @@
 //! figures to `docs/reproduction/`. Tables of the reference mirror are made when `PLANISH_REFERENCE`
 //! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
 //!
-//! A number of a paper is only ever on the side that ours is compared with.
+//! A number of a paper is only ever on the side that ours is compared with. "Better" is said only of the same part and
+//! tool, and a number that follows from its inputs alone is called arithmetic.
 
 mod bspline;
 mod claim;

@@ -1,7 +1,7 @@
 //! Rasters of several pitches: the multi-pitch paper, JEOS-RP 2017.
 
 use planish_surface::psd::{Detrend, PsdSettings, Window, psd};
-use planish_toolpath::multi_pitch::{MultiPitchSettings, class_pitches_mm, multi_pitch};
+use planish_toolpath::multi_pitch::{Links, MultiPitchSettings, class_pitches_mm, multi_pitch};
 use planish_types::{Axis as Pixels, Grid, Surface};
 
 use ndarray::Array2;
@@ -51,6 +51,7 @@ fn ripples() -> Vec<Claim> {
     let linear = densities.map(|d| (pv_nm(d) / (d * pv_nm(1.0)) - 1.0).abs());
     let linear = linear.into_iter().fold(0.0, f64::max);
     let grows = PITCHES_MM.map(|d| spot.relative_ripple(d));
+    let knee = knee(&spot);
     let narrow = spot.relative_ripple(0.4) / spot.relative_ripple(0.8);
     vec![
         Claim::statement(
@@ -61,12 +62,24 @@ fn ripples() -> Vec<Claim> {
         )
         .remark("up to five times the removal"),
         Claim::statement(
-            "the relative ripple PVn grows with the pitch, with a knee (Fig. 7)",
+            "the relative ripple PVn grows with the pitch (Fig. 7)",
             "it does",
             grows.map(|v| significant(v, 3)).join(" / "),
             grows.windows(2).all(|w| w[0] < w[1]),
         )
         .remark("sigma 0.4 mm, pitches 0.7 / 0.8 / 1.0 / 1.2 / 1.6 mm"),
+        Claim::statement(
+            "it has a knee (where PVn bends most; mean slopes from 0.4 mm to it and from it to 1.6 mm)",
+            "it has (Fig. 7)",
+            format!(
+                "at {} mm; {} and {} /mm",
+                significant(knee.at_mm, 2),
+                significant(knee.slopes_per_mm[0], 2),
+                significant(knee.slopes_per_mm[1], 2)
+            ),
+            knee.is_inside && knee.slopes_per_mm[1] > 5.0 * knee.slopes_per_mm[0],
+        )
+        .remark("more than five times as steep beyond it"),
         Claim::check(
             "simulated ripple against the closed form of Poisson's summation",
             if apart < 1e-4 { "within 1e-4".into() } else { significant(apart, 2) },
@@ -78,6 +91,31 @@ fn ripples() -> Vec<Claim> {
             narrow < 0.01,
         ),
     ]
+}
+
+/// Where the ripple bends most as a function of the pitch, and how steep it is on both sides.
+struct Knee {
+    at_mm: f64,
+    /// It bends less at both ends of the range.
+    is_inside: bool,
+    slopes_per_mm: [f64; 2],
+}
+
+/// By second differences of the closed form, from a sigma to four.
+fn knee(spot: &Spot) -> Knee {
+    let (step, first, last) = (0.01, 1.0 * SIGMA_MM, 4.0 * SIGMA_MM);
+    let bend = |d: f64| {
+        spot.relative_ripple(d + step) - 2.0 * spot.relative_ripple(d)
+            + spot.relative_ripple(d - step)
+    };
+    let places: Vec<f64> =
+        (0..).map(|k| first + step * f64::from(k)).take_while(|d| *d <= last).collect();
+    let at_mm = places.iter().copied().max_by(|a, b| bend(*a).total_cmp(&bend(*b)));
+    let at_mm = at_mm.expect("the range is not empty");
+    let slope =
+        |from: f64, to: f64| (spot.relative_ripple(to) - spot.relative_ripple(from)) / (to - from);
+    let is_inside = [first, last].iter().all(|end| bend(*end) < 0.5 * bend(at_mm));
+    Knee { at_mm, is_inside, slopes_per_mm: [slope(first, at_mm), slope(at_mm, last)] }
 }
 
 /// Fig. 2: a sine of the same height has the same RMS in the band, whatever its frequency.
@@ -113,16 +151,54 @@ fn spectrum() -> Vec<Claim> {
 fn pitches() -> Vec<Claim> {
     // Eqs 4 and 5 with the printed bands: the depths in Eq. 9 are 0.5, 1, 2, 3 steps. The pitches
     // are compared as parts of the first, so that neither the VRR nor the feed is needed.
-    let depth = [0.5, 1.0, 2.0, 3.0, 3.5];
+    // A fifth class, of 4 steps, is one that the part has not.
+    let depth = [0.5, 1.0, 2.0, 3.0, 4.0, 4.5];
     let pitch = class_pitches_mm(&depth, 1.0, [1e-3, 1e3]);
-    let part = |k: usize| pitch[k] / pitch[0];
-    let why = "Eqs 4 to 10 give 0.80, 0.40, 0.20 and 0.133 mm";
+    let part = |k: usize, of: usize| pitch[k - 1] / pitch[of - 1];
+    let formula = "0.395 mm / (k - 1), which Eqs 9 and 10 are from the second class on";
     let mut rows = vec![
-        Claim::number("pitch of class 2 over class 1 (0.395 / 0.8 mm)", "", 0.494, part(1), 0.02),
-        Claim::number("pitch of class 3 over class 1 (0.132 / 0.8 mm)", "", 0.165, part(2), 0.02)
-            .differs(why),
-        Claim::number("pitch of class 4 over class 1 (0.099 / 0.8 mm)", "", 0.124, part(3), 0.02)
-            .differs("as above; 0.099 mm asks for a depth beyond the largest of the part"),
+        Claim::arithmetic(
+            "pitch of class 2 over class 1 (0.395 / 0.8 mm)",
+            "",
+            0.494,
+            part(2, 1),
+            0.02,
+            "the ratio of the depths in Eq. 9, half a step over a step",
+        ),
+        Claim::number(
+            "pitch of class 3 over class 2 (0.132 / 0.395 mm)",
+            "",
+            0.334,
+            part(3, 2),
+            0.02,
+        )
+        .differs(
+            "k = 3 was left out: 0.395 mm / (k - 1) is 0.198 mm there, and 0.132 mm for k = 4",
+        ),
+        Claim::number(
+            "pitch of class 4 over class 2 (0.099 / 0.395 mm)",
+            "",
+            0.251,
+            part(4, 2),
+            0.02,
+        )
+        .differs("as above: 0.099 mm is that of k = 5, a depth that the part has not"),
+        Claim::arithmetic(
+            "pitch of k = 4 over k = 2, against 0.132 / 0.395 mm",
+            "",
+            0.334,
+            part(4, 2),
+            5e-3,
+            formula,
+        ),
+        Claim::arithmetic(
+            "pitch of k = 5 over k = 2, against 0.099 / 0.395 mm",
+            "",
+            0.251,
+            part(5, 2),
+            5e-3,
+            formula,
+        ),
     ];
 
     // Eq. 9 with the middle of a band leaves its shallow half faster than the machine.
@@ -135,6 +211,7 @@ fn pitches() -> Vec<Claim> {
         min_area_mm2: None,
         step_mm: 4.0,
         overscan_mm: 7.0,
+        links: Links::Off,
     };
     let planned = multi_pitch(&plate.surface, &plate.tif, &settings).expect("a path").report;
     let inside = planned.classes.iter().skip(1);

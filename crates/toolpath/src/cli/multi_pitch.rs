@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{Begin, Failure, Status, flags::OutputArgs, task};
-use planish_toolpath::{MultiPitchSettings, multi_pitch, pitch_limit};
+use planish_toolpath::{MultiPitchSettings, multi_pitch, multi_pitch::Links, pitch_limit};
 
 use super::{Region, RegionArgs};
 
@@ -41,6 +41,10 @@ pub struct MultiPitchArgs {
     /// Machine: a warning says where the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
+    /// Where the tool stays on from a line to the next one: everywhere, beyond the aperture (not along the border of
+    /// another region), or nowhere
+    #[arg(long, value_enum, default_value_t = Links::On)]
+    links: Links,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -64,6 +68,7 @@ impl MultiPitchArgs {
             min_area_mm2: self.min_area_mm2,
             step_mm: self.step_mm,
             overscan_mm: on.overscan_mm,
+            links: self.links,
         };
         let mut output = match on.begin(&task!("multi-pitch", &settings))? {
             Begin::Unchanged(status) => return Ok(status),

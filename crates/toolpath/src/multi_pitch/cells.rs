@@ -2,7 +2,10 @@
 
 use ndarray::s;
 
-use super::regions::{Field, OUTSIDE};
+use super::{
+    Links,
+    regions::{Field, OUTSIDE},
+};
 use crate::{
     MAX_SEGMENTS,
     draft::{Draft, parts},
@@ -186,11 +189,21 @@ fn add_slivers(field: &Field, rasters: &mut [Raster], over: &mut [Vec<f64>]) {
     }
 }
 
-/// Lines that are joined with the tool on: [across, low, high] by line, ascending, mm.
+/// Lines that continue each other, ascending.
 pub(super) struct Cell {
     /// Region that it belongs to.
     pub region: usize,
-    lines: Vec<[f64; 3]>,
+    lines: Vec<CellLine>,
+}
+
+/// A line of a cell, mm.
+#[derive(Clone, Copy)]
+struct CellLine {
+    across: f64,
+    /// The low and the high end.
+    ends: [f64; 2],
+    /// Whether they lie on the border of another region.
+    inner: [bool; 2],
 }
 
 impl Raster {
@@ -216,7 +229,11 @@ impl Raster {
                 if cell == cells.len() {
                     cells.push(Cell { region, lines: Vec::new() });
                 }
-                cells[cell].lines.push([w, s.low, s.high]);
+                cells[cell].lines.push(CellLine {
+                    across: w,
+                    ends: [s.low, s.high],
+                    inner: s.inner,
+                });
                 now.push(cell);
             }
             open = now;
@@ -258,8 +275,8 @@ impl Visit {
 
     fn start(self, cells: &[Cell]) -> [f64; 2] {
         let lines = &cells[self.cell].lines;
-        let [w, low, high] = lines[if self.downwards { lines.len() - 1 } else { 0 }];
-        [if self.backwards { high } else { low }, w]
+        let line = lines[if self.downwards { lines.len() - 1 } else { 0 }];
+        [line.ends[usize::from(self.backwards)], line.across]
     }
 
     fn end(self, cells: &[Cell]) -> [f64; 2] {
@@ -279,8 +296,8 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 /// A short order of the cells, those of a region one after another.
 pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     let lowest = (0..cells.len()).min_by(|a, b| {
-        let key = |i: &usize| cells[*i].lines[0];
-        key(a)[0].total_cmp(&key(b)[0]).then(key(a)[1].total_cmp(&key(b)[1]))
+        let key = |i: &usize| (cells[*i].lines[0].across, cells[*i].lines[0].ends[0]);
+        key(a).0.total_cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1))
     });
     let Some(first) = lowest else { return Vec::new() };
     // The nearest end first.
@@ -349,7 +366,7 @@ fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
 }
 
 /// All nodes in order; `None` when there are too many.
-pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64) -> Option<Draft> {
+pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) -> Option<Draft> {
     let mut path = Draft::default();
     let mut pass = 0;
     for (i, visit) in visits.iter().enumerate() {
@@ -364,12 +381,24 @@ pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64) -> Option<Draft>
         pass += usize::from(i > 0 && cells[visits[i - 1].cell].region != *region);
         let mut backwards = visit.backwards;
         for n in 0..lines.len() {
-            let [w, low, high] = lines[if visit.downwards { lines.len() - 1 - n } else { n }];
-            let (from, to) = if backwards { (high, low) } else { (low, high) };
+            let at = |n: usize| lines[if visit.downwards { lines.len() - 1 - n } else { n }];
+            let line = at(n);
+            // The side that it begins on, where the line before it ended.
+            let side = usize::from(backwards);
+            let begin = [line.ends[side], line.across];
             if n > 0 {
-                straight(&mut path, [from, w], step, pass)?;
+                let on = match links {
+                    Links::On => true,
+                    Links::Outside => !(line.inner[side] || at(n - 1).inner[side]),
+                    Links::Off => false,
+                };
+                if on {
+                    straight(&mut path, begin, step, pass)?;
+                } else {
+                    path.to(begin, false, pass);
+                }
             }
-            straight(&mut path, [to, w], step, pass)?;
+            straight(&mut path, [line.ends[1 - side], line.across], step, pass)?;
             backwards = !backwards;
         }
     }

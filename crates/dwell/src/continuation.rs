@@ -1,0 +1,158 @@
+//! Dwell times where the map decides none: the density of the neighbours goes on.
+//!
+//! ```text
+//! q_j = (1 - w) q_a + w q_b,   w = (s_j - s_a) / (s_b - s_a),   t_j = l_j q_j                   (1)
+//! ```
+//!
+//! with the nearest decided dwell points a and b before and after j along the path, s their places on it.
+//! Before the first and after the last one the density is constant. A floor there instead would be a step of the
+//! density at the edge of the reach of the tool, which removes nothing but has to be executed: a scheduler
+//! that adds an offset to all densities, until its machine can follow, would be ruled by that step.
+//!
+//! Lifted segments and rests have no density and are left alone.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | s | `middle_mm` | (n) | mm |
+//! | t_j / t_a, t_j / t_b | `Tie::of` | - | 1 |
+
+use planish_types::ToolPath;
+
+use crate::objective::{REST_FRACTION, median_length_mm};
+
+/// One undecided dwell point: its time is the sum of `factor t_k` over these k.
+struct Tie {
+    point: usize,
+    of: [(usize, f64); 2],
+}
+
+/// (1) for a path.
+pub(crate) struct Continuation {
+    ties: Vec<Tie>,
+}
+
+impl Continuation {
+    /// For the dwell points of a path that are not `decided`; none when no point is.
+    pub fn new(path: &ToolPath, decided: impl Fn(usize) -> bool) -> Self {
+        let Some(median) = median_length_mm(path) else { return Self { ties: Vec::new() } };
+        let n = path.len();
+        let length = |j: usize| path.segment_length_mm(j);
+        let has_density = |j: usize| path.tool_on()[j] && length(j) > REST_FRACTION * median;
+        let mut middle_mm = Vec::with_capacity(n);
+        let mut at = 0.0;
+        for j in 0..n {
+            middle_mm.push(at + 0.5 * length(j));
+            at += length(j);
+        }
+        let known: Vec<usize> = (0..n).filter(|j| has_density(*j) && decided(*j)).collect();
+        let (Some(&first), Some(&last)) = (known.first(), known.last()) else {
+            return Self { ties: Vec::new() };
+        };
+        let ties = (0..n).filter(|j| has_density(*j) && !decided(*j)).map(|j| {
+            let next = known.partition_point(|k| *k < j);
+            let (a, b) = match next {
+                0 => (first, first),
+                k if k == known.len() => (last, last),
+                k => (known[k - 1], known[k]),
+            };
+            // A point on either side, or the same one twice.
+            let w = if a == b {
+                0.0
+            } else {
+                (middle_mm[j] - middle_mm[a]) / (middle_mm[b] - middle_mm[a])
+            };
+            let factor = |k: usize, w: f64| (k, w * length(j) / length(k));
+            Tie { point: j, of: [factor(a, 1.0 - w), factor(b, w)] }
+        });
+        Self { ties: ties.collect() }
+    }
+
+    /// (1): the times of the undecided points from those of the others.
+    pub fn apply(&self, t: &mut [f64]) {
+        for tie in &self.ties {
+            t[tie.point] = tie.of.iter().map(|(k, factor)| factor * t[*k]).sum();
+        }
+    }
+
+    /// Adjoint of (1): what counts for an undecided point counts for those that decide it.
+    pub fn gather(&self, s: &mut [f64]) {
+        for tie in &self.ties {
+            for (k, factor) in tie.of {
+                s[k] += factor * s[tie.point];
+            }
+        }
+    }
+
+    /// (1) for times that have to keep bounds.
+    pub fn apply_within(&self, t: &mut [f64], lo: &[f64], hi: &[f64]) {
+        self.apply(t);
+        for Tie { point, .. } in &self.ties {
+            t[*point] = t[*point].max(lo[*point]).min(hi[*point]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Segments of 1 and 2 mm in turn along x; the sixth is lifted.
+    fn path() -> ToolPath {
+        let x = [0.0, 1.0, 3.0, 4.0, 6.0, 7.0, 9.0, 10.0, 12.0];
+        let points = x.map(|x| [x, 0.0]).to_vec();
+        let on = (0..8).map(|j| j != 5).collect();
+        ToolPath::through(points, on, vec![0; 8]).unwrap()
+    }
+
+    #[test]
+    fn a_linear_density_is_continued_exactly_and_a_lift_left_alone() {
+        let path = path();
+        // q = 0.1 + 0.02 s at the middles 0.5, 2, 3.5, 5, 6.5, (8), 9.5, 11
+        let density = |s: f64| 0.1 + 0.02 * s;
+        let want = [0.5, 2.0, 3.5, 5.0, 6.5, 8.0, 9.5, 11.0].map(density);
+        let length = [1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0];
+        let known = [1, 4, 6];
+        let mut t: Vec<f64> =
+            (0..8).map(|j| if known.contains(&j) { want[j] * length[j] } else { 0.003 }).collect();
+        Continuation::new(&path, |j| known.contains(&j)).apply(&mut t);
+        for j in [2, 3] {
+            assert!((t[j] / length[j] - want[j]).abs() < 1e-15, "{j}: {t:?}");
+        }
+        // Constant before the first and after the last decided point.
+        assert!(
+            (t[0] / length[0] - want[1]).abs() < 1e-15
+                && (t[7] / length[7] - want[6]).abs() < 1e-15
+        );
+        assert_eq!(t[5], 0.003, "lifted");
+    }
+
+    #[test]
+    fn gather_is_the_adjoint() {
+        let path = path();
+        let decided = |j: usize| [1, 4, 6].contains(&j);
+        let c = Continuation::new(&path, decided);
+        let u: Vec<f64> = (0..8).map(|j| if decided(j) { 0.3 + j as f64 } else { 0.0 }).collect();
+        let s: Vec<f64> = (0..8).map(|j| (1.3 * f64::from(j)).sin()).collect();
+        let (mut pu, mut ps) = (u.clone(), s.clone());
+        c.apply(&mut pu);
+        c.gather(&mut ps);
+        // The lifted point is in neither.
+        let product: f64 = pu.iter().zip(&s).map(|(a, b)| a * b).sum();
+        let adjoint: f64 = u.iter().zip(&ps).map(|(a, b)| a * b).sum();
+        assert!((product - adjoint).abs() < 1e-14, "{product} {adjoint}");
+    }
+
+    #[test]
+    fn bounds_hold_and_nothing_decided_changes_nothing() {
+        let path = path();
+        let mut t = vec![0.5; 8];
+        Continuation::new(&path, |_| false).apply(&mut t);
+        assert_eq!(t, vec![0.5; 8]);
+        let (lo, hi) = (vec![0.1; 8], vec![0.4; 8]);
+        let mut t = vec![0.1, 0.3, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1];
+        Continuation::new(&path, |j| j == 1).apply_within(&mut t, &lo, &hi);
+        assert!((0..8).all(|j| (lo[j]..=hi[j]).contains(&t[j])), "{t:?}");
+        // 0.15 s/mm on 1 mm and on 2 mm.
+        assert!((t[0] - 0.15).abs() < 1e-15 && (t[3] - 0.3).abs() < 1e-15, "{t:?}");
+    }
+}
