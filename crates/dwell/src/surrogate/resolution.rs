@@ -152,13 +152,15 @@ mod tests {
         let over_width = |size_mm: f64| {
             affordable_pitch(width_mm, [size_mm; 2], tif_mm, cells_mm).map(|pitch| pitch / width_mm)
         };
-        // The elements of the matrix are as the cube of the side of a square, which at 100 mm has 1.7e7 at the least
-        // pitch and 6e6 at the largest: quick up to 150 mm, too many from 260 mm on.
-        assert_eq!(over_width(50.0), Some(SPLINE_PITCH_OVER_TIF_WIDTH));
-        let at_100_mm = over_width(100.0).unwrap();
+        // The elements of the matrix are as the cube of the side of a square, which at 110 mm has 2.0e7 at the least
+        // pitch and 6.5e6 at the largest: a wider pitch makes it quick from 100 to 120 mm, and too many are those at the
+        // largest from 290 mm on.
+        let at_50_mm = over_width(50.0).unwrap();
+        assert!((at_50_mm / SPLINE_PITCH_OVER_TIF_WIDTH - 1.0).abs() < 1e-12);
+        let at_110_mm = over_width(110.0).unwrap();
         assert!(
-            at_100_mm > SPLINE_PITCH_OVER_TIF_WIDTH
-                && at_100_mm < QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH
+            at_110_mm > SPLINE_PITCH_OVER_TIF_WIDTH
+                && at_110_mm < QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH
         );
         let at_200_mm = over_width(200.0).unwrap();
         assert!(
