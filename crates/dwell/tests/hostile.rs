@@ -125,7 +125,7 @@ fn a_limit_that_the_user_gives_is_an_end_and_one_that_he_does_not_is_a_verdict()
     let tmp = tempfile::tempdir().unwrap();
     inputs(tmp.path());
     for (solver, more, code, said) in [
-        ("lucy-richardson", &["--tolerance=1e-9"][..], 1, "iteration-limit"),
+        ("lucy-richardson", &["--tolerance=1e-9", "--total-variation=0"][..], 1, "iteration-limit"),
         ("lucy-richardson", &["--max-iterations=5"], 0, "steps-done"),
         ("lucy-richardson", &["--tolerance=0.5"], 0, "settled"),
         ("udo", &["--max-iterations=2"], 0, "rounds-done"),
