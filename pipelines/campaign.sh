@@ -14,13 +14,7 @@
 #   report          the table as a page
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
-PATH=$root/target/release:$PATH
-export PATH
-
-refuse() {
-    printf 'error: %s\n' "$1" >&2
-    exit 2
-}
+. "$root/pipelines/several-runs.sh"
 
 # The second call, which holds the directory
 held=no
@@ -55,11 +49,7 @@ case $runs in
 [1-9] | [1-9][0-9]) ;;
 *) refuse "runs is '$runs'; give 1 to 99" ;;
 esac
-file=$root/pipelines/$pipeline.just
-case $pipeline in
-stages | compare-dwell | */*) file= ;;
-esac
-[ -f "$file" ] || refuse "'$pipeline' is no pipeline that plans a run; give raster, maze, spiral"
+find_pipeline "$pipeline"
 for map in "$surface" "$tif"; do
     [ ! -f "$map" ] || refuse "$map is a file; read it with planish-import, and give the directory"
 done
@@ -79,21 +69,11 @@ done
 if [ -z "$surface$tif" ]; then
     name=$fixture
 else
-    case $surface in
-    /*) name=$surface ;;
-    *) name=$(pwd -P)/$surface ;;
-    esac
-    name=${name%/}
-    name=${name##*/}
+    name_of_directory "$surface"
 fi
 [ -n "$out" ] || out=${here}out/campaign/$(printf %s "$name" | tr -c 'A-Za-z0-9._+-' _)
 [ -n "$machine" ] || machine=$(just --justfile "$file" --working-directory . --evaluate machine)
-# A path that begins with a hyphen is not a flag.
-case $out in -*) out=./$out ;; esac
-case $surface in -*) surface=./$surface ;; esac
-case $tif in -*) tif=./$tif ;; esac
-case $process in -*) process=./$process ;; esac
-case $machine in -*) machine=./$machine ;; esac
+paths_are_no_flags out surface tif process machine
 recipe=${here}fixtures/$fixture.json
 
 if [ "$held" = no ]; then
@@ -132,13 +112,6 @@ machine_runs() {
         --seed="$seed" --run="$run_number" "$@" --measured "$run_at/measured" --out "$run_at/truth" --force
 }
 
-# learn FLAGS...: what the run taught, with the flags in the setting `reconcile` taken apart as a shell would do it
-learn() {
-    words=$(planish-run words -- "$reconcile")
-    eval "set -- \"\$@\" $words"
-    quiet planish-reconcile "$@"
-}
-
 if [ -z "$surface$tif" ]; then
     quiet planish-fixture "$recipe" --out "$out/fixture" --force
     surface=$out/fixture/surface tif=$out/fixture/tif
@@ -175,7 +148,7 @@ while [ "$k" -le "$runs" ]; do
         quiet planish-register apply --transform "$place" --trajectory "$motion" --out "$commanded" --force
     fi
     machine_runs "$at" "$k" "$map" "$commanded"
-    learn --before "$map" --after "$at/measured" --trajectory "$motion" --tif "$tool" \
+    learn quiet --before "$map" --after "$at/measured" --trajectory "$motion" --tif "$tool" \
         --process "$knowledge" ${place:+--transform "$place"} --out "$at/reconciliation" --corrected-tif "$at/tif" \
         --corrected-transform "$at/transform" --learnt-process "$at/process.json" --force
     map=$at/measured run=$at/plan tool=$at/tif knowledge=$at/process.json

@@ -13,13 +13,7 @@
 #   decision        run again, or stop
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
-PATH=$root/target/release:$PATH
-export PATH
-
-refuse() {
-    printf 'error: %s\n' "$1" >&2
-    exit 2
-}
+. "$root/pipelines/several-runs.sh"
 
 # The second call, which holds the directory
 held=no
@@ -59,11 +53,7 @@ for given in "before=$before" "after=$after" "trajectory=$trajectory" "tif=$tif"
 done
 [ -z "$transform" ] || [ -d "$transform" ] || refuse "transform $transform is not there; give a directory"
 [ -z "$process" ] || [ -f "$process" ] || refuse "process $process is no file; give the errors that are known beforehand"
-file=$root/pipelines/$pipeline.just
-case $pipeline in
-stages | compare-dwell | */*) file= ;;
-esac
-[ -f "$file" ] || refuse "'$pipeline' is no pipeline that plans a run; give raster, maze, spiral"
+find_pipeline "$pipeline"
 
 # The settings that are for the pipeline
 remaining=$#
@@ -78,23 +68,10 @@ while [ "$remaining" -gt 0 ]; do
     esac
 done
 
-case $after in
-/*) name=$after ;;
-*) name=$(pwd -P)/$after ;;
-esac
-name=${name%/}
-name=${name##*/}
+name_of_directory "$after"
 [ -n "$out" ] || out=${here}out/next-run/$(printf %s "$name" | tr -c 'A-Za-z0-9._+-' _)
 [ -n "$machine" ] || machine=$(just --justfile "$file" --working-directory . --evaluate machine)
-# A path that begins with a hyphen is not a flag.
-case $out in -*) out=./$out ;; esac
-case $before in -*) before=./$before ;; esac
-case $after in -*) after=./$after ;; esac
-case $trajectory in -*) trajectory=./$trajectory ;; esac
-case $tif in -*) tif=./$tif ;; esac
-case $transform in -*) transform=./$transform ;; esac
-case $process in -*) process=./$process ;; esac
-case $machine in -*) machine=./$machine ;; esac
+paths_are_no_flags out before after trajectory tif transform process machine
 
 if [ "$held" = no ]; then
     exec planish-run start --out="$out" --pipeline=next-run --surface="$after" --tif="$tif" --machine="$machine" \
@@ -112,20 +89,13 @@ go_on() {
     [ "$status" -le 1 ] || exit "$status"
 }
 
-# learn FLAGS...: what the run taught, with the flags in the setting `reconcile` taken apart as a shell would do it
-learn() {
-    words=$(planish-run words -- "$reconcile")
-    eval "set -- \"\$@\" $words"
-    go_on planish-reconcile "$@"
-}
-
 # Where the part lay, when nobody measured it: as the machine file says
 if [ -z "$transform" ]; then
     planish-register place --machine "$machine" --out "$out/place" --force
     transform=$out/place
 fi
 
-learn --before "$before" --after "$after" --trajectory "$trajectory" --tif "$tif" \
+learn go_on --before "$before" --after "$after" --trajectory "$trajectory" --tif "$tif" \
     ${process:+--process "$process"} ${transform:+--transform "$transform"} --out "$out/reconciliation" \
     --corrected-tif "$out/tif" --corrected-transform "$out/transform" --learnt-process "$out/process.json" --force
 

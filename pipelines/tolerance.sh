@@ -6,13 +6,7 @@
 # and its process is one of single errors unless another is given.
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
-PATH=$root/target/release:$PATH
-export PATH
-
-refuse() {
-    printf 'error: %s\n' "$1" >&2
-    exit 2
-}
+. "$root/pipelines/several-runs.sh"
 
 case $(pwd -P) in "$root") out=out ;; *) out=$root/out ;; esac
 out=$out/tolerance process= pipelines= reference=no own_tif=
@@ -30,7 +24,7 @@ for word in "$@"; do
         ;;
     esac
 done
-case $out in -*) out=./$out ;; esac
+paths_are_no_flags out
 [ -n "$pipelines" ] || pipelines='raster maze'
 free=piston
 if [ "$reference" = yes ]; then

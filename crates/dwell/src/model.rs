@@ -11,7 +11,7 @@ pub(crate) mod fft_operator;
 pub(crate) mod operator;
 
 /// A column whose effect on the map (its energy, or its sensitivity) is below this fraction of the largest
-/// does not reach the map: what is left of it there is rounding, and it stays at its lower bound.
+/// does not reach the map: what is left of it there is rounding, and the density of its neighbours goes on there.
 pub(crate) const UNREACHED_FRACTION: f64 = 1e-9;
 
 /// Fraction of the largest value that an FFT leaves where nothing is removed.
