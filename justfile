@@ -73,8 +73,9 @@ test-sweep: build snakemake
 
 # A sweep here and through Slurm on this machine, the same byte by byte? just test-slurm sweeps/reference.yaml. Installs and
 # starts Debian's slurm and munge (root)
+[positional-arguments]
 test-slurm *settings: build snakemake
-    workflow/test-slurm.sh {{ settings }}
+    @workflow/test-slurm.sh "$@"
 
 [private]
 snakemake:
