@@ -45,13 +45,13 @@ pub struct Settings {
     pub columns: Columns,
     /// eta: least feed as a fraction of the largest reachable one; in [0, 1), 0 for none.
     pub least_feed: f64,
-    /// alpha of the least squares.
+    /// alpha of the [least squares](bounded_least_squares).
     pub tikhonov: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { columns: Columns::Segment, least_feed: 0.0, tikhonov: 1e-6 }
+        Self { columns: Columns::Segment, least_feed: 0.0, tikhonov: 3e-8 }
     }
 }
 

@@ -3,16 +3,17 @@
 //! ```text
 //! min over lo <= t <= hi, and a free piston c:
 //!   1/2 sum_i w_i (z_i - c - (B t)_i)^2
-//!   + 1/2 alpha D sum_j (t_j - lo_j)^2
-//!   + 1/2 beta D sum_k (q_{k+1} - q_k)^2,     q_k = t_k l / l_k                          (1)
+//!   + 1/2 alpha D A sum_j (t_j - lo_j)^2 / a_j
+//!   + 1/2 beta D A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     r_k = t_k / a_k            (1)
 //!   + lambda sum_i w_i sum_j t_j
 //!   + 1/2 t' Q t
 //! ```
 //!
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
-//! of `B' W B`, `l_k` the length of segment k and `l` the median length: `q` is the dwell-time
-//! density along the path. `alpha` decides the dwell times that the map does not (outside the
-//! clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
+//! of `B' W B`, `A` the effective area of the TIF, `p` the distance of neighbouring lines of the path, `l_k` the
+//! length of segment k, `m_k` that between the middles of segments k - 1 and k, and `a_k = p l_k` the area that
+//! dwell point k stands for: `r` is the dwell time per area. `alpha` decides the dwell times that the map does not
+//! (outside the clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
 //! is the price of a second in half a mean square, and Q, where a program has one, any symmetric positive
 //! semidefinite matrix, of which only products are asked for: what the scatter of a process adds. In place of
 //! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts
@@ -20,9 +21,14 @@
 //! under the weights and `U = B' W f`,
 //!
 //! ```text
-//! H = B' W B - U U' + alpha D I + beta D G' G + Q                                        (2)
-//! g = B' W (z - its component in f) + alpha D lo
+//! H = B' W B - U U' + L + Q,     L the matrix of the terms with alpha and beta             (2)
+//! g = B' W (z - its component in f) + alpha D A lo_j / a_j
 //! ```
+//!
+//! **Weights that mean the same at every pitch and pixel.** Both sums of squares are those of integrals over the part,
+//! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, and D grows with the number of pixels as the first
+//! term does. So with closer lines, points or pixels the minimum goes to that of one continuous problem, and in units
+//! of the size of the TIF it is the same for a small tool on a small part.
 //!
 //! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`: cells of pixels and the
 //! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and

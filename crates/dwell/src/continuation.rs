@@ -18,7 +18,7 @@
 
 use planish_types::ToolPath;
 
-use crate::objective::{REST_FRACTION, median_length_mm};
+use crate::objective::{self, median_length_mm};
 
 /// One undecided dwell point: its time is the sum of `factor t_k` over these k.
 struct Tie {
@@ -37,7 +37,7 @@ impl Continuation {
         let Some(median) = median_length_mm(path) else { return Self { ties: Vec::new() } };
         let n = path.len();
         let length = |j: usize| path.segment_length_mm(j);
-        let has_density = |j: usize| path.tool_on()[j] && length(j) > REST_FRACTION * median;
+        let has_density = |j: usize| objective::has_density(path, j, median);
         let mut middle_mm = Vec::with_capacity(n);
         let mut at = 0.0;
         for j in 0..n {

@@ -1,10 +1,12 @@
 //! Least squares with a floor, by the active set method of Lawson and Hanson.
 //!
 //! ```text
-//! min over s >= 0:  1/2 || M W^1/2 (B s - z') ||^2 + 1/2 alpha D |s|^2,   t = lo + s,  z' = z - B lo   (1)
+//! min over s >= 0:  1/2 || M W^1/2 (B s - z') ||^2 + 1/2 alpha D A sum_j s_j^2 / a_j,
+//! t = lo + s,  z' = z - B lo                                                               (1)
 //! ```
 //!
-//! M frees the piston, D is the largest diagonal element of `B' W M B`. The same minimum as
+//! M frees the piston, D is the largest diagonal element of `B' W M B`, A the effective area of the TIF, `a_j` the
+//! area that a dwell point stands for. The same minimum as
 //! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that
 //! shares nothing with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the
 //! literature. One component changes at a time, so it is slow: minutes for thousands of points.
@@ -23,6 +25,7 @@ use serde::Serialize;
 use crate::{
     DwellError,
     model::operator::normal_matrix,
+    objective::{Penalty, PenaltyScale, PenaltyWeights, lengths_mm, line_distance_mm},
     problem::{Model, Problem, Solution, check},
 };
 
@@ -39,9 +42,9 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        // alpha is at the rounding of the single precision in which maps are measured; below, the
-        // columns of neighbours cannot be told apart.
-        Self { tikhonov: 1e-7, tolerance: 1e-12, max_changes_per_point: 10 }
+        // With points as dense as ten in a width of the TIF, `alpha A / a_j` is at the rounding of the single
+        // precision in which maps are measured; below, the columns of neighbours cannot be told apart.
+        Self { tikhonov: 3e-9, tolerance: 1e-12, max_changes_per_point: 10 }
     }
 }
 
@@ -74,10 +77,20 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let model = Model::new(problem)?;
     let n = problem.path.len();
     let mut h = normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight)?;
-    let diagonal = (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max);
-    for j in 0..n {
+    let pixel_weight = model.weight.sum();
+    let lengths = lengths_mm(problem.path);
+    let scale = PenaltyScale {
+        strongest: (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max),
+        pixel_weight,
+        tif_mm2: problem.tif.effective_area_mm2(),
+        line_distance_mm: line_distance_mm(problem.tif, pixel_weight, &model.sensitivity, &lengths),
+    };
+    let weights =
+        PenaltyWeights { tikhonov: settings.tikhonov, smoothness: 0.0, time_weight_nm2_per_s: 0.0 };
+    let penalty = Penalty::new(problem.path, &model.lo, &scale, &weights);
+    for (j, alpha) in penalty.alpha().iter().enumerate() {
         // A column that does not reach the map takes no part.
-        h[[j, j]] = if model.reached(j) { h[[j, j]] + settings.tikhonov * diagonal } else { 0.0 };
+        h[[j, j]] = if model.reached(j) { h[[j, j]] + alpha } else { 0.0 };
     }
     let g = model.gradient(&model.target());
     let found = nnls(&h, &g, settings.tolerance, settings.max_changes_per_point * n);

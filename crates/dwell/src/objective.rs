@@ -1,11 +1,10 @@
 //! The terms of the bounded least squares beside the residual: what of it is free, and what is penalised.
 //!
-//! Both are quadratic in the dwell times, and their matrices are cheap: a few outer products U U', and a
-//! tridiagonal matrix `alpha D I + beta D G' G`. The equations are those of
-//! [`crate::bounded_least_squares`].
+//! Both are quadratic in the dwell times, and their matrices are cheap: a few outer products U U', and the
+//! tridiagonal matrix L of the penalty. The equations are those of [`crate::bounded_least_squares`].
 
 use ndarray::Array2;
-use planish_types::{Axis, Grid, ToolPath};
+use planish_types::{Axis, Grid, Tif, ToolPath};
 use serde::Serialize;
 
 /// A segment shorter than this fraction of the median is a rest, whose length says nothing about the dwell
@@ -149,54 +148,109 @@ impl Basis {
 /// What the terms of the penalty weigh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyWeights {
-    /// alpha: weight of the distance to the lower bound.
+    /// alpha: weight of the dwell time per area above its lower bound.
     pub tikhonov: f64,
-    /// beta: weight of the roughness of the dwell-time density.
+    /// beta: weight of the slope of the dwell time per area along the path.
     pub smoothness: f64,
     /// Price of a second beside half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
 }
 
-/// The terms of the objective beside the residual, with `alpha D` and `beta D`:
+/// What the weights are relative to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PenaltyScale {
+    /// D: the largest diagonal element of `B' W B`, nm^2/s^2.
+    pub strongest: f64,
+    /// Sum of the weights of the pixels.
+    pub pixel_weight: f64,
+    /// A: effective area of the TIF ([`Tif::effective_area_mm2`]), mm^2.
+    pub tif_mm2: f64,
+    /// p: distance of neighbouring lines of the path, mm ([`line_distance_mm`]).
+    pub line_distance_mm: f64,
+}
+
+/// Lengths of the path that dwell times are spent on (n), mm: those of the segments; a rest has the median.
+pub fn lengths_mm(path: &ToolPath) -> Vec<f64> {
+    let median = median_length_mm(path);
+    let of = |j: usize| match median {
+        Some(median) if !has_density(path, j, median) => median,
+        Some(_) => path.segment_length_mm(j),
+        None => 0.0,
+    };
+    (0..path.len()).map(of).collect()
+}
+
+/// Whether segment j has a dwell-time density: the tool is on, and it is no rest.
+pub fn has_density(path: &ToolPath, j: usize, median_mm: f64) -> bool {
+    path.tool_on()[j] && path.segment_length_mm(j) > REST_FRACTION * median_mm
+}
+
+/// Distance of neighbouring lines of the path, mm. A tool of the volumetric removal rate V that takes 1 s/mm
+/// along lines at the distance p removes V / p on average, so with `b = B' w` (n)
 ///
 /// ```text
-/// 1/2 alpha D sum_j (t_j - lo_j)^2 + 1/2 beta D sum_k (q_k - q_{k-1})^2 + price sum_j t_j
+/// p = V sum_i w_i / sum_j b_j l_j
 /// ```
+///
+/// whatever shape the path has; of several passes all lines count. A path of rests alone has no lines: there it
+/// is 0.
+pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f64]) -> f64 {
+    let removed: f64 = b.iter().zip(lengths_mm).map(|(b, l)| b * l).sum();
+    if removed > 0.0 { tif.vrr_nm_mm2_per_s() * pixel_weight / removed } else { 0.0 }
+}
+
+/// The terms of the objective beside the residual. With `a_j = p l_j`, the area of the part that a dwell point
+/// stands for, and `r_j = t_j / a_j`, the dwell time per area:
+///
+/// ```text
+/// 1/2 alpha D A   sum_j a_j (r_j - lo_j / a_j)^2
+/// + 1/2 beta D A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     m_k = (l_{k-1} + l_k) / 2
+/// + price sum_j t_j
+/// ```
+///
+/// The sums are those of integrals over the part: with closer lines or points they go to
+/// `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
 #[derive(Clone)]
 pub struct Penalty {
-    alpha: f64,
-    beta: f64,
+    /// Of every dwell time: `alpha D A / a_j`.
+    alpha: Vec<f64>,
     /// Price of a second in the unit of the objective.
     time: f64,
     lo: Vec<f64>,
-    /// k and the factors of t_{k-1} and t_k in q_k - q_{k-1}.
+    /// k and the factors u, v of a term `(v t_k - u t_{k-1})^2 / 2`.
     steps: Vec<(usize, f64, f64)>,
 }
 
 impl Penalty {
-    /// For the lower bounds `lo` (n), s, the largest diagonal element D of `B' W B`, and the sum of the
-    /// weights of the pixels.
+    /// For the lower bounds `lo` (n), s.
     pub fn new(
         path: &ToolPath,
         lo: &[f64],
-        d: f64,
-        pixel_weight: f64,
+        scale: &PenaltyScale,
         weights: &PenaltyWeights,
     ) -> Self {
+        let PenaltyScale { strongest, pixel_weight, tif_mm2, line_distance_mm } = *scale;
+        let lengths = lengths_mm(path);
+        let area = |l: f64| if line_distance_mm * l > 0.0 { line_distance_mm * l } else { tif_mm2 };
+        let alpha =
+            (lengths.iter()).map(|l| weights.tikhonov * strongest * tif_mm2 / area(*l)).collect();
         let mut steps = Vec::new();
-        if let Some(median) = median_length_mm(path) {
-            let length = |j: usize| path.segment_length_mm(j);
-            // A density needs a length.
-            let has_density = |j: usize| path.tool_on()[j] && length(j) > REST_FRACTION * median;
-            // q_k - q_{k-1} = t_k l / l_k - t_{k-1} l / l_{k-1}
+        if let Some(median) = median_length_mm(path).filter(|_| line_distance_mm > 0.0) {
+            // p m ((r_k - r_{k-1}) / m)^2 = (t_k / l_k - t_{k-1} / l_{k-1})^2 / (p m)
+            let factor = |k: usize| {
+                let between = 0.5 * (lengths[k - 1] + lengths[k]);
+                let weight = weights.smoothness * strongest * tif_mm2 * tif_mm2;
+                (weight / (line_distance_mm * between)).sqrt()
+            };
+            let both =
+                |k: &usize| has_density(path, k - 1, median) && has_density(path, *k, median);
             steps = (1..lo.len())
-                .filter(|k| has_density(k - 1) && has_density(*k))
-                .map(|k| (k, median / length(k - 1), median / length(k)))
+                .filter(both)
+                .map(|k| (k, factor(k) / lengths[k - 1], factor(k) / lengths[k]))
                 .collect();
         }
-        let (alpha, beta) = (weights.tikhonov * d, weights.smoothness * d);
         let time = weights.time_weight_nm2_per_s * pixel_weight;
-        Self { alpha, beta, time, lo: lo.to_vec(), steps }
+        Self { alpha, time, lo: lo.to_vec(), steps }
     }
 
     /// Number of dwell times.
@@ -204,34 +258,29 @@ impl Penalty {
         self.lo.len()
     }
 
-    /// alpha D
-    pub fn alpha(&self) -> f64 {
-        self.alpha
+    /// `alpha D A / a_j` of every dwell time (n).
+    pub fn alpha(&self) -> &[f64] {
+        &self.alpha
     }
 
-    /// beta D
-    pub fn beta(&self) -> f64 {
-        self.beta
-    }
-
-    /// k and the factors u, v of `(v t_k - u t_{k-1})^2`.
+    /// k and the factors u, v of a term `(v t_k - u t_{k-1})^2 / 2`.
     pub fn steps(&self) -> &[(usize, f64, f64)] {
         &self.steps
     }
 
-    /// Elements (j, k), k <= j, of the matrix.
+    /// Elements (j, k), k <= j, of the matrix L.
     pub fn for_each(&self, mut add: impl FnMut(usize, usize, f64)) {
-        for j in 0..self.len() {
-            add(j, j, self.alpha);
+        for (j, alpha) in self.alpha.iter().enumerate() {
+            add(j, j, *alpha);
         }
         for &(k, u, v) in &self.steps {
-            add(k - 1, k - 1, self.beta * u * u);
-            add(k, k, self.beta * v * v);
-            add(k, k - 1, -self.beta * u * v);
+            add(k - 1, k - 1, u * u);
+            add(k, k, v * v);
+            add(k, k - 1, -u * v);
         }
     }
 
-    /// Diagonal of the matrix.
+    /// Diagonal of L.
     pub fn diagonal(&self) -> Vec<f64> {
         let mut diagonal = vec![0.0; self.len()];
         self.for_each(|j, k, v| {
@@ -242,11 +291,11 @@ impl Penalty {
         diagonal
     }
 
-    /// `out += (alpha D + beta D G' G) t`.
+    /// `out += L t`.
     pub fn add_product(&self, t: &[f64], out: &mut [f64]) {
-        out.iter_mut().zip(t).for_each(|(o, t)| *o += self.alpha * t);
+        out.iter_mut().zip(t).zip(&self.alpha).for_each(|((o, t), alpha)| *o += alpha * t);
         for &(k, u, v) in &self.steps {
-            let step = self.beta * (v * t[k] - u * t[k - 1]);
+            let step = v * t[k] - u * t[k - 1];
             out[k] += v * step;
             out[k - 1] -= u * step;
         }
@@ -255,14 +304,118 @@ impl Penalty {
     /// `out += ` the gradient.
     pub fn add_gradient(&self, t: &[f64], out: &mut [f64]) {
         self.add_product(t, out);
-        out.iter_mut().zip(&self.lo).for_each(|(o, lo)| *o += self.time - self.alpha * lo);
+        for ((o, lo), alpha) in out.iter_mut().zip(&self.lo).zip(&self.alpha) {
+            *o += self.time - alpha * lo;
+        }
     }
 
     /// The terms themselves.
     pub fn value(&self, t: &[f64]) -> f64 {
-        let far: f64 = t.iter().zip(&self.lo).map(|(t, lo)| (t - lo).powi(2)).sum();
+        let far = t.iter().zip(&self.lo).zip(&self.alpha);
+        let far: f64 = far.map(|((t, lo), alpha)| alpha * (t - lo).powi(2)).sum();
         let rough: f64 =
             self.steps.iter().map(|(k, u, v)| (v * t[*k] - u * t[k - 1]).powi(2)).sum();
-        0.5 * (self.alpha * far + self.beta * rough) + self.time * t.iter().sum::<f64>()
+        0.5 * (far + rough) + self.time * t.iter().sum::<f64>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::model::{columns::Columns, operator::Operator};
+
+    fn axis(start: f64, step: f64, n: usize) -> Axis {
+        Axis::new(start, step, n).unwrap()
+    }
+
+    /// Lines along x, `pitch` apart, over (0, width) x (0, height) with half a pitch to its border; the tool is off
+    /// between them.
+    fn raster([width, height]: [f64; 2], pitch: f64, step: f64) -> ToolPath {
+        let (lines, steps) = ((height / pitch).round() as usize, (width / step).round() as usize);
+        let mut points = Vec::new();
+        for line in 0..lines {
+            for k in 0..=steps {
+                let k = if line % 2 == 0 { k } else { steps - k };
+                points.push([k as f64 * step, (line as f64 + 0.5) * pitch]);
+            }
+        }
+        let on: Vec<bool> = (1..points.len()).map(|k| k % (steps + 1) != 0).collect();
+        let passes = vec![0; on.len()];
+        ToolPath::through(points, on, passes).unwrap()
+    }
+
+    #[test]
+    fn the_penalty_goes_to_its_integrals_with_closer_lines_and_points() {
+        let part @ [width, height] = [8.0, 6.0];
+        // r = 1 + 0.3 cos(2 pi x / width) cos(2 pi y / height), lo = 0.2, s/mm^2:
+        //   int (r - lo)^2 = (0.8^2 + 0.3^2 / 4) width height
+        //   int (dr/dx)^2  = 0.3^2 (2 pi / width)^2 / 4 width height
+        let (d, tif_mm2) = (7.0, 5.0);
+        let area = width * height;
+        let far = 0.5 * 2e-3 * d * tif_mm2 * (0.64 + 0.0225) * area;
+        let rough = 0.5 * 3e-4 * d * tif_mm2 * tif_mm2 * 0.0225 * (TAU / width).powi(2) * area;
+        let error = |pitch: f64, step: f64, tikhonov: f64, smoothness: f64, exact: f64| {
+            let path = raster(part, pitch, step);
+            let a = pitch * step;
+            let on = path.tool_on();
+            let places = path.dwell_point_mm();
+            let density =
+                |p: &[f64; 2]| 1.0 + 0.3 * (TAU * p[0] / width).cos() * (TAU * p[1] / height).cos();
+            // Where the tool is off, at the lower bound.
+            let lo = vec![0.2 * a; path.len()];
+            let t: Vec<f64> = (0..path.len())
+                .map(|j| if on[j] { a * density(&places[j]) } else { lo[j] })
+                .collect();
+            let weights = PenaltyWeights { tikhonov, smoothness, time_weight_nm2_per_s: 0.0 };
+            let scale =
+                PenaltyScale { strongest: d, pixel_weight: 1.0, tif_mm2, line_distance_mm: pitch };
+            Penalty::new(&path, &lo, &scale, &weights).value(&t) / exact - 1.0
+        };
+        for (pitch, step) in [(0.5, 0.5), (0.25, 0.5), (0.5, 0.25), (0.1, 0.1)] {
+            // The midpoint rule is exact for the squares of these waves, and a difference quotient over the step h
+            // is the slope times sinc(h pi / width).
+            let x = 0.5 * TAU * step / width;
+            let sinc = (x.sin() / x).powi(2) - 1.0;
+            assert!(error(pitch, step, 2e-3, 0.0, far).abs() < 1e-12);
+            // The differences end half a step before the ends of a line, where the slope is 0: O(h^3) of it.
+            let differs = error(pitch, step, 0.0, 3e-4, rough) - sinc;
+            assert!(differs.abs() < 0.5 * (TAU * step / width).powi(3), "{pitch} {step} {differs}");
+        }
+    }
+
+    #[test]
+    fn the_distance_of_the_lines_is_that_of_the_path() {
+        let own = Grid { x: axis(-3.0, 0.1, 61), y: axis(-3.0, 0.1, 61) };
+        let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
+            8.0 * (-(own.x.at(c).powi(2) + own.y.at(r).powi(2)) / (2.0 * 0.5 * 0.5)).exp()
+        });
+        let tif = Tif::new(own, rate).unwrap();
+        // 4 pi sigma^2, as the samples of a Gaussian that has faded at the border have it.
+        assert!((tif.effective_area_mm2() / (0.5 * TAU * 2.0 * 0.25) - 1.0).abs() < 1e-7);
+        // 3 mm farther from the border of the lines than the TIF reaches.
+        let map = Grid { x: axis(3.0, 0.1, 41), y: axis(3.0, 0.1, 31) };
+        let weight = Array2::ones(map.shape());
+        let found = |path: &ToolPath| {
+            let b = Operator::new(&Columns::Segment.places(path), &tif, &map).unwrap();
+            line_distance_mm(&tif, weight.sum(), &b.adjoint(&weight), &lengths_mm(path))
+        };
+        for (pitch, step) in [(0.5, 0.5), (0.25, 0.5), (0.5, 0.2)] {
+            let path = raster([10.0, 9.0], pitch, step);
+            // The ripple of lines a standard deviation apart, 2 exp(-2 pi^2), over the map; and the columns, which
+            // integrate a segment by Gauss's rule.
+            assert!((found(&path) / pitch - 1.0).abs() < 1e-4, "{}", found(&path));
+            // The way back over the same lines is as many lines again.
+            let back: Vec<[f64; 2]> =
+                path.point_mm().iter().chain(path.point_mm().iter().rev()).copied().collect();
+            let on: Vec<bool> = (path.tool_on().iter().copied())
+                .chain([false])
+                .chain(path.tool_on().iter().rev().copied())
+                .collect();
+            let passes = vec![0; on.len()];
+            let twice = ToolPath::through(back, on, passes).unwrap();
+            assert!((found(&twice) / pitch - 0.5).abs() < 1e-4, "{}", found(&twice));
+        }
     }
 }

@@ -10,6 +10,9 @@ use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+mod definition;
+use definition::Penalty;
+
 /// A map with holes under a tool, a raster that is neither straight nor everywhere on, and bounds.
 struct Case {
     desired: Surface,
@@ -81,8 +84,8 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     let lo: Vec<f64> = (0..n).map(|_| rng.random_range(0.0..0.02)).collect();
     let hi = lo.iter().map(|lo| lo + rng.random_range(0.05..0.6)).collect();
     let settings = Settings {
-        tikhonov: 10.0_f64.powf(rng.random_range(-4.0..-2.0)),
-        smoothness: 10.0_f64.powf(rng.random_range(-4.0..-1.0)),
+        tikhonov: 10.0_f64.powf(rng.random_range(-6.0..-4.0)),
+        smoothness: 10.0_f64.powf(rng.random_range(-7.0..-4.0)),
         time_weight_nm2_per_s: rng.random_range(0.0..0.01),
         free: if seed.is_multiple_of(2) { Free::Piston } else { Free::Plane },
         tolerance_s: 1e-8,
@@ -172,7 +175,8 @@ impl Definition {
         let held = |j: usize| if self.diagonal[j] > 1e-9 * largest { t[j] } else { case.lo[j] };
         let t = &(0..t.len()).map(held).collect::<Vec<f64>>()[..];
         let Settings { tikhonov, smoothness, time_weight_nm2_per_s, .. } = case.settings;
-        let (alpha, beta) = (tikhonov * d, smoothness * d);
+        let weights = (tikhonov, smoothness);
+        let penalty = Penalty::new(&case.path, &case.tif, &self.columns, &self.weight, d, weights);
         let residual = self.residual(case, t);
         let n = t.len();
         let mut q: Vec<f64> = (self.columns.iter())
@@ -182,22 +186,10 @@ impl Definition {
             })
             .collect();
         let mut h = self.diagonal.clone();
+        let (slope, curvature) = (penalty.gradient(t, &case.lo), penalty.diagonal());
         for j in 0..n {
-            q[j] += alpha * (t[j] - case.lo[j]) + time_weight_nm2_per_s * self.weight.sum();
-            h[j] += alpha;
-        }
-        // (q_{k+1} - q_k)^2 of the densities q_k = t_k l / l_k
-        let length: Vec<f64> = (0..n).map(|j| case.path.segment_length_mm(j)).collect();
-        let mut sorted = length.clone();
-        sorted.sort_by(f64::total_cmp);
-        let scale: Vec<f64> = length.iter().map(|l| sorted[n / 2] / l).collect();
-        let on = case.path.tool_on();
-        for k in (1..n).filter(|k| on[k - 1] && on[*k]) {
-            let step = beta * (scale[k] * t[k] - scale[k - 1] * t[k - 1]);
-            q[k] += scale[k] * step;
-            q[k - 1] -= scale[k - 1] * step;
-            h[k] += beta * scale[k].powi(2);
-            h[k - 1] += beta * scale[k - 1].powi(2);
+            q[j] += slope[j] + time_weight_nm2_per_s * self.weight.sum();
+            h[j] += curvature[j];
         }
         (0..n)
             .filter(|j| self.diagonal[*j] > 2e-9 * largest)
@@ -244,11 +236,12 @@ fn conditions_hold(seed: u64, pitch_mm: f64, max_factorised_points: usize) {
         .map(|d| definition.natural_residual(&case, t, d))
         .fold(f64::INFINITY, f64::min);
     // What the solver was asked for, in the scale of its own H_jj (2 % as above), and the rounding of q_j:
-    // some hundred times that of a sum |B_j| |r|, by FFT |R| |r|, over H_jj >= alpha D.
+    // some hundred times that of a sum |B_j| |r|, by FFT |R| |r|, over H_jj >= alpha D A / a_j, where A / a_j is above 10: lines and points of 0.4 mm
+    // under a bell of some 8 mm^2.
     let norm = |m: &Array2<f64>| m.iter().map(|v| v * v).sum::<f64>().sqrt();
     let left = norm(&definition.residual(&case, t));
     let rate = norm(tif.rate_nm_per_s());
-    let rounding = 100.0 * f64::EPSILON * rate * left / (settings.tikhonov * largest);
+    let rounding = 100.0 * f64::EPSILON * rate * left / (10.0 * settings.tikhonov * largest);
     let allowed = 1.02 * settings.tolerance_s + rounding;
     assert!(rounding < settings.tolerance_s, "the test is too coarse: {rounding}");
     assert!(natural <= allowed, "{natural} s, allowed {allowed} s: {context}");

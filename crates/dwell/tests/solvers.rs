@@ -15,6 +15,9 @@ use planish_dwell::{
 use planish_testkit::maps::largest_magnitude;
 use planish_types::{Axis, DwellTime, End, Grid, Limits, Surface, Tif, ToolPath};
 
+mod definition;
+use definition::Penalty;
+
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()
 }
@@ -415,7 +418,7 @@ fn a_flat_map_asks_for_next_to_nothing() {
 }
 
 fn certificate(case: &Case<'_>, t: &[f64], tikhonov: f64) -> f64 {
-    // q = B' W (M (B t - z)) + alpha D (t - lo), from columns and the definition.
+    // q = B' W (M (B t - z)) + alpha D A (t - lo) / a, from columns and the definition.
     let columns = patches(&Columns::Segment.places(case.path), case.tif, &grid());
     let mut r = case.desired.height_nm() - &removal(case.path, case.tif, t);
     let mean = r.mean().unwrap();
@@ -429,13 +432,16 @@ fn certificate(case: &Case<'_>, t: &[f64], tikhonov: f64) -> f64 {
         })
         .collect();
     let d = energy.iter().copied().fold(0.0, f64::max);
+    let lo: Vec<f64> =
+        (0..t.len()).map(|j| case.floor_s_per_mm * case.path.segment_length_mm(j)).collect();
+    let weight = Array2::ones(grid().shape());
+    let penalty = Penalty::new(case.path, case.tif, &columns, &weight, d, (tikhonov, 0.0));
+    let slope = penalty.gradient(t, &lo);
     (0..t.len())
         .map(|j| {
-            let p = &columns[j];
+            let (p, lo) = (&columns[j], lo[j]);
             let ((y, x), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
-            let lo = case.floor_s_per_mm * case.path.segment_length_mm(j);
-            let q = -(&r.slice(s![y..y + ny, x..x + nx]) * &p.rate_nm_per_s).sum()
-                + tikhonov * d * (t[j] - lo);
+            let q = -(&r.slice(s![y..y + ny, x..x + nx]) * &p.rate_nm_per_s).sum() + slope[j];
             // In units of the strongest column: s.
             if t[j] > lo + 1e-12 { q.abs() / d } else { (-q).max(0.0) / d }
         })
@@ -448,7 +454,7 @@ fn nnls_and_bounded_least_squares_find_the_same_minimum_and_its_conditions_hold(
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: FLOOR };
     // Enough for the dwell times themselves to agree, not only what they remove.
-    let tikhonov = 1e-4;
+    let tikhonov = 1e-5;
     let settings = non_negative_least_squares::Settings { tikhonov, ..Default::default() };
     let a = non_negative_least_squares::solve(&case.problem(), &settings).unwrap();
     assert_eq!(a.report.end, End::Optimal);
@@ -741,7 +747,7 @@ fn bcls_states_and_keeps_the_limits_of_the_source() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let limits = machine(20.0, 50.0);
     for least_feed in [0.0, 0.2] {
-        let settings = bcls::Settings { least_feed, tikhonov: 1e-3, ..Default::default() };
+        let settings = bcls::Settings { least_feed, tikhonov: 3e-5, ..Default::default() };
         let found = bcls::solve(&desired, &tool, &path, None, &limits, &settings).unwrap();
         let (r, b) = (&found.report, bcls::bounds(&path, &limits, least_feed).unwrap());
         let t = found.solution.dwell.dwell_s();

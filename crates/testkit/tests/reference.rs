@@ -265,7 +265,7 @@ fn best_dwell_on_the_published_raster_points() {
     let settings = bounded_least_squares::Settings {
         columns: Columns::Point,
         min_dwell: Bound::Seconds(0.1),
-        tikhonov: 1e-6,
+        tikhonov: 2.8e-8,
         smoothness: 0.0,
         ..Default::default()
     };
@@ -289,7 +289,7 @@ fn best_dwell_within_its_own_model() {
         let settings = bounded_least_squares::Settings {
             columns: Columns::Point,
             min_dwell: Bound::Seconds(0.1),
-            tikhonov: 1e-6,
+            tikhonov: 2.8e-8,
             smoothness: 0.0,
             ..Default::default()
         };

@@ -101,6 +101,13 @@ impl Tif {
         self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
     }
 
+    /// Effective area `(integral of R)^2 / integral of R^2`, mm^2: that of a tool which removes the same everywhere
+    /// under it; `4 pi sigma^2` of a Gaussian.
+    pub fn effective_area_mm2(&self) -> f64 {
+        let squares: f64 = self.rate_nm_per_s.iter().map(|r| r * r).sum();
+        self.rate_nm_per_s.sum().powi(2) / squares * self.grid.pixel_mm2()
+    }
+
     /// Width `(<R^2> / <|grad R|^2>)^1/2`, mm: the standard deviation of a Gaussian.
     pub fn width_mm(&self) -> f64 {
         let [along_x, along_y] = self.slope_energy_per_mm2();

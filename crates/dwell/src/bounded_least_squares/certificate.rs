@@ -2,15 +2,16 @@
 //!
 //! It is proven by the exact gradient alone, so whatever the surrogate does, the claim in the report holds.
 
-/// By how much (1) can still fall, at most. H is at least `alpha D`, so
+/// By how much (1) can still fall, at most. With the diagonal C of the Tikhonov term, `c_j = alpha D A / a_j`, H is
+/// at least C, so
 ///
 /// ```text
-/// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - alpha D (t_j - s)^2 / 2
+/// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - c_j (t_j - s)^2 / 2
 /// ```
 ///
-/// It is the gap of Fenchel's dual at the residual of t, with the alpha D alone of the penalty's
+/// It is the gap of Fenchel's dual at the residual of t, with the c_j alone of the penalty's
 /// curvature: the bounds are exact in it, and where they are finite a component adds at most
-/// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever alpha.
+/// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever c_j.
 ///
 /// `None` without alpha.
 pub fn gap(
@@ -18,13 +19,13 @@ pub fn gap(
     q: &[f64],
     lo: &[f64],
     hi: &[f64],
-    alpha_d: f64,
+    c: &[f64],
     reached: &[bool],
 ) -> Option<f64> {
-    // p: from t to the best s,  max over s = q_j p - alpha D p^2 / 2
+    // p: from t to the best s,  max over s = q_j p - c_j p^2 / 2
     let of = |j: usize| {
-        let p = t[j] - (t[j] - q[j] / alpha_d).clamp(lo[j], hi[j]);
-        p * (q[j] - 0.5 * alpha_d * p)
+        let p = t[j] - (t[j] - q[j] / c[j]).clamp(lo[j], hi[j]);
+        p * (q[j] - 0.5 * c[j] * p)
     };
-    (alpha_d > 0.0).then(|| (0..t.len()).filter(|j| reached[*j]).map(of).sum())
+    c.iter().all(|c| *c > 0.0).then(|| (0..t.len()).filter(|j| reached[*j]).map(of).sum())
 }

@@ -9,8 +9,8 @@ use super::{minimise::Iterate, prepared::BoundedProblem, report::BoundedSolution
 use crate::{DwellError, objective::Basis};
 
 /// Range of the smoothness that the noise level chooses from.
-const MIN_SMOOTHNESS: f64 = 1e-6;
-const MAX_SMOOTHNESS: f64 = 1e6;
+const MIN_SMOOTHNESS: f64 = 1e-9;
+const MAX_SMOOTHNESS: f64 = 1e3;
 
 /// Factor between two trials of the smoothness while none is too smooth.
 const SMOOTHNESS_FACTOR: f64 = 10.0;

@@ -83,7 +83,7 @@ impl BoundedProblem<'_> {
     pub(super) fn minimise(&mut self, smoothness: f64) -> Result<Iterate, DwellError> {
         let settings = Settings { smoothness, ..*self.settings };
         let weights = settings.penalty_weights();
-        let penalty = Penalty::new(self.path, self.lo, self.strongest, self.weight.sum(), &weights);
+        let penalty = Penalty::new(self.path, self.lo, &self.scale, &weights);
         let own = penalty.diagonal();
         let diagonal: Vec<f64> = (0..own.len())
             .map(|j| if self.reached[j] { self.diagonal[j] + own[j] } else { 0.0 })

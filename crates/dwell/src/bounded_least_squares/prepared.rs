@@ -13,11 +13,11 @@ use crate::{
         columns::{self, Place, Stored},
         operator::Removal,
     },
-    objective::{Basis, Free, Penalty},
+    objective::{Basis, Free, Penalty, PenaltyScale, lengths_mm, line_distance_mm},
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
-/// Least alpha for the two-level method: below, its rounding is larger than alpha.
+/// Least diagonal of the Tikhonov term, over D, for the two-level method: below, its rounding is larger.
 const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 
 /// Below this fraction of the largest the energy of a column is computed, not estimated.
@@ -44,8 +44,8 @@ pub struct BoundedProblem<'a> {
     pub reached: Vec<bool>,
     /// Diagonal of H without the penalty.
     pub diagonal: Vec<f64>,
-    /// D.
-    pub strongest: f64,
+    /// What the weights of the penalty are relative to.
+    pub scale: PenaltyScale,
     /// U of (2): what is free.
     u: Vec<Vec<f64>>,
     pub surrogate: Surrogate,
@@ -135,15 +135,24 @@ impl<'a> BoundedProblem<'a> {
             (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
-        let penalty =
-            Penalty::new(path, &program.lo, strongest, weight.sum(), &settings.penalty_weights());
+        // The first free function is the constant 1 / (sum of w)^1/2, so u_1 is B' w over that.
+        let pixel_weight = weight.sum();
+        let b_w: Vec<f64> = u[0].iter().map(|u| pixel_weight.sqrt() * u).collect();
+        let scale = PenaltyScale {
+            strongest,
+            pixel_weight,
+            tif_mm2: tif.effective_area_mm2(),
+            line_distance_mm: line_distance_mm(tif, pixel_weight, &b_w, &lengths_mm(path)),
+        };
+        let penalty = Penalty::new(path, &program.lo, &scale, &settings.penalty_weights());
         let mut splines_mm = None;
         let surrogate = match &cells {
             Some(cells) => {
                 Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
             }
             None => {
-                if settings.tikhonov >= MIN_TIKHONOV_TWO_LEVEL {
+                let least = penalty.alpha().iter().copied().fold(f64::INFINITY, f64::min);
+                if least >= MIN_TIKHONOV_TWO_LEVEL * strongest {
                     splines_mm = surrogate::spline_pitch(program.places, &reached, tif, grid, cell);
                 }
                 if splines_mm.is_none() {
@@ -167,7 +176,7 @@ impl<'a> BoundedProblem<'a> {
             hi_given: &program.hi,
             reached,
             diagonal,
-            strongest,
+            scale,
             u,
             surrogate,
             cell,

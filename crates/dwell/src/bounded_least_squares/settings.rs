@@ -17,9 +17,9 @@ pub struct Settings {
     pub min_dwell: Bound,
     /// Upper bound; none when absent.
     pub max_dwell: Option<Bound>,
-    /// alpha: weight of the distance to the lower bound; >= 0.
+    /// alpha: weight of the dwell time per area above its lower bound; >= 0.
     pub tikhonov: f64,
-    /// beta: weight of the roughness of the dwell-time density along the path; >= 0.
+    /// beta: weight of the slope of the dwell time per area along the path; >= 0.
     pub smoothness: f64,
     /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
     pub time_weight_nm2_per_s: f64,
@@ -45,9 +45,10 @@ impl Default for Settings {
             columns: Columns::Segment,
             min_dwell: Bound::Seconds(0.0),
             max_dwell: None,
-            // Both as measured to be flat optima of the executed residual on a real mirror.
-            tikhonov: 1e-5,
-            smoothness: 1e-2,
+            // Flat optima of the executed residual, as measured on a mirror with lines and points 1 mm apart and a
+            // TIF of 35.8 mm^2.
+            tikhonov: 2.8e-7,
+            smoothness: 7.8e-6,
             time_weight_nm2_per_s: 0.0,
             free: Free::Piston,
             huber_nm: None,

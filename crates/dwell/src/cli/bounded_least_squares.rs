@@ -56,10 +56,10 @@ pub struct BoundedLeastSquares {
     /// What a dwell time is spent on
     #[arg(long, value_enum, default_value = "segment")]
     columns: Columns,
-    /// Weight of the distance to the least dwell time, relative to the strongest column
+    /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
-    /// Weight of the roughness of the dwell-time density along the path
+    /// Weight of the square of the slope of the dwell time per area along the path: the same at every pitch and tool
     #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
     smoothness: f64,
     #[command(flatten)]

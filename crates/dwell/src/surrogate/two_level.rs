@@ -1,7 +1,7 @@
 //! What makes conjugate gradients fast for the normal matrix of [`crate::bounded_least_squares`]
 //! where dwell points are much denser than the TIF can resolve.
 //!
-//! With `L = alpha D I + beta D G' G` the matrix of the free dwell times is `H = B' W B - U U' + L`. B is a
+//! With L, the matrix of the penalty, that of the free dwell times is `H = B' W B - U U' + L`. B is a
 //! low pass: what it sees of dwell times is what smooth functions of the position can say, and on
 //! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth component is taken
 //! out exactly,
@@ -69,8 +69,8 @@ impl Weights {
 /// apart, which would make its skyline wider, there is a bound of it.
 const MAX_COUPLED_CELLS: u32 = 1;
 
-/// Fraction of `alpha D V' V` by which the diagonal is raised: splines may differ on no column. That it
-/// is small beside alpha keeps Q as good as exact.
+/// Fraction of the part of `V' L V` without differences by which the diagonal is raised: splines may differ on no column. That it
+/// is small beside it keeps Q as good as exact.
 const SPLINE_RIDGE: f64 = 1e-3;
 
 /// The four cubic B-splines on a cell.
@@ -180,17 +180,16 @@ impl Nodes {
         let of = |j: usize| self.at[j].as_ref().filter(|_| free[j]);
         for j in 0..free.len() {
             if let Some(w) = of(j) {
-                self.add_square(&[(w, 1.0)], penalty.alpha(), h);
+                self.add_square(&[(w, 1.0)], penalty.alpha()[j], h);
             }
         }
-        let beta = penalty.beta();
         for &(k, u, v) in penalty.steps() {
             match (of(k - 1), of(k)) {
                 (Some(a), Some(b)) if a.is_near(b) => {
-                    self.add_square(&[(b, v), (a, -u)], beta, h);
+                    self.add_square(&[(b, v), (a, -u)], 1.0, h);
                 }
                 (a, b) => {
-                    let factor = if a.is_some() && b.is_some() { 2.0 * beta } else { beta };
+                    let factor = if a.is_some() && b.is_some() { 2.0 } else { 1.0 };
                     for (w, f) in [(a, u), (b, v)] {
                         if let Some(w) = w {
                             self.add_square(&[(w, f)], factor, h);
@@ -309,14 +308,16 @@ impl<'a> TwoLevel<'a> {
         let mut h = coarse.matrix.clone();
         nodes.add_penalty(penalty, free, &mut h);
         let mut squares = vec![0.0; nodes.len()];
-        for (w, _) in nodes.at.iter().zip(free).filter(|(_, free)| **free) {
+        for ((w, alpha), _) in
+            nodes.at.iter().zip(penalty.alpha()).zip(free).filter(|(_, free)| **free)
+        {
             if let Some(w) = w {
-                nodes.over(w).zip(w.products()).for_each(|(i, v)| squares[i] += v * v);
+                nodes.over(w).zip(w.products()).for_each(|(i, v)| squares[i] += alpha * v * v);
             }
         }
         for (i, square) in squares.iter().enumerate() {
             let stands_alone = *square == 0.0;
-            h.add(i, i, if stands_alone { 1.0 } else { SPLINE_RIDGE * penalty.alpha() * square });
+            h.add(i, i, if stands_alone { 1.0 } else { SPLINE_RIDGE * square });
         }
         // V' H V = K - U U', with the K of `h` and U restricted to the lattice
         let u = u.iter().map(|u| nodes.restrict(u, free)).collect();
@@ -351,8 +352,9 @@ fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
             below[j] += v;
         }
     });
-    // The least eigenvalue of L is at least alpha D.
-    tridiagonal::Factor::new(diagonal, below, penalty.alpha())
+    // The least eigenvalue of L is at least the least alpha.
+    let least = penalty.alpha().iter().copied().fold(f64::INFINITY, f64::min);
+    tridiagonal::Factor::new(diagonal, below, least)
 }
 
 #[cfg(test)]
@@ -360,7 +362,7 @@ mod tests {
     use super::*;
     use crate::{
         model::{columns::Columns, fft_operator::FftOperator},
-        objective::PenaltyWeights,
+        objective::{PenaltyScale, PenaltyWeights},
     };
     use planish_numerics::linear::skyline::dot;
     use planish_testkit::maps::{largest_difference, largest_magnitude};
@@ -389,8 +391,15 @@ mod tests {
         let weight =
             Array2::from_shape_fn(map.shape(), |(r, c)| if r < 5 && c > 20 { 0.0 } else { 1.0 });
         let weights =
-            PenaltyWeights { tikhonov: 1e-5, smoothness: 1e-2, time_weight_nm2_per_s: 0.0 };
-        let penalty = Penalty::new(&path, &vec![0.0; n], 12.0, 1.0, &weights);
+            PenaltyWeights { tikhonov: 1e-7, smoothness: 1e-6, time_weight_nm2_per_s: 0.0 };
+        // Areas of 0.25 x 0.2 mm: alpha A / a = 1e-5, and beta A^2 / (p l^3) = 8e-3.
+        let scale = PenaltyScale {
+            strongest: 12.0,
+            pixel_weight: 1.0,
+            tif_mm2: 5.0,
+            line_distance_mm: 0.2,
+        };
+        let penalty = Penalty::new(&path, &vec![0.0; n], &scale, &weights);
         let u =
             vec![b.adjoint(&weight).iter().map(|v| v / weight.sum().sqrt()).collect::<Vec<_>>()];
         let h = |t: &[f64]| {
@@ -423,7 +432,7 @@ mod tests {
             let mut back = vec![0.0; n];
             penalty.add_product(&two.smooth(&r), &mut back);
             let error = (0..n).filter(|j| free[*j]).map(|j| back[j] - r[j]);
-            // Condition number 4 beta / alpha = 4e3.
+            // Condition number 4 beta A^2 / (p l^3) / (alpha A / a) = 3e3.
             assert!(largest_magnitude(error) < 1e-11);
         }
     }

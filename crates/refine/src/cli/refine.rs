@@ -37,10 +37,10 @@ pub struct Refine {
     dwell: Option<PathBuf>,
     #[command(flatten)]
     floor: FloorArgs,
-    /// Weight of the distance to the least dwell time, relative to the strongest column
+    /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
     tikhonov: f64,
-    /// Weight of the roughness of the dwell-time density along the path, in the last corrections
+    /// Weight of the square of the slope of the dwell time per area along the path, in the last corrections
     #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
     smoothness: f64,
     /// Price of a second beside half the mean square of the residual, nm^2/s

@@ -485,7 +485,7 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
         &bounded_least_squares::Settings {
             columns: Columns::Point,
             min_dwell: Bound::Seconds(0.1),
-            tikhonov: 1e-6,
+            tikhonov: 2.8e-8,
             smoothness: 0.0,
             ..bounded_least_squares::Settings::default()
         },
