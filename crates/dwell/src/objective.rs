@@ -393,7 +393,7 @@ mod tests {
         });
         let tif = Tif::new(own, rate).unwrap();
         // 4 pi sigma^2, as the samples of a Gaussian that has faded at the border have it.
-        assert!((tif.effective_area_mm2() / (0.5 * TAU * 2.0 * 0.25) - 1.0).abs() < 1e-7);
+        assert!((tif.effective_area_mm2() / (2.0 * TAU * 0.5 * 0.5) - 1.0).abs() < 1e-7);
         // 3 mm farther from the border of the lines than the TIF reaches.
         let map = Grid { x: axis(3.0, 0.1, 41), y: axis(3.0, 0.1, 31) };
         let weight = Array2::ones(map.shape());
