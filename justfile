@@ -87,7 +87,7 @@ snakemake:
 learn-coverage runs="500": build
     @just run raster fixture=coupon out=out/learn > /dev/null || [ $? -eq 1 ]
     @for block in 1 3; do \
-        cargo run --quiet --release --locked -p planish-reconcile --example coverage -- out/learn/surface out/learn/fixture/tif \
+        cargo run --quiet --release --locked --example coverage -- out/learn/surface out/learn/fixture/tif \
             out/learn/methods/pvt/trajectory fixtures/processes/hidden.json {{ runs }} $block || exit; \
     done
 
@@ -112,7 +112,7 @@ test:
     #!/bin/sh
     skipped=$(mktemp) || exit
     trap 'rm -f "$skipped"' EXIT
-    PLANISH_SKIPPED=$skipped cargo test --locked --workspace
+    PLANISH_SKIPPED=$skipped cargo test --release --locked --workspace
     code=$?
     echo "tests skipped because their data are not here (PLANISH_REFERENCE): $(sort -u "$skipped" | wc -l)"
     exit $code
@@ -122,14 +122,13 @@ test:
 # Every scheduler along random paths, judged by exact ranges: 1e6 schedules
 test-schedulers-long cases="5051" seed="1" first="0":
     PLANISH_CASES={{ quote(cases) }} PLANISH_SEED={{ quote(seed) }} PLANISH_FIRST={{ quote(first) }} \
-        cargo test --release --locked -p planish-testkit --test schedulers -- --show-output
+        cargo test --release --locked --workspace --test schedulers -- --show-output
 
 # Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
-test-interop:
+test-interop: build
     @test -d target/interop || python3 -m venv target/interop
     @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1
-    cargo build --quiet --locked -p planish-import
-    target/interop/bin/python crates/import/tests/interop.py target/debug/planish-import target/interop/files
+    target/interop/bin/python crates/import/tests/interop.py target/release/planish-import target/interop/files
 
 # One wheel with every program, the pipelines and the Python module, in target/wheel (python/; for machines like this one)
 wheel: build
@@ -143,6 +142,19 @@ wheel: build
 # Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
 test-wheel: wheel
     python/tests/try-wheel.sh target/wheel out/wheel
+
+# Run docs/notebook.ipynb in the environment of the wheel, and write its pictures into it
+notebook: test-wheel
+    cp out/wheel/notebook.ipynb docs/notebook.ipynb
+
+# Call the programs from Octave by python/matlab/planish.m, and compare the bytes with those of the command line (root, the first time)
+test-matlab: build python
+    @which octave-cli > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends octave)
+    python/tests/try-matlab.sh target/release target/python/bin/python out/matlab
+
+# README's first command in an empty clone of what is committed here, and a mirror made with NumPy, with the times
+test-clone: python
+    python/tests/try-clone.sh . target/python/bin/python out/clone
 
 # Coverage-guided fuzzing, this many inputs for every reader (or: just fuzz 10000000 1 hdf5 datx); needs a C++ compiler
 fuzz executions="50000" seed="1" *readers:
@@ -180,7 +192,7 @@ reference-mirror out:
 
 # The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction.md
 reproduce paper="all":
-    @cargo run --quiet --release --locked -p planish-testkit --example reproduce -- {{ quote(paper) }}
+    @cargo run --quiet --release --locked --example reproduce -- {{ quote(paper) }}
 
 # What is here, in which version, and what needs it: versions, cores, memory, disk, optional programs
 @doctor:
@@ -205,10 +217,13 @@ ci: test checks
 
 # Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
 ci-long:
+    cargo test --locked --workspace # the dev profile, which finds overflows
     just test-faults 1000 200
     just test-sweep
     just test-slurm
     just test-wheel
+    just test-matlab
+    just test-clone
     just test-schedulers-long
     just fuzz 10000000
     just fuzz-binaries 100000
@@ -216,8 +231,8 @@ ci-long:
 # What is checked beside the tests
 checks:
     cargo fmt --all --check
-    cargo clippy --locked --workspace --all-targets -- -D warnings
-    RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --quiet
+    cargo clippy --release --locked --workspace --all-targets -- -D warnings
+    RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
     just docs
     just reproduce
     git diff --exit-code docs
@@ -240,19 +255,19 @@ pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_
 
 # The tables of docs/refine.md; with PLANISH_REFERENCE set, also those of the reference mirror
 refine-table:
-    @cargo run --quiet --release --locked -p planish-testkit --example refined
+    @cargo run --quiet --release --locked --example refined
 
 # The tables of docs/feed.md: motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference mirror), or some: just feed-table mirror slow jerk fixtures
 feed-table *names:
-    @cargo run --quiet --release --locked -p planish-testkit --example refined -- feed {{ names }}
+    @cargo run --quiet --release --locked --example refined -- feed {{ names }}
 
 # `just run` and its relatives as a user calls them: hostile settings, races, exit codes
 test-pipelines: build
-    cargo test --locked --workspace --test pipelines
+    cargo test --release --locked --workspace --test pipelines
 
 # Run the commands of README.md and docs/ as they are printed, in a copy of this folder (makes its own virtual environment)
 test-commands: build python
-    cargo test --locked --workspace --test commands_as_printed -- --nocapture
+    cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
 
 # Run every pipeline on small fixtures, as it stands here and as it was at a revision, and compare every array to the last bit: just same-bytes HEAD~3
 same-bytes revision:
@@ -260,7 +275,7 @@ same-bytes revision:
 
 # Write the generated pages and pictures in docs/
 docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "raster-angle" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --angle-deg 30") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
-    @cargo run --quiet --locked -p planish-handoff --example formats > docs/formats.md
+    @cargo run --quiet --release --locked --example formats > docs/formats.md
     @just surface-pictures
 
 # Draw a path over a fixture to docs/paths/NAME.svg
@@ -350,7 +365,7 @@ browser: python
 
 # Run the benchmarks
 bench:
-    cargo bench --locked -p planish-testkit --bench stages
+    cargo bench --locked --workspace --bench stages
 
 # The same work by NumPy, SciPy and Clarabel (makes its own virtual environment)
 bench-peers: peers

@@ -156,7 +156,7 @@ def main():
 
     put("machine", f"{versions()}; load when it began: {os.getloadavg()[0]:.1f}.")
     bench = subprocess.run(
-        ["cargo", "bench", "--locked", "-p", "planish-testkit", "--bench", "stages"],
+        ["cargo", "bench", "--locked", "--workspace", "--bench", "stages"],
         check=True,
         stdout=subprocess.PIPE,
         text=True,

@@ -37,6 +37,8 @@ class Programs(BuildHookInterface):
         ):
             for file in sorted((ROOT / folder).glob(pattern)):
                 build_data["force_include"][str(file)] = f"planish/share/{folder}/{file.name}"
+        for file in (ROOT / "python/matlab/planish.m", ROOT / "docs/notebook.ipynb"):
+            build_data["force_include"][str(file)] = f"planish/share/{file.name}"
         build_data["pure_python"] = False
         # Of the C library that it was linked with: this wheel is for machines like this one.
         build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"

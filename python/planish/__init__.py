@@ -184,7 +184,7 @@ def _function(file, command):
         if ran.returncode not in (0, 1):
             raise PlanishError(ran.stderr.strip() or f"{name} ended with {ran.returncode}")
         out = given.get("out")
-        return load(out) if out is not None and pathlib.Path(out).is_dir() else ran.stdout
+        return _made(pathlib.Path(out)) if out is not None and pathlib.Path(out).is_dir() else ran.stdout
 
     function.__name__ = function.__qualname__ = name
     function.__doc__ = "\n".join([command["about"], "", *map(_line, flags.items())])
@@ -197,6 +197,13 @@ def _function(file, command):
         ]
     )
     return function
+
+
+def _made(out):
+    """The artifact in `out`; of a program that writes several, such as planish.refine, those in it by their names."""
+    if (out / "manifest.json").exists():
+        return load(out)
+    return {folder.name: load(folder) for folder in sorted(out.iterdir()) if (folder / "manifest.json").exists()}
 
 
 def _argument(name):

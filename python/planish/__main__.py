@@ -10,7 +10,7 @@ from . import PlanishError, programs
 
 USAGE = """planish run PIPELINE [NAME=VALUE...]   run a pipeline: planish run raster surface=mirror tif=tool machine=m.json
 planish show PIPELINE                  its settings, with their defaults and units
-planish list                           pipelines, fixture mirrors and machines that are here
+planish list                           pipelines, fixture mirrors, machines, planish.m and a notebook, that are here
 planish-STAGE --help                   one stage at a time; from Python: import planish
 """
 
@@ -31,6 +31,9 @@ def main():
         for folder, ending in (("pipelines", ".just"), ("fixtures", ".json"), ("fixtures/machines", ".json")):
             names = [p for p in sorted((share() / folder).glob(f"*{ending}")) if p.stem != "stages"]
             print(f"{folder}: " + ", ".join(str(p) if folder.endswith("machines") else p.stem for p in names))
+        for what, file in (("MATLAB and Octave", "planish.m"), ("notebook", "notebook.ipynb")):
+            print(f"{what}: {next(share().rglob(file))}")
+        print(f"programs (PLANISH_PROGRAMS): {programs()}")
         return 0
     if goal not in ("run", "show") or len(arguments) < 2:
         print(f"error: '{' '.join(arguments)}' is no command\n{USAGE}", end="", file=sys.stderr)

@@ -17,4 +17,8 @@ begun=$(date +%s)
 python3 -m venv environment
 environment/bin/pip install --quiet "$wheels"/planish-*.whl
 echo "installed in $(($(date +%s) - begun)) s"
-exec env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_wheel.py"
+env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_wheel.py"
+# The notebook, with what it needs beside the wheel
+environment/bin/pip install --quiet nbclient ipykernel matplotlib
+env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_notebook.py" "$here/../../docs/notebook.ipynb" \
+    notebook.ipynb

@@ -36,7 +36,7 @@
 
 use ndarray::Array2;
 use planish_numerics::bspline::Knots;
-use planish_types::{Surface, Tif};
+use planish_types::{Surface, Tif, progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -182,7 +182,7 @@ impl Problem {
         start: Start,
         settings: &Settings,
     ) -> Result<State, FeedError> {
-        let mut may_rise = !start.is_within;
+        let (mut may_rise, mut first_fall) = (!start.is_within, None);
         let mut state = self.start(surface, other_nm, start);
         let mut before = self.objective(&state, settings);
         state.objective.push(before);
@@ -193,6 +193,9 @@ impl Problem {
                 free_piston(surface, &mut state);
             }
             let now = self.objective(&state, settings);
+            let fall = (before - now).abs() / before;
+            let first = *first_fall.get_or_insert(fall);
+            progress::done(progress::of_convergence(first, fall, settings.tolerance));
             let stands = (before - now).abs() <= settings.tolerance * before;
             if now > before && !may_rise {
                 state = last;

@@ -33,7 +33,7 @@ use planish_numerics::{
     linear::{skyline::dot, woodbury::Woodbury},
     qp::bounded::Quadratic,
 };
-use planish_types::End;
+use planish_types::{End, progress};
 
 use crate::{
     certificate,
@@ -45,6 +45,9 @@ const STEP_TO_BOUNDARY: f64 = 0.95;
 
 /// By what a step is shortened until no row loses too much.
 const BACKTRACKING: f64 = 0.8;
+
+/// Part of the steps until the complementarity is small enough; the others prove it.
+const BEFORE_PROOF: f64 = 0.75;
 
 /// Least centring: mu falls to no less than this fraction in a step.
 const LEAST_CENTRING: f64 = 1e-3;
@@ -250,10 +253,13 @@ pub fn solve(
     let mut of_curvature: Option<Inverse<'_>> = None;
     let (mut values, mut iteration) = (Vec::new(), 0);
     let (mut value_before, mut kept_below) = (f64::INFINITY, 1.0);
+    let first_complementarity = at.complementarity();
     let end = loop {
         let complementarity = at.complementarity();
         let there = Progress { iteration, complementarity };
         let enough = stop.relative_gap * at.f.value;
+        let near_enough = progress::of_convergence(first_complementarity, complementarity, enough);
+        progress::done(BEFORE_PROOF * near_enough);
         let falls = value_before - at.f.value > STILL_FALLING * enough;
         let near = settled
             && complementarity <= enough

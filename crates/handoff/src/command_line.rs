@@ -21,7 +21,7 @@ const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a
 
 /// The parsed command line; prints and ends the program for `--completions`, `--man`, `--describe`, `--help` and
 /// wrong usage.
-pub fn parse<C: Parser>() -> C {
+pub(crate) fn parse<C: Parser>() -> C {
     let arguments: Vec<OsString> = std::env::args_os().collect();
     if let Some(text) = generated::<C>(&arguments[1..]) {
         match text {

@@ -12,7 +12,7 @@
 //! * [`Inputs`]: what a command reads, with its hashes.
 //! * [`Output`], [`OutputFile`]: what it writes; skipped where it is there already.
 //! * `publish`: how what a run writes appears, whole and together, and survives a power failure.
-//! * [`run`]: messages and exit codes.
+//! * [`program`]: what `main` does; messages and exit codes.
 //! * [`words`]: several words in one text, as a shell reads them.
 //!
 //! The `main.rs` of a program that doubles every dwell time:
@@ -21,7 +21,7 @@
 //! use std::{path::PathBuf, process::ExitCode};
 //!
 //! use planish_handoff::{
-//!     Allocator, Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, parse, run, task,
+//!     Allocator, Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, program, task,
 //! };
 //! use planish_types::DwellTime;
 //! use serde_json::json;
@@ -40,8 +40,7 @@
 //! }
 //!
 //! fn main() -> ExitCode {
-//!     let cli: Cli = parse();
-//!     run(|| double(&cli))
+//!     program(double)
 //! }
 //!
 //! fn double(cli: &Cli) -> Result<Status, Failure> {
@@ -76,11 +75,11 @@ pub mod words;
 
 pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest};
-pub use command_line::{pair, parse, with_flags};
+pub use command_line::{pair, with_flags};
 pub use inputs::Inputs;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
-pub use shell::{Failure, Status, run, say, warn};
+pub use shell::{Failure, Status, program, say, warn};
 
 /// A file or directory that cannot be used. The message names the file, the place, the value and
 /// what to do about it.

@@ -10,6 +10,7 @@ use std::{
 };
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use planish_types::progress;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -28,6 +29,9 @@ use crate::{
 
 /// How often the progress on a terminal is drawn anew: the first time after this long.
 const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
+
+/// Steps of the bar.
+const PROGRESS_STEPS: u64 = 1000;
 
 /// What is done with the inputs: the program, its method, and every setting with its resolved value.
 /// Together with the hashes of the inputs it decides whether an output is up to date.
@@ -257,7 +261,7 @@ impl Output {
             started: inputs.started,
             staged: Vec::new(),
             frame: None,
-            progress: spinner(format!("{} {}", task.tool, task.method)),
+            progress: shown_progress(format!("{} {}", task.tool, task.method)),
         }
     }
 }
@@ -360,16 +364,6 @@ impl Writer {
         self.write_wall_time()
     }
 
-    /// Says that `done` of `total` parts of the work are done; on a terminal the progress becomes a bar.
-    pub fn progress(&self, done: usize, total: usize) {
-        if self.progress.length() != Some(total as u64) {
-            let style = "{msg} {wide_bar} {pos}/{len} {elapsed}, {eta} left";
-            self.progress.set_style(ProgressStyle::with_template(style).expect("a valid template"));
-            self.progress.set_length(total as u64);
-        }
-        self.progress.set_position(done as u64);
-    }
-
     fn write_wall_time(&self) -> Result<(), HandoffError> {
         let Some(path) = &self.wall_time else { return Ok(()) };
         let time = WallTime {
@@ -387,15 +381,28 @@ impl Drop for Writer {
     }
 }
 
-/// On a terminal: what runs, and for how long; nothing in a pipe.
-fn spinner(message: String) -> ProgressBar {
-    let progress = ProgressBar::hidden();
-    let style = "{spinner} {msg} {elapsed}";
-    progress.set_style(ProgressStyle::with_template(style).expect("a valid template"));
-    progress.set_message(message);
-    progress.set_draw_target(ProgressDrawTarget::stderr());
-    progress.enable_steady_tick(PROGRESS_PERIOD);
-    progress
+/// On a terminal: what runs, and for how long; as soon as the work says how far it is, a bar, and how long it will take
+/// yet. Nothing in a pipe.
+fn shown_progress(message: String) -> ProgressBar {
+    let style = |template| ProgressStyle::with_template(template).expect("a valid template");
+    let bar = ProgressBar::hidden();
+    bar.set_style(style("{spinner} {msg} {elapsed}"));
+    bar.set_message(message);
+    bar.set_draw_target(ProgressDrawTarget::stderr());
+    bar.enable_steady_tick(PROGRESS_PERIOD);
+    let of_work = bar.clone();
+    progress::watch(move |fraction| {
+        let steps = (fraction * PROGRESS_STEPS as f64) as u64;
+        if steps == 0 {
+            return; // nothing to judge by how long the rest will take
+        }
+        if of_work.length().is_none() {
+            of_work.set_style(style("{msg} {wide_bar} {percent} % {elapsed}, about {eta} left"));
+            of_work.set_length(PROGRESS_STEPS);
+        }
+        of_work.set_position(steps);
+    });
+    bar
 }
 
 /// Writes `value` as the artifact `dir`, made from nothing, in place of one that stands there: for

@@ -1,10 +1,19 @@
 //! What surrounds the work of every program: messages and exit codes.
 
-use std::{fmt::Display, io::Write, panic, process::ExitCode};
+use std::{
+    fmt::Display,
+    io::Write,
+    panic::{self, AssertUnwindSafe},
+    process::ExitCode,
+};
 
+use clap::Parser;
 use planish_types::text;
 
-use crate::{command_line::with_flags, publish};
+use crate::{
+    command_line::{self, with_flags},
+    publish,
+};
 
 /// How a stage that ran ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,14 +54,16 @@ impl<E: std::error::Error> From<E> for Failure {
     }
 }
 
-/// Runs the body of a stage and turns its end into the exit code: 0 done, 1 done with a negative
-/// verdict, 2 could not run.
-pub fn run(body: impl FnOnce() -> Result<Status, Failure> + panic::UnwindSafe) -> ExitCode {
+/// What `main` of a program does: reads the flags, runs the body, and turns its end into the exit code: 0 done, 1 done
+/// with a negative verdict, 2 could not run.
+pub fn program<Flags: Parser>(body: impl FnOnce(&Flags) -> Result<Status, Failure>) -> ExitCode {
+    let flags = command_line::parse();
     publish::clean_up_on_signals();
     panic::set_hook(Box::new(|info| {
         complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
     }));
-    let end = panic::catch_unwind(body);
+    // Where the body panics, what it had changed is not looked at any more.
+    let end = panic::catch_unwind(AssertUnwindSafe(|| body(&flags)));
     publish::wait_for_signal_under_way();
     match end {
         Ok(Ok(Status::Done)) => ExitCode::SUCCESS,

@@ -5,7 +5,6 @@ mod cli;
 use std::process::ExitCode;
 
 use clap::Parser;
-use planish_handoff::run;
 
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
@@ -25,6 +24,5 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let cli: Cli = planish_handoff::parse();
-    run(|| cli.reconcile.run())
+    planish_handoff::program(|cli: &Cli| cli.reconcile.run())
 }

@@ -56,6 +56,7 @@ use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory,
     plausible::{self, Rms},
+    progress as work,
 };
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
@@ -279,9 +280,12 @@ fn rounds(
     let mut lo = start.least_s.unwrap_or(floor_s);
     let last_smoothness = solver.smoothness;
     solver.smoothness = last_smoothness.max(settings.first_smoothness);
+    let parts = settings.max_rounds.max(1);
     let mut t = match start.dwell {
         Some(dwell) => dwell,
-        None => dwell_solver::solve(desired, tif, path, None, &solver)?.dwell,
+        None => {
+            work::part(0, parts, || dwell_solver::solve(desired, tif, path, None, &solver))?.dwell
+        }
     };
     let simulation = Plan::new(tif, desired.grid(), Simulation::Gridded)?;
     // Below the noise (its RMS over m pixels scatters by 1 / sqrt(2 m)) nothing is gained.
@@ -387,7 +391,9 @@ fn rounds(
             let quadratic = quadratic.as_ref().map(|_| &product as Product<'_>);
             let program = Program { places: &places, lo, hi, guess, quadratic };
             let target = target.as_ref().unwrap_or(desired);
-            let solution = dwell_solver::solve_columns(target, tif, path, None, &solver, &program)?;
+            let solution = work::part(round, parts, || {
+                dwell_solver::solve_columns(target, tif, path, None, &solver, &program)
+            })?;
             if solver.noise_rms_nm.take().is_some() {
                 solver.smoothness = solution.report.smoothness;
             }

@@ -5,7 +5,7 @@ mod cli;
 use std::process::ExitCode;
 
 use clap::Parser;
-use planish_handoff::{Failure, run};
+use planish_handoff::Failure;
 
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
@@ -28,8 +28,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let cli: Cli = planish_handoff::parse();
-    run(|| match (&cli.command, &cli.refine) {
+    planish_handoff::program(|cli: &Cli| match (&cli.command, &cli.refine) {
         (Some(command), _) => command.run(),
         (None, Some(arguments)) => arguments.run(),
         (None, None) => Err(Failure::new("no arguments; planish-refine --help shows them")),

@@ -13,7 +13,9 @@
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
 use planish_feed::{FeedError, Price, plan};
-use planish_types::{End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, text::fixed};
+use planish_types::{
+    End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, progress, text::fixed,
+};
 use serde::Serialize;
 
 use crate::{Iterate, RefineError, Settings, refine};
@@ -98,14 +100,16 @@ pub fn trade_off(
 ) -> Result<Vec<Point>, RefineError> {
     let mut points: Vec<Point> = Vec::new();
     let mut first = None;
-    for &price in prices {
+    for (k, &price) in prices.iter().enumerate() {
         let mut settings = *settings;
         settings.dwell.time_weight_nm2_per_s = price;
         if first.is_none() {
             // What the other prices begin with.
             settings.max_rounds = settings.max_rounds.max(Settings::default().max_rounds);
         }
-        let mut refined = refine(desired, tif, path, limits, first, &settings)?;
+        let mut refined = progress::part(k, prices.len(), || {
+            refine(desired, tif, path, limits, first.take(), &settings)
+        })?;
         first = Some(refined.dwell);
         let best = refined.iterates.swap_remove(refined.best);
         let (method, end) = (Method::ClosedLoop, refined.end);
@@ -123,10 +127,10 @@ pub fn feed_trade_off(
     prices: &[f64],
     min_dwell_s_per_mm: f64,
 ) -> Result<Vec<Point>, FeedError> {
-    let at_price = |price: &f64| {
+    let at_price = |(k, price): (usize, &f64)| {
         let price = Price::Nm2PerS(*price);
         let settings = planish_feed::Settings { min_dwell_s_per_mm, price, ..Default::default() };
-        let plan = plan(desired, tif, path, limits, &settings)?;
+        let plan = progress::part(k, prices.len(), || plan(desired, tif, path, limits, &settings))?;
         let rms = Rms::of(plan.removal.residual());
         let best = Iterate {
             dwell_s: plan.dwell.dwell_s().to_vec(),
@@ -141,7 +145,7 @@ pub fn feed_trade_off(
         let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
         Ok(Point { method: Method::Feed, time_weight_nm2_per_s, best, end: plan.report.end })
     };
-    prices.iter().map(at_price).collect()
+    prices.iter().enumerate().map(at_price).collect()
 }
 
 /// Height of the texts, px of the picture.

@@ -1,5 +1,6 @@
 //! The subcommands, one file each.
 
+mod best;
 mod program;
 mod start;
 mod verdict;
@@ -20,6 +21,8 @@ pub enum Command {
     /// Print the words of a text that holds several, quoted for a shell: as a shell takes them apart,
     /// but nothing is evaluated
     Words(words::Words),
+    /// Print the name of the plan that the report of a run recommends
+    Best(best::Best),
     /// Say of which plan the program of a run is, and whether the report recommends that plan
     Program(program::Program),
     /// Say which stages of a run gave a negative verdict; exit code 1 when there are any
@@ -31,6 +34,7 @@ impl Command {
         match self {
             Self::Start(arguments) => arguments.run(),
             Self::Words(arguments) => arguments.run(),
+            Self::Best(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Verdict(arguments) => arguments.run(),
         }

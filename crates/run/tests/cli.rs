@@ -330,8 +330,14 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
             json!({"answer": {"method": method, "why": "It is the least."}, "best": method});
         fs::write(dir.path().join("run/report/summary.json"), summary.to_string()).unwrap();
     };
+    let named = || {
+        let flags = ["best", "--run", "run", "--otherwise", "pvt+refined"];
+        let ended = Command::new(PROGRAM).current_dir(dir.path()).args(flags).output().unwrap();
+        String::from_utf8(ended.stdout).unwrap()
+    };
     for best in ["pvt", "pvt+galil"] {
         summary(json!(best));
+        assert_eq!(named(), "pvt\n");
         let (code, text) = said("pvt");
         let expected = "the one that the report recommends: It is the least.";
         assert!(code == Some(0) && text.contains(expected), "{text}");
@@ -340,6 +346,9 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     summary(json!("feed"));
     let (code, text) = said("pvt");
     assert!(code == Some(0) && text.contains("give program_of=feed"), "{text}");
+    summary(json!("pvt+refined"));
+    assert_eq!(named(), "pvt+refined\n");
     summary(json!(null));
+    assert_eq!(named(), "pvt+refined\n");
     assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
 }

@@ -72,8 +72,7 @@ impl Simulate {
         };
         plausible::check_tool(&surface, &tif)?;
         if let Some(count) = self.frames {
-            let done = |i| output.progress(i, count);
-            let frames = frames(&trajectory, &tif, &surface, settings, count, done)?;
+            let frames = frames(&trajectory, &tif, &surface, settings, count)?;
             return write_frames(&mut output, frames, &self.output);
         }
 

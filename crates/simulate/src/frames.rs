@@ -16,7 +16,7 @@
 
 use ndarray::{Array2, Array3, Axis as NdAxis, s};
 use planish_numerics::polynomial::{derivative, evaluate};
-use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory};
+use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory, progress};
 
 use crate::{Plan, Settings};
 
@@ -39,15 +39,13 @@ pub struct Frames {
     pub stride: [usize; 2],
 }
 
-/// Removal of `trajectory` on pixels of `desired` at `count` equal steps of time; calls `done` after
-/// each with the number of frames that are done.
+/// Removal of `trajectory` on pixels of `desired` at `count` equal steps of time.
 pub fn frames(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
     settings: Settings,
     count: usize,
-    mut done: impl FnMut(usize),
 ) -> Result<Frames, Invalid> {
     if !(1..=MAX_COUNT).contains(&count) {
         let remedy = format!("give 1 to {MAX_COUNT}");
@@ -73,7 +71,7 @@ pub fn frames(
         }
         kept.index_axis_mut(NdAxis(0), i).assign(&removal.slice(s![..;stride[1], ..;stride[0]]));
         before_s = until_s;
-        done(i + 1);
+        progress::done((i + 1) as f64 / m);
     }
     let time_s = (0..count).map(|i| total_s * (i + 1) as f64 / m).collect();
     Ok(Frames { time_s, removal_nm: kept, grid, stride })
@@ -160,10 +158,8 @@ mod tests {
     #[test]
     fn the_last_frame_is_the_removal() {
         let (surface, tif) = (desired(21, 9), tif());
-        let mut calls = vec![];
-        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 5, |i| calls.push(i)).unwrap();
-        assert_eq!((calls, f.stride), (vec![1, 2, 3, 4, 5], [1, 1]));
-        assert_eq!(f.time_s.len(), 5);
+        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 5).unwrap();
+        assert_eq!((f.time_s.len(), f.stride), (5, [1, 1]));
         assert!((f.time_s[4] - 7.1).abs() < 1e-12);
         let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
@@ -178,7 +174,7 @@ mod tests {
     #[test]
     fn a_frame_agrees_with_the_other_method() {
         let (surface, tif) = (desired(21, 9), tif());
-        let of = |settings| frames(&motion(), &tif, &surface, settings, 3, |_| ()).unwrap();
+        let of = |settings| frames(&motion(), &tif, &surface, settings, 3).unwrap();
         let (a, b) = (of(Settings::Gridded), of(Settings::Direct { steps: 400 }));
         // The midpoint rule over 400 steps of 7 ms: (0.007 s)^2 / 24 times 3 s times the second
         // derivative of the rate along the motion, below 10 nm/s^3.
@@ -189,7 +185,7 @@ mod tests {
     #[test]
     fn large_maps_are_thinned_to_the_pixels_themselves() {
         let (surface, tif) = (desired(301, 203), tif());
-        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 1, |_| ()).unwrap();
+        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 1).unwrap();
         assert_eq!((f.stride, f.grid.shape()), ([2, 2], (102, 151)));
         let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
@@ -213,7 +209,7 @@ mod tests {
     #[test]
     fn no_frames_and_too_many_are_refused() {
         for count in [0, 1001] {
-            let f = frames(&motion(), &tif(), &desired(5, 5), Settings::Gridded, count, |_| ());
+            let f = frames(&motion(), &tif(), &desired(5, 5), Settings::Gridded, count);
             assert!(f.unwrap_err().to_string().contains("give 1 to 1000"));
         }
     }

@@ -473,7 +473,7 @@ fn the_same_bytes_on_one_and_two_threads() {
                 assert_eq!(plan.removal_nm(&t).unwrap().0, planned);
                 let once = simulate(&t, &tif, &desired, Settings::Gridded).unwrap();
                 assert_eq!(once.removal.removal_nm(), &planned);
-                let frames = frames(&t, &tif, &desired, Settings::Gridded, 3, |_| ()).unwrap();
+                let frames = frames(&t, &tif, &desired, Settings::Gridded, 3).unwrap();
                 (planned, numerics, frames.removal_nm)
             })
         };
@@ -506,7 +506,7 @@ fn a_rate_factor_is_time() {
     let e = largest_difference(&(direct(&run) * 0.5), &direct(&half));
     assert!(e < 1e-12, "{e}");
     let surface = Surface::new(g, Array2::ones(g.shape())).unwrap();
-    let found = frames(&half, &tif, &surface, Settings::Gridded, 3, |_| ()).unwrap();
+    let found = frames(&half, &tif, &surface, Settings::Gridded, 3).unwrap();
     let last = found.removal_nm.index_axis(ndarray::Axis(0), 2).to_owned();
     // The frames cut the motion elsewhere than the lattice does: 1e-6 of the removal.
     let e = largest_difference(&last, &gridded(&half, &tif, &g));

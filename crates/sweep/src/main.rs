@@ -7,7 +7,6 @@ mod runner;
 use std::process::ExitCode;
 
 use clap::Parser;
-use planish_handoff::run;
 
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
@@ -29,6 +28,5 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let cli: Cli = planish_handoff::parse();
-    run(|| cli.command.run())
+    planish_handoff::program(|cli: &Cli| cli.command.run())
 }

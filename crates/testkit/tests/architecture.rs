@@ -530,7 +530,7 @@ fn every_binary_has_completions_a_manual_page_examples_and_a_memory_budget() {
         let main = directory_of(folder).join("src/main.rs");
         if main.exists() {
             let text = fs::read_to_string(&main).unwrap();
-            assert!(text.contains("planish_handoff::parse"), "{folder}: parse through handoff");
+            assert!(text.contains("planish_handoff::program"), "{folder}: run through handoff");
             assert!(text.contains("after_help = EXAMPLES"), "{folder}: no examples in --help");
             assert!(text.contains("Allocator = planish_handoff"), "{folder}: no memory budget");
         }

@@ -336,7 +336,7 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
     let kept = fs::read(&dwell).unwrap();
     // Motion and times as one problem are what is to be run; a program is written of the times of the closed loop.
     let summary = fs::read(dir.path().join("o/report/summary.json")).unwrap();
-    let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
+    let summary: Value = serde_json::from_slice(&summary).unwrap();
     assert_eq!(summary["best"], "feed", "{}", summary["answer"]);
     let program = ["run", "raster", "fixture=coupon", "frames=0", "export=galil", "out=g"];
     let text = ended_with(&run(dir.path(), &program), 0);
@@ -349,6 +349,21 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
     );
     let program = fs::read_to_string(dir.path().join("g/program.galil")).unwrap();
     assert!(program.contains("methods/pvt+refined/trajectory"), "{program}");
+    // What the report marks is exported where the controller can be given it, and the next where not. Lines of G-code have
+    // steps in velocity at their ends, so that verdict is negative.
+    for (controller, code, plan) in [("gcode", 1, "feed"), ("csv", 0, "pvt+refined")] {
+        let export = format!("export={controller}");
+        let out = format!("out={controller}");
+        let more = ["plan_feed=yes", export.as_str(), out.as_str(), "frames=0"];
+        let text = ended_with(
+            &run(dir.path(), &[&["run", "raster", "fixture=coupon"], &more[..]].concat()),
+            code,
+        );
+        assert!(text.contains(&format!("program.{controller} is of the plan {plan};")), "{text}");
+        assert!(text.contains("the report recommends") && text.contains("feed, because"), "{text}");
+        let refused = text.contains("the plan marked as the best, feed, is none for csv: segment[");
+        assert_eq!(refused, code == 0, "{text}");
+    }
     for (more, said) in [
         (
             &["program_of=feed", "export=galil"][..],

@@ -25,6 +25,7 @@ mod grid;
 mod limits;
 mod machine;
 pub mod plausible;
+pub mod progress;
 mod surface;
 pub mod text;
 mod tif;

@@ -6,7 +6,7 @@ use clap::Parser;
 use planish_handoff::{
     Begin, Inputs, Output, Status,
     flags::{MachineArgs, OutputArgs, TrajectoryArgs},
-    kind, run, say, task,
+    kind, say, task,
 };
 use planish_types::TransformNumbers;
 use planish_verify::{VerifySettings, verify_on_axes};
@@ -43,8 +43,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let cli: Cli = planish_handoff::parse();
-    run(|| {
+    planish_handoff::program(|cli: &Cli| {
         let settings = VerifySettings {
             position_step_mm: cli.position_step_mm,
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,

@@ -6,7 +6,7 @@ use planish_numerics::{
     linear::skyline::dot,
     qp::bounded::{self, GradientSettings},
 };
-use planish_types::End;
+use planish_types::{End, progress};
 
 use super::{
     certificate::gap,
@@ -18,6 +18,10 @@ use crate::{
     objective::{Basis, Penalty},
     surrogate::Surrogate,
 };
+
+/// Corrections that a problem usually takes, for an estimate of the time, and the part after so many of them.
+const USUAL_CORRECTIONS: f64 = 6.0;
+const BEFORE_LAST: f64 = 0.9;
 
 /// Most steps of H~; measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
@@ -99,6 +103,7 @@ impl BoundedProblem<'_> {
         };
         let (mut iterations, mut corrections, mut slow) = (0, 0, 0);
         let mut residual_before = f64::INFINITY;
+        let mut first_gap = None;
         let (mut before, mut settled): (Option<(Vec<f64>, Array2<f64>)>, _) = (None, None);
         loop {
             // r = z - B t without its free part,  q = -B' W r + penalty
@@ -124,6 +129,12 @@ impl BoundedProblem<'_> {
             let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
             let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha(), &self.reached)
                 .map(|gap| gap / objective.max(f64::MIN_POSITIVE));
+            let usual = (corrections as f64 / USUAL_CORRECTIONS).min(BEFORE_LAST);
+            let proven = relative_gap.map_or(0.0, |gap| {
+                let first = *first_gap.get_or_insert(gap);
+                progress::of_convergence(first, gap, settings.relative_gap)
+            });
+            progress::done(usual.max(proven));
             let optimal = natural_residual <= settings.tolerance_s
                 || relative_gap.is_some_and(|gap| gap <= settings.relative_gap);
             let mut end = if optimal { Some(End::Optimal) } else { settled };

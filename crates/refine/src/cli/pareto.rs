@@ -12,7 +12,7 @@ use planish_refine::{
     trade_off::{self, Method},
 };
 use planish_schedule::pvt::ModeChoice;
-use planish_types::{End, plausible};
+use planish_types::{End, plausible, progress};
 use serde_json::json;
 
 use super::iterations;
@@ -64,12 +64,12 @@ impl Pareto {
 
         plausible::check_path(&surface, &tif, &path)?;
         let prices = trade_off::prices(&surface, &tif, self.prices)?;
-        let mut points = trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
-            .map_err(Failure::with_flags)?;
+        let of_loop = || trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings);
+        let mut points = progress::part(0, 2, of_loop).map_err(Failure::with_flags)?;
         // A floor per dwell point says nothing of a motion without points.
         let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm);
-        let of_feed = trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
-        points.extend(of_feed.map_err(Failure::with_flags)?);
+        let of_feed = || trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
+        points.extend(progress::part(1, 2, of_feed).map_err(Failure::with_flags)?);
         let least_time_s = trade_off::least_time_s(&surface, &tif);
 
         say("| method | price, nm^2/s | total time, s | residual RMS, nm | limits |");

@@ -1,6 +1,9 @@
 //! `planish-run program`: of which plan the program of a run is, and why.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use clap::Args;
 use planish_handoff::{Failure, Status, say, warn};
@@ -25,20 +28,41 @@ struct Summary {
     answer: Answer,
 }
 
+/// What the report recommends.
 #[derive(Deserialize)]
-struct Answer {
-    method: Option<String>,
+pub struct Answer {
+    /// Name of the plan, or of a program that was read back.
+    pub method: Option<String>,
     why: String,
 }
 
-impl Program {
-    pub fn run(&self) -> Result<Status, Failure> {
-        let path = self.run.join("report/summary.json");
+impl Answer {
+    /// That of the report in `run`.
+    pub fn read(run: &Path) -> Result<Self, Failure> {
+        let path = run.join("report/summary.json");
         let about = |e: &dyn std::fmt::Display| {
             Failure::new(format!("{}: cannot be read: {e}; run the report first", path.display()))
         };
         let text = fs::read(&path).map_err(|e| about(&e))?;
         let Summary { answer } = serde_json::from_slice(&text).map_err(|e| about(&e))?;
+        Ok(answer)
+    }
+}
+
+/// Controllers, as a program that was read back names its own: `pvt+galil`.
+const CONTROLLERS: [&str; 5] = ["galil", "xps", "pmac", "gcode", "csv"];
+
+/// The plan that the program `method` was written of; a plan is its own.
+pub fn plan_of(method: &str) -> &str {
+    match method.rsplit_once('+') {
+        Some((plan, controller)) if CONTROLLERS.contains(&controller) => plan,
+        _ => method,
+    }
+}
+
+impl Program {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let answer = Answer::read(&self.run)?;
         let Self { of, controller, .. } = self;
         let program = self.run.join(format!("program.{controller}"));
         let read_back = format!("{of}+{controller}");
@@ -46,8 +70,8 @@ impl Program {
             "program: {} is of the plan {of}; {read_back} is that program, read back and judged",
             program.display()
         ));
-        match answer.method {
-            Some(best) if best == *of || best == read_back => {
+        match answer.method.as_deref() {
+            Some(best) if plan_of(best) == of => {
                 say(format!(
                     "program: the plan is the one that the report recommends: {}",
                     answer.why

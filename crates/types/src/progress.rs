@@ -1,0 +1,98 @@
+//! How far a computation is, told to whoever watches the process.
+//!
+//! A library knows neither clock nor terminal: it says which fraction of its work is done, and a program that shows it
+//! has called [`watch`] before. Work that consists of others takes the part of the whole that each of them is:
+//!
+//! ```text
+//! told = first + (last - first) fraction        of the part [first, last] that is under way
+//! ```
+//!
+//! Fractions of iterations are estimates, see [`of_convergence`]; none decides anything. Like the
+//! [budget](crate::budget), this belongs to the process: two computations at once tell the watcher in turn.
+
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+
+type Watcher = Box<dyn Fn(f64) + Send + Sync>;
+
+static WATCHER: OnceLock<Watcher> = OnceLock::new();
+
+/// First and last fraction of the part under way, and the largest fraction told.
+static UNDER_WAY: Mutex<([f64; 2], f64)> = Mutex::new(([0.0, 1.0], 0.0));
+
+fn under_way() -> MutexGuard<'static, ([f64; 2], f64)> {
+    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// From now on `watcher` is told the fraction of the work that is done, never less than before; only the first
+/// watcher of a process is told.
+pub fn watch(watcher: impl Fn(f64) + Send + Sync + 'static) {
+    let _ = WATCHER.set(Box::new(watcher));
+}
+
+/// Of the part under way this fraction is done.
+pub fn done(fraction: f64) {
+    let Some(watcher) = WATCHER.get() else { return };
+    let told = {
+        let mut state = under_way();
+        state.1 = state.1.max(within(state.0, fraction));
+        state.1
+    };
+    watcher(told);
+}
+
+/// Does the work that is part number `k` of `n` equal ones.
+pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
+    let whole = under_way().0;
+    let edge = |k: usize| within(whole, k as f64 / n as f64);
+    under_way().0 = [edge(k), edge(k + 1)];
+    let result = work();
+    under_way().0 = whole;
+    done((k + 1) as f64 / n as f64);
+    result
+}
+
+fn within([first, last]: [f64; 2], fraction: f64) -> f64 {
+    first + (last - first) * fraction.clamp(0.0, 1.0)
+}
+
+/// The fraction of an iteration that is done when what falls geometrically from `first` to `last` is at `now`:
+///
+/// ```text
+/// log(first / now) / log(first / last)
+/// ```
+pub fn of_convergence(first: f64, now: f64, last: f64) -> f64 {
+    let fraction = (first / now).ln() / (first / last).ln();
+    if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    // One test: the watcher is that of the process.
+    #[test]
+    fn parts_of_parts_tell_their_fraction_of_the_whole() {
+        done(0.9); // nobody watches yet, and nothing is kept
+        let told = std::sync::Arc::new(Mutex::new(Vec::new()));
+        let to = told.clone();
+        watch(move |fraction| to.lock().unwrap().push(fraction));
+        part(0, 2, || {
+            done(0.5);
+            part(1, 2, || done(0.5));
+        });
+        done(0.1); // never less than before
+        part(1, 2, || done(2.0));
+        let expected = [0.25, 0.375, 0.5, 0.5, 0.5, 1.0, 1.0];
+        assert_eq!(*told.lock().unwrap(), expected);
+    }
+
+    #[test]
+    fn a_geometric_fall_is_linear() {
+        let half = of_convergence(1.0, 1e-2, 1e-4);
+        assert!((half - 0.5).abs() < 1e-15, "{half}");
+        assert_eq!(of_convergence(1.0, 2.0, 1e-4), 0.0);
+        assert_eq!(of_convergence(1.0, 1e-9, 1e-4), 1.0);
+        assert_eq!(of_convergence(f64::INFINITY, 1.0, 1e-4), 0.0);
+        assert_eq!(of_convergence(0.0, 0.0, 1e-4), 0.0);
+    }
+}

@@ -1,0 +1,37 @@
+#!/bin/sh
+# What a new user does in a clone, with the times: README's first command, then a mirror made with NumPy, from its arrays to
+# a Galil and a G-code program in the machine's own axes: try-clone.sh REPOSITORY PYTHON OUT. Cargo's registry is at hand;
+# nothing else is: `just` and every program are built. OUT is made by this script, or absent.
+set -eu
+repository=$(cd "$1" && pwd -P)
+python=$2
+out=$3
+case $python in /*) ;; *) python=$PWD/$python ;; esac
+if [ -e "$out" ] && [ ! -e "$out/made-by-try-clone" ]; then
+    echo "error: $out is there, and this script did not make it; give another directory" >&2
+    exit 2
+fi
+rm -rf "$out"
+mkdir -p "$out/lab"
+: > "$out/made-by-try-clone"
+cd "$out"
+git clone --quiet "$repository" clone
+export CARGO_INSTALL_ROOT="$PWD/cargo" PATH="$PWD/cargo/bin:$PATH"
+unset CARGO_TARGET_DIR PLANISH_PROGRAMS
+
+first=$(grep -m 1 '^cargo install .* just run raster$' clone/README.md)
+begun=$(date +%s)
+(cd clone && sh -c "$first") > first-command 2>&1 || { tail -n 20 first-command >&2; exit 1; }
+tail -n 12 first-command
+echo "first command: $(($(date +%s) - begun)) s; $(du -sm clone/target | cut -f 1) MB in target"
+
+cd lab
+begun=$(date +%s)
+"$python" "$repository/python/tests/mirror.py" write
+just --justfile ../clone/justfile run raster surface=mirror tif=tool machine=machine.json pitch_mm=2 step_mm=2 \
+    export=galil out=plan > run 2>&1 || { tail -n 20 run >&2; exit 1; }
+grep '^program: ' run
+../clone/target/release/planish-export gcode --trajectory plan/methods/pvt+refined/trajectory --machine machine.json \
+    --out program.ngc
+"$python" "$repository/python/tests/mirror.py" check plan/methods/pvt+refined/trajectory plan/program.galil program.ngc
+echo "a mirror of one's own: from its arrays to both programs in $(($(date +%s) - begun)) s"
