@@ -10,9 +10,9 @@
 //! ```
 //!
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
-//! of `B' W B`, `A` the effective area of the TIF, `p` the distance of neighbouring lines of the path, `l_k` the
-//! length of segment k, `m_k` that between the middles of segments k - 1 and k, and `a_k = p l_k` the area that
-//! dwell point k stands for: `r` is the dwell time per area. `alpha` decides the dwell times that the map does not
+//! of `B' W B`, `A` the effective area of the TIF (at least that of 36 dwell points), `p` the distance of neighbouring
+//! lines of the path, `l_k` the length of segment k, `m_k` that between the middles of segments k - 1 and k, and
+//! `a_k = p l_k` the area that dwell point k stands for: `r` is the dwell time per area. `alpha` decides the dwell times that the map does not
 //! (outside the clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
 //! is the price of a second in half a mean square, and Q, where a program has one, any symmetric positive
 //! semidefinite matrix, of which only products are asked for: what the scatter of a process adds. In place of
@@ -28,7 +28,9 @@
 //! **Weights that mean the same at every pitch and pixel.** Both sums of squares are those of integrals over the part,
 //! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, and D grows with the number of pixels as the first
 //! term does. So with closer lines, points or pixels the minimum goes to that of one continuous problem, and in units
-//! of the size of the TIF it is the same for a small tool on a small part.
+//! of the size of the TIF it is the same for a small tool on a small part. Where lines and points are so far apart that
+//! the TIF has less than 36 of them, neighbours weigh as if it had 36: what a machine has to execute goes from point to
+//! point.
 //!
 //! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`: cells of pixels and the
 //! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and

@@ -5,8 +5,8 @@
 //! t = lo + s,  z' = z - B lo                                                               (1)
 //! ```
 //!
-//! M frees the piston, D is the largest diagonal element of `B' W M B`, A the effective area of the TIF, `a_j` the
-//! area that a dwell point stands for. The same minimum as
+//! M frees the piston, D is the largest diagonal element of `B' W M B`, A the effective area of the TIF (at least that of 36
+//! dwell points), `a_j` that of a dwell point. The same minimum as
 //! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that
 //! shares nothing with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the
 //! literature. One component changes at a time, so it is slow: minutes for thousands of points.
@@ -25,7 +25,7 @@ use serde::Serialize;
 use crate::{
     DwellError,
     model::operator::normal_matrix,
-    objective::{Penalty, PenaltyScale, PenaltyWeights, lengths_mm, line_distance_mm},
+    objective::{Penalty, PenaltyScale, PenaltyWeights},
     problem::{Model, Problem, Solution, check},
 };
 
@@ -77,14 +77,14 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let model = Model::new(problem)?;
     let n = problem.path.len();
     let mut h = normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight)?;
-    let pixel_weight = model.weight.sum();
-    let lengths = lengths_mm(problem.path);
-    let scale = PenaltyScale {
-        strongest: (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max),
-        pixel_weight,
-        tif_mm2: problem.tif.effective_area_mm2(),
-        line_distance_mm: line_distance_mm(problem.tif, pixel_weight, &model.sensitivity, &lengths),
-    };
+    let strongest = (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max);
+    let scale = PenaltyScale::new(
+        problem.path,
+        problem.tif,
+        strongest,
+        model.weight.sum(),
+        &model.sensitivity,
+    );
     let weights =
         PenaltyWeights { tikhonov: settings.tikhonov, smoothness: 0.0, time_weight_nm2_per_s: 0.0 };
     let penalty = Penalty::new(problem.path, &model.lo, &scale, &weights);

@@ -156,6 +156,11 @@ pub struct PenaltyWeights {
     pub time_weight_nm2_per_s: f64,
 }
 
+/// Least A in areas of a dwell point. What a machine has to execute goes from point to point, however small the tool: on
+/// paths that are coarse beside the TIF the weights of neighbouring dwell times do not fall below those of a path with
+/// as many points in the area of the TIF.
+pub const POINTS_PER_AREA: f64 = 36.0;
+
 /// What the weights are relative to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyScale {
@@ -163,10 +168,21 @@ pub struct PenaltyScale {
     pub strongest: f64,
     /// Sum of the weights of the pixels.
     pub pixel_weight: f64,
-    /// A: effective area of the TIF ([`Tif::effective_area_mm2`]), mm^2.
-    pub tif_mm2: f64,
+    /// A: effective area of the TIF ([`Tif::effective_area_mm2`]), and at least that of [`POINTS_PER_AREA`] dwell
+    /// points, mm^2.
+    pub area_mm2: f64,
     /// p: distance of neighbouring lines of the path, mm ([`line_distance_mm`]).
     pub line_distance_mm: f64,
+}
+
+impl PenaltyScale {
+    /// For the largest diagonal element of `B' W B`, the sum of the weights w, and `B' w` (n).
+    pub fn new(path: &ToolPath, tif: &Tif, strongest: f64, pixel_weight: f64, b_w: &[f64]) -> Self {
+        let line_distance_mm = line_distance_mm(tif, pixel_weight, b_w, &lengths_mm(path));
+        let point_mm2 = line_distance_mm * median_length_mm(path).unwrap_or(0.0);
+        let area_mm2 = tif.effective_area_mm2().max(POINTS_PER_AREA * point_mm2);
+        Self { strongest, pixel_weight, area_mm2, line_distance_mm }
+    }
 }
 
 /// Lengths of the path that dwell times are spent on (n), mm: those of the segments; a rest has the median.
@@ -229,17 +245,17 @@ impl Penalty {
         scale: &PenaltyScale,
         weights: &PenaltyWeights,
     ) -> Self {
-        let PenaltyScale { strongest, pixel_weight, tif_mm2, line_distance_mm } = *scale;
+        let PenaltyScale { strongest, pixel_weight, area_mm2, line_distance_mm } = *scale;
         let lengths = lengths_mm(path);
-        let area = |l: f64| if line_distance_mm * l > 0.0 { line_distance_mm * l } else { tif_mm2 };
+        let own = |l: f64| if line_distance_mm * l > 0.0 { line_distance_mm * l } else { area_mm2 };
         let alpha =
-            (lengths.iter()).map(|l| weights.tikhonov * strongest * tif_mm2 / area(*l)).collect();
+            (lengths.iter()).map(|l| weights.tikhonov * strongest * area_mm2 / own(*l)).collect();
         let mut steps = Vec::new();
         if let Some(median) = median_length_mm(path).filter(|_| line_distance_mm > 0.0) {
             // p m ((r_k - r_{k-1}) / m)^2 = (t_k / l_k - t_{k-1} / l_{k-1})^2 / (p m)
             let factor = |k: usize| {
                 let between = 0.5 * (lengths[k - 1] + lengths[k]);
-                let weight = weights.smoothness * strongest * tif_mm2 * tif_mm2;
+                let weight = weights.smoothness * strongest * area_mm2 * area_mm2;
                 (weight / (line_distance_mm * between)).sqrt()
             };
             let both =
@@ -352,10 +368,11 @@ mod tests {
         // r = 1 + 0.3 cos(2 pi x / width) cos(2 pi y / height), lo = 0.2, s/mm^2:
         //   int (r - lo)^2 = (0.8^2 + 0.3^2 / 4) width height
         //   int (dr/dx)^2  = 0.3^2 (2 pi / width)^2 / 4 width height
-        let (d, tif_mm2) = (7.0, 5.0);
-        let area = width * height;
-        let far = 0.5 * 2e-3 * d * tif_mm2 * (0.64 + 0.0225) * area;
-        let rough = 0.5 * 3e-4 * d * tif_mm2 * tif_mm2 * 0.0225 * (TAU / width).powi(2) * area;
+        let (d, area_mm2) = (7.0, 5.0);
+        let part_mm2 = width * height;
+        let far = 0.5 * 2e-3 * d * area_mm2 * (0.64 + 0.0225) * part_mm2;
+        let rough =
+            0.5 * 3e-4 * d * area_mm2 * area_mm2 * 0.0225 * (TAU / width).powi(2) * part_mm2;
         let error = |pitch: f64, step: f64, tikhonov: f64, smoothness: f64, exact: f64| {
             let path = raster(part, pitch, step);
             let a = pitch * step;
@@ -370,7 +387,7 @@ mod tests {
                 .collect();
             let weights = PenaltyWeights { tikhonov, smoothness, time_weight_nm2_per_s: 0.0 };
             let scale =
-                PenaltyScale { strongest: d, pixel_weight: 1.0, tif_mm2, line_distance_mm: pitch };
+                PenaltyScale { strongest: d, pixel_weight: 1.0, area_mm2, line_distance_mm: pitch };
             Penalty::new(&path, &lo, &scale, &weights).value(&t) / exact - 1.0
         };
         for (pitch, step) in [(0.5, 0.5), (0.25, 0.5), (0.5, 0.25), (0.1, 0.1)] {

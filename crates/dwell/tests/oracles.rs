@@ -76,10 +76,7 @@ fn settings() -> Settings {
     // The certificate to rounding; a plan is content with less.
     let (tolerance_s, relative_gap) = (1e-11, 0.0);
     let min_dwell = Bound::Seconds(0.05);
-    // Under the bell above, with lines and points 1 mm apart, some 1e-5 and 1e-2 of D.
-    let (tikhonov, smoothness) = (1.1e-6, 1.3e-4);
-    let settings = Settings { tolerance_s, relative_gap, ..Settings::default() };
-    Settings { min_dwell, tikhonov, smoothness, ..settings }
+    Settings { min_dwell, tolerance_s, relative_gap, ..Settings::default() }
 }
 
 fn run(desired: &Surface, path: &ToolPath, settings: &Settings) -> BoundedSolution {

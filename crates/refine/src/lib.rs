@@ -95,11 +95,11 @@ impl Default for Settings {
             dwell: dwell_solver::Settings {
                 // The columns are the executed ones, so the smoothness need not stand for what a
                 // machine can execute; the pull to the lower bound buys machine time.
-                tikhonov: 2.8e-6,
-                smoothness: 7.8e-8,
+                tikhonov: 2.78e-6,
+                smoothness: 7.72e-8,
                 ..dwell_solver::Settings::default()
             },
-            first_smoothness: 2.3e-6,
+            first_smoothness: 2.31e-6,
             max_rounds: 50,
             least_improvement: 1e-3,
         }

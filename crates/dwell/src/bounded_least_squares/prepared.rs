@@ -13,7 +13,7 @@ use crate::{
         columns::{self, Place, Stored},
         operator::Removal,
     },
-    objective::{Basis, Free, Penalty, PenaltyScale, lengths_mm, line_distance_mm},
+    objective::{Basis, Free, Penalty, PenaltyScale},
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
@@ -138,12 +138,7 @@ impl<'a> BoundedProblem<'a> {
         // The first free function is the constant 1 / (sum of w)^1/2, so u_1 is B' w over that.
         let pixel_weight = weight.sum();
         let b_w: Vec<f64> = u[0].iter().map(|u| pixel_weight.sqrt() * u).collect();
-        let scale = PenaltyScale {
-            strongest,
-            pixel_weight,
-            tif_mm2: tif.effective_area_mm2(),
-            line_distance_mm: line_distance_mm(tif, pixel_weight, &b_w, &lengths_mm(path)),
-        };
+        let scale = PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w);
         let penalty = Penalty::new(path, &program.lo, &scale, &settings.penalty_weights());
         let mut splines_mm = None;
         let surrogate = match &cells {

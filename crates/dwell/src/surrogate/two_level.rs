@@ -396,7 +396,7 @@ mod tests {
         let scale = PenaltyScale {
             strongest: 12.0,
             pixel_weight: 1.0,
-            tif_mm2: 5.0,
+            area_mm2: 5.0,
             line_distance_mm: 0.2,
         };
         let penalty = Penalty::new(&path, &vec![0.0; n], &scale, &weights);

@@ -33,7 +33,7 @@ impl Penalty {
             (0..n).map(|j| path.tool_on()[j] && own[j] > 0.01 * median).collect();
         let length_mm: Vec<f64> =
             (0..n).map(|j| if has_density[j] { own[j] } else { median }).collect();
-        // A = (integral of R)^2 / integral of R^2
+        // A = (integral of R)^2 / integral of R^2, at least that of 36 dwell points
         let rate = tif.rate_nm_per_s();
         let pixel = tif.grid().x.step_mm() * tif.grid().y.step_mm();
         let area = rate.sum().powi(2) / rate.mapv(|r| r * r).sum() * pixel;
@@ -45,6 +45,7 @@ impl Penalty {
             })
             .sum();
         let p = rate.sum() * pixel * weight.sum() / removed;
+        let area = area.max(36.0 * p * median);
         let alpha = length_mm.iter().map(|l| tikhonov * strongest * area / (p * l)).collect();
         let between = |k: usize| 0.5 * (length_mm[k - 1] + length_mm[k]);
         let beta = (0..n)
