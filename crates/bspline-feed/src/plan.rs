@@ -478,7 +478,8 @@ impl Guess<'_> {
             let limits = deconvolution::limits(pass);
             let least = limits.min_density_s_per_mm;
             let wanted = |s: f64| {
-                let z = vrr::nearest_nm(self.surface, pass.at(s)) + piston_nm;
+                let z =
+                    self.surface.height_nm()[self.surface.nearest_valid(pass.at(s))] + piston_nm;
                 vrr::density_s_per_mm(z, self.pitches[m], vrr, least)
             };
             let objective = vrr::closest(knots, wanted);

@@ -18,7 +18,7 @@
 
 use ndarray::Array2;
 use planish_numerics::{bspline::Knots, quadrature::gauss_legendre};
-use planish_types::{Axis, Surface, Tif};
+use planish_types::Tif;
 
 use crate::{limited::Quadratic, passes::Pass};
 
@@ -92,47 +92,10 @@ pub fn closest(knots: &Knots, wanted: impl Fn(f64) -> f64) -> Quadratic {
     Quadratic { p, q }
 }
 
-/// Height of the valid pixel nearest to `p`, nm.
-pub fn nearest_nm(surface: &Surface, p: [f64; 2]) -> f64 {
-    let (map, grid) = (surface.height_nm(), surface.grid());
-    let index = |v: f64, axis: &Axis| {
-        let i = ((v - axis.start_mm()) / axis.step_mm()).round();
-        i.clamp(0.0, (axis.len() - 1) as f64) as usize
-    };
-    let (c, r) = (index(p[0], &grid.x), index(p[1], &grid.y));
-    if !map[[r, c]].is_nan() {
-        return map[[r, c]];
-    }
-    let distance2 =
-        |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
-    // Squares of growing size, until no farther one can hold a nearer pixel.
-    let (ny, nx) = map.dim();
-    let least_step = grid.x.step_mm().min(grid.y.step_mm());
-    let mut best: Option<(f64, f64)> = None;
-    for ring in 1..ny.max(nx) {
-        let nearest_possible = (ring as f64 - 1.0) * least_step;
-        if best.is_some_and(|(d2, _)| nearest_possible * nearest_possible > d2) {
-            break;
-        }
-        let rows = r.saturating_sub(ring)..=(r + ring).min(ny - 1);
-        for i in rows {
-            let edge = i + ring == r || i == r + ring;
-            let columns = c.saturating_sub(ring)..=(c + ring).min(nx - 1);
-            for j in columns.filter(|j| edge || j + ring == c || *j == c + ring) {
-                let d2 = distance2(i, j);
-                if !map[[i, j]].is_nan() && best.is_none_or(|(b, _)| d2 < b) {
-                    best = Some((d2, map[[i, j]]));
-                }
-            }
-        }
-    }
-    best.expect("a surface has a valid pixel").1
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::Grid;
+    use planish_types::{Axis, Grid};
 
     fn pass(y: f64, forward: bool) -> Pass {
         Pass {
@@ -189,24 +152,6 @@ mod tests {
             let slope: f64 =
                 (0..n).map(|j| quadratic.p[[i, j]] * d[j]).sum::<f64>() - quadratic.q[i];
             assert!(slope.abs() < 1e-10, "{slope}");
-        }
-    }
-
-    #[test]
-    fn the_nearest_valid_pixel_is_that_of_a_full_search() {
-        let grid =
-            Grid { x: Axis::new(0.0, 0.5, 13).unwrap(), y: Axis::new(0.0, 0.3, 11).unwrap() };
-        let map = Array2::from_shape_fn((11, 13), |(r, c)| {
-            if (r * 7 + c * 5) % 11 < 2 && r > 3 { (100 * r + c) as f64 } else { f64::NAN }
-        });
-        let surface = Surface::new(grid, map.clone()).unwrap();
-        for p in [[0.0, 0.0], [3.1, 1.4], [9.0, 9.0], [-2.0, 1.7], [2.2, 0.4]] {
-            let d2 =
-                |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
-            let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
-            let least = valid.map(|((r, c), _)| d2(r, c)).fold(f64::INFINITY, f64::min);
-            let found = nearest_nm(&surface, p) as usize;
-            assert!((d2(found / 100, found % 100) - least).abs() < 1e-12, "{p:?}");
         }
     }
 }

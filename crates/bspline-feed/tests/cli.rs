@@ -94,6 +94,19 @@ fn too_few_sweeps_are_a_negative_verdict() {
     assert!(text(&output.stderr).contains("raise --max-sweeps"));
 }
 
+#[test]
+fn a_sweep_that_raises_the_objective_is_a_negative_verdict() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    fs::write(tmp.path().join("machine.json"), machine(&[("x", 20.0, 0.5), ("y", 20.0, 0.5)]))
+        .unwrap();
+    let output = run(tmp.path(), &["--refinement=knot-removal"]);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}{}", text(&output.stdout));
+    assert!(message.contains("raised the objective"), "{message}");
+    assert_eq!(manifest(tmp.path(), "trajectory")["outcome"]["report"]["end"], "stopped");
+}
+
 /// The one message of a run that is refused, with nothing written.
 fn refused(dir: &Path, more: &[&str]) -> String {
     let output = run(dir, more);

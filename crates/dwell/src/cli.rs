@@ -2,6 +2,7 @@
 
 mod bcls;
 mod bounded_least_squares;
+mod feed_law;
 mod lucy_richardson;
 mod non_negative_least_squares;
 mod rifta;
@@ -46,6 +47,8 @@ pub enum Solver {
     Rifta(rifta::Rifta),
     /// Adjoint image of the extended map, refined by its residual
     Udo(udo::Udo),
+    /// As long as the area of every segment asks for: the feed law of rasters of one or several pitches; solves nothing
+    FeedLaw(feed_law::FeedLaw),
 }
 
 impl Solver {
@@ -59,6 +62,7 @@ impl Solver {
             Self::LucyRichardson(arguments) => arguments.run(),
             Self::Rifta(arguments) => arguments.run(),
             Self::Udo(arguments) => arguments.run(),
+            Self::FeedLaw(arguments) => arguments.run(),
         }
     }
 }

@@ -17,6 +17,7 @@
 //! | [`lucy_richardson`] | largest Poisson likelihood by positive steps, total variation |
 //! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
 //! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
+//! | [`feed_law`] | nothing is solved for: the feed law of rasters of one or several pitches |
 
 pub mod bcls;
 pub mod bounded_least_squares;
@@ -25,6 +26,7 @@ mod coarse;
 mod continuation;
 mod dwell_map;
 mod extension;
+pub mod feed_law;
 pub mod lucy_richardson;
 mod model;
 pub mod non_negative_least_squares;

@@ -41,7 +41,7 @@ fn prepare(dir: &Path) {
 }
 
 /// Subcommands with a flag of their own.
-const SOLVERS: [&[&str]; 10] = [
+const SOLVERS: [&[&str]; 11] = [
     &["bcls", "--machine=machine.json"],
     &["non-negative-least-squares", "--min-dwell-s=0.05"],
     &["tikhonov-lsqr", "--min-dwell-s=0.05", "--damping=0.03"],
@@ -58,6 +58,7 @@ const SOLVERS: [&[&str]; 10] = [
     ],
     &["rifta", "--min-dwell-s=0.05"],
     &["udo", "--min-dwell-s=0.05", "--floor=shift"],
+    &["feed-law", "--min-dwell-s-per-mm=0.05"],
 ];
 
 fn run(dir: &Path, threads: &str, solver: &[&str], surface: &str, tif: &str) -> Output {
@@ -140,6 +141,13 @@ fn bad_flags_and_verdicts() {
         (&["udo", "--step=2"][..], 2, "step: is 2; give a number above 0"),
         (&["rifta", "--margin-tolerance-nm=nan"], 2, "margin_tolerance_nm: is NaN"),
         (&["lucy-richardson", "--min-dwell-s=30"], 2, "min_dwell[0]: is 30 s; the floor alone"),
+        // What to do instead.
+        (
+            &["lucy-richardson", "--min-dwell-s=30"],
+            2,
+            "the path has 194 dwell points, 1.000 mm apart: give a least dwell time per mm \
+             (--min-dwell-s-per-mm)",
+        ),
         (&["lucy-richardson", "--pixels-per-cell=2"], 2, "pixels_per_cell: is 2, but the unknowns"),
         (&["lucy-richardson", "--unknowns=map", "--pixels-per-cell=0"], 2, "pixels_per_cell: is 0"),
         (&["tikhonov-lsqr", "--l-curve", "--damping=0.1"], 2, "cannot be used with"),
@@ -149,6 +157,7 @@ fn bad_flags_and_verdicts() {
             2,
             "least_feed: is 1; give a fraction",
         ),
+        (&["feed-law", "--pitch-mm=0"], 2, "pitch_mm: is 0; give a distance above 0"),
         // Done, but not what was asked for.
         (&["tikhonov-lsqr", "--noise-rms-nm=1e-9"], 1, "above the noise"),
         (&["truncated-svd", "--cut=0.001", "--max-iterations=3"], 1, "not converged after 3 steps"),

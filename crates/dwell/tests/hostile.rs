@@ -5,7 +5,7 @@ use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-dwell");
 
 /// A solver, its numeric flags and its counts.
-const CASES: [(&str, &[&str], &[&str]); 8] = [
+const CASES: [(&str, &[&str], &[&str]); 9] = [
     (
         "bounded-least-squares",
         &[
@@ -32,6 +32,7 @@ const CASES: [(&str, &[&str], &[&str]); 8] = [
     ("truncated-svd", &["--min-dwell-s", "--cut"], &["--max-iterations"]),
     ("non-negative-least-squares", &["--min-dwell-s", "--tikhonov"], &[]),
     ("bcls", &["--least-feed", "--tikhonov"], &[]),
+    ("feed-law", &["--min-dwell-s", "--min-dwell-s-per-mm", "--pitch-mm"], &[]),
 ];
 
 fn arguments(solver: &'static str, surface: &str, tif: &str, path: &str) -> Vec<String> {

@@ -19,7 +19,7 @@ use planish_schedule::{
     trig_spline,
 };
 use planish_simulate::{Plan, Settings, simulate};
-use planish_testkit::{case_generator, ion_beam, workspace};
+use planish_testkit::{case_generator, ion_beam, machine, workspace};
 use planish_toolpath::{LineOrder, MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
@@ -273,6 +273,50 @@ fn schedule_trig_spline_long(bencher: Bencher, segments: usize) {
     let how = trig_spline::Settings::default();
     bencher.bench_local(|| {
         black_box(trig_spline::schedule(&path, &dwell, &ion_beam(), &how).unwrap())
+    });
+}
+
+/// The set-up of the trigonometric-spline paper: 1641 x 1641 pixels, lines and steps of 0.2 mm, 4000 mm/min and 2000
+/// mm/s^2; repair and motion of its 249 900 segments.
+#[divan::bench(sample_count = 5, sample_size = 1)]
+fn schedule_trig_spline_of_the_source(bencher: Bencher) {
+    let recipe = fs::read_to_string(workspace().join("fixtures/disk-100-1641.json")).unwrap();
+    let fixture = make(&serde_json::from_str::<Recipe>(&recipe).unwrap()).unwrap();
+    let settings = RasterSettings { line_origin_mm: Some(0.0), ..raster_settings(0.2) };
+    let path = raster(&fixture.surface, &settings).unwrap();
+    let how = lucy_richardson::Settings {
+        unknowns: Unknowns::Map,
+        max_iterations: 60,
+        stop_at_max: true,
+        ..Default::default()
+    };
+    let problem = Problem {
+        desired: &fixture.surface,
+        tif: &fixture.tif,
+        path: &path,
+        weight: None,
+        columns: Columns::Segment,
+        min_dwell: Bound::Seconds(0.0),
+    };
+    let dwell = lucy_richardson::solve(&problem, &how).unwrap().dwell;
+    let limits = machine([4000.0 / 60.0; 2], [2000.0; 2]);
+    let how = trig_spline::Settings::default();
+    bencher.bench_local(|| black_box(trig_spline::schedule(&path, &dwell, &limits, &how).unwrap()));
+}
+
+/// Positions of the real-time interpolator within one block: 10 000 of a usual one, and as many of the worst, whose
+/// densities are nine orders of magnitude apart so that Newton's method falls back to bisection.
+#[divan::bench(args = ["usual", "worst"], sample_count = 20)]
+fn interpolate_10000_ticks(bencher: Bencher, block: &str) {
+    let density_s_per_mm = if block == "usual" { [0.03, 0.05] } else { [1e-9, 1.0] };
+    let piece = trig_spline::Piece { density_s_per_mm, length_mm: 0.2 };
+    bencher.bench_local(|| {
+        for k in 0..10_000 {
+            let part = f64::from(k) / 10_000.0;
+            // Where the worst block begins its density is almost zero.
+            let m = if block == "usual" { part } else { part.powi(4) };
+            black_box(piece.density_s_per_mm_at(piece.progress(black_box(m))));
+        }
     });
 }
 

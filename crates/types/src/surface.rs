@@ -3,7 +3,7 @@
 use ndarray::{Array2, Zip};
 use planish_numerics::statistics::{self, Statistics};
 
-use crate::{Grid, Invalid};
+use crate::{Axis, Grid, Invalid};
 
 /// A height map (ny, nx) in nm; positive = material above the target; NaN = invalid pixel.
 ///
@@ -41,6 +41,43 @@ impl Surface {
         let (x, y) = (self.grid.x.coordinates(), self.grid.y.coordinates());
         statistics::detilted_rms(self.height_nm.view(), &x, &y)
             .expect("a Surface has a valid pixel")
+    }
+
+    /// Row and column of the valid pixel whose centre is nearest to `p` [x, y], mm.
+    pub fn nearest_valid(&self, p: [f64; 2]) -> (usize, usize) {
+        let (map, grid) = (&self.height_nm, &self.grid);
+        let index = |v: f64, axis: &Axis| {
+            let i = ((v - axis.start_mm()) / axis.step_mm()).round();
+            i.clamp(0.0, (axis.len() - 1) as f64) as usize
+        };
+        let (c, r) = (index(p[0], &grid.x), index(p[1], &grid.y));
+        if !map[[r, c]].is_nan() {
+            return (r, c);
+        }
+        let distance2 =
+            |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
+        // Squares of growing size, until no farther one can hold a nearer pixel.
+        let (ny, nx) = map.dim();
+        let least_step = grid.x.step_mm().min(grid.y.step_mm());
+        let mut best: Option<(f64, (usize, usize))> = None;
+        for ring in 1..ny.max(nx) {
+            let nearest_possible = (ring as f64 - 1.0) * least_step;
+            if best.is_some_and(|(d2, _)| nearest_possible * nearest_possible > d2) {
+                break;
+            }
+            let rows = r.saturating_sub(ring)..=(r + ring).min(ny - 1);
+            for i in rows {
+                let edge = i + ring == r || i == r + ring;
+                let columns = c.saturating_sub(ring)..=(c + ring).min(nx - 1);
+                for j in columns.filter(|j| edge || j + ring == c || *j == c + ring) {
+                    let d2 = distance2(i, j);
+                    if !map[[i, j]].is_nan() && best.is_none_or(|(b, _)| d2 < b) {
+                        best = Some((d2, (i, j)));
+                    }
+                }
+            }
+        }
+        best.expect("a surface has a valid pixel").1
     }
 }
 
@@ -122,7 +159,6 @@ fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), I
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Axis;
     use ndarray::array;
 
     fn grid() -> Grid {
@@ -146,5 +182,23 @@ mod tests {
         let mut m = Array2::zeros((2, 3));
         m[[1, 2]] = f64::INFINITY;
         assert!(message(m).contains("height_nm[1, 2]: is inf"));
+    }
+
+    #[test]
+    fn the_nearest_valid_pixel_is_that_of_a_full_search() {
+        let grid =
+            Grid { x: Axis::new(0.0, 0.5, 13).unwrap(), y: Axis::new(0.0, 0.3, 11).unwrap() };
+        let map = Array2::from_shape_fn((11, 13), |(r, c)| {
+            if (r * 7 + c * 5) % 11 < 2 && r > 3 { (100 * r + c) as f64 } else { f64::NAN }
+        });
+        let surface = Surface::new(grid, map.clone()).unwrap();
+        for p in [[0.0, 0.0], [3.1, 1.4], [9.0, 9.0], [-2.0, 1.7], [2.2, 0.4]] {
+            let d2 =
+                |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
+            let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
+            let least = valid.map(|((r, c), _)| d2(r, c)).fold(f64::INFINITY, f64::min);
+            let (r, c) = surface.nearest_valid(p);
+            assert!((d2(r, c) - least).abs() < 1e-12, "{p:?}");
+        }
     }
 }

@@ -1,6 +1,8 @@
 //! The passes as cubics in time, joined by links with the tool off; each proven within the limits: steps
 //! 3 to 6 of [`super`].
 
+use std::iter;
+
 use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
 
 use super::{
@@ -199,16 +201,19 @@ impl<'a> Motion<'a> {
             max_acceleration: limited.max_acceleration / (1.0 - MARGIN),
             tolerance_mm: self.tolerance_mm,
         };
-        let parts = match next {
+        let both = match next {
             Some(next) if a.half_length_mm == 0.0 && b.half_length_mm == 0.0 => {
-                let cut = 0.5 * own.length / fit.shape.length_mm;
-                vec![(0.0, cut, own.index), (cut, 1.0, next.index)]
+                let cut = match (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
+                    true => 0.5,
+                    false => 0.5 * own.length / fit.shape.length_mm,
+                };
+                [Some((0.0, cut, own.index)), Some((cut, 1.0, next.index))]
             }
-            _ => vec![(0.0, 1.0, straight.index)],
+            _ => [Some((0.0, 1.0, straight.index)), None],
         };
         let mut proven = !limited.is_too_fast([0.0; 2]);
-        for (from, to, index) in parts {
-            for cubic in fit.cubics(from, to) {
+        for (from, to, index) in both.into_iter().flatten() {
+            fit.cubics(from, to, 0, &mut |cubic: Cubic| {
                 proven &= cubic.within_limits;
                 let error_mm = &mut self.report.fit_error_mm;
                 *error_mm = error_mm.max(cubic.error_mm);
@@ -218,7 +223,7 @@ impl<'a> Motion<'a> {
                     [straight.start[x] + u * (offset + c0), u * c1, u * c2, u * c3]
                 });
                 self.made.push(cubic.duration_s, c, true, Some(index));
-            }
+            });
         }
         proven
     }
@@ -229,6 +234,10 @@ fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
     let speed = v[0].hypot(v[1]);
     (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
 }
+
+/// Lengths of neighbours that agree to this part are the same but for rounding: their piece is cut in the
+/// middle, where the spline can be looked up.
+const SAME_LENGTH: f64 = 1e-12;
 
 /// How a piece is fitted.
 #[derive(Clone, Copy, Debug)]
@@ -245,6 +254,7 @@ struct Cubic {
     duration_s: f64,
     /// Distance from the start of the piece.
     coefficient_mm: [f64; 4],
+    /// An upper bound, or the largest of [`FIT_POINTS`] where the bound does not decide.
     error_mm: f64,
     /// The largest velocity and acceleration of the cubic, at its own extrema.
     within_limits: bool,
@@ -253,7 +263,8 @@ struct Cubic {
 /// Most halvings of a piece: the error falls by 16 with each, the swing of the acceleration by 4.
 const MAX_HALVINGS: usize = 20;
 
-/// Inner points at which the error is looked at; that of Hermite interpolation has one hump.
+/// Inner points at which the error is looked at where its bound does not decide; that of Hermite
+/// interpolation has one hump. The middle one is looked at first.
 const FIT_POINTS: usize = 9;
 
 /// Part of the tolerance that the error at these points may take: between two of them the hump
@@ -261,40 +272,45 @@ const FIT_POINTS: usize = 9;
 const FIT_SAFETY: f64 = 0.95;
 
 impl Fit {
-    /// Cubics from the part `from` to the part `to` of the length.
-    fn cubics(&self, from: f64, to: f64) -> Vec<Cubic> {
-        let (mut done, mut open) = (Vec::new(), vec![(from, to, 0)]);
-        while let Some((from, to, halvings)) = open.pop() {
-            let cubic = self.cubic(from, to);
-            let good = cubic.within_limits && cubic.error_mm <= FIT_SAFETY * self.tolerance_mm;
-            if good || halvings == MAX_HALVINGS {
-                done.push(cubic);
-            } else {
-                let middle = 0.5 * (from + to);
-                open.push((middle, to, halvings + 1));
-                open.push((from, middle, halvings + 1));
-            }
+    /// Cubics from the part `from` to the part `to` of the length, in order.
+    fn cubics(&self, from: f64, to: f64, halvings: usize, emit: &mut impl FnMut(Cubic)) {
+        if let Some(cubic) = self.cubic(from, to, halvings == MAX_HALVINGS) {
+            return emit(cubic);
         }
-        done
+        let middle = 0.5 * (from + to);
+        self.cubics(from, middle, halvings + 1, emit);
+        self.cubics(middle, to, halvings + 1, emit);
     }
 
-    /// The Hermite cubic between the two parts of the length.
-    fn cubic(&self, from: f64, to: f64) -> Cubic {
+    /// The Hermite cubic between the two parts of the length, where it is good or the last one.
+    fn cubic(&self, from: f64, to: f64, is_last: bool) -> Option<Cubic> {
         let piece = &self.shape;
-        let [v0, v1] = [from, to].map(|x| 1.0 / piece.density_s_per_mm_at(x));
+        let ends = [from, to].map(|x| piece.place(x));
+        let [v0, v1] = ends.map(|end| 1.0 / end.density_s_per_mm);
         let h = piece.elapsed_s(from, to);
         let dp = piece.length_mm * (to - from);
-        let c = coefficients(piece.length_mm * from, dp, v0, v1, h);
-        let error_mm = (1..=FIT_POINTS)
-            .map(|i| {
-                let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
-                let u = piece.elapsed_s(from, x);
-                (c[0] + u * (c[1] + u * (c[2] + u * c[3])) - piece.length_mm * x).abs()
-            })
-            .fold(0.0, f64::max);
         let (start, end) = accelerations(dp, v0, v1, h);
         let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
             && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
-        Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits }
+        if !(within_limits || is_last) {
+            return None;
+        }
+        let c = coefficients(piece.length_mm * from, dp, v0, v1, h);
+        let most_mm = FIT_SAFETY * self.tolerance_mm;
+        // Hermite interpolation: error <= h^4 / 384 max |d^4 s/dt^4|
+        let mut error_mm = (h * h).powi(2) / 384.0 * piece.fourth_derivative_bound(ends);
+        if error_mm.is_nan() || error_mm > most_mm {
+            error_mm = 0.0;
+            for i in iter::once(FIT_POINTS / 2 + 1).chain(1..=FIT_POINTS) {
+                let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
+                let u = piece.elapsed_s(from, x);
+                let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
+                error_mm = error_mm.max((position_mm - piece.length_mm * x).abs());
+                if error_mm > most_mm && !is_last {
+                    return None;
+                }
+            }
+        }
+        Some(Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits })
     }
 }

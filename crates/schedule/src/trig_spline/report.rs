@@ -45,6 +45,7 @@ pub struct Report {
     pub feed_use: f64,
     /// Largest acceleration along the path over its limit, exact, by (3).
     pub acceleration_use: f64,
-    /// Largest error of the fitted position at 9 points of every cubic, mm.
+    /// Largest error of the fitted position, mm: a bound on it, or where that does not decide the largest at 9 points
+    /// of a cubic.
     pub fit_error_mm: f64,
 }

@@ -1,7 +1,7 @@
 //! The pieces of the spline, equations (1) to (3) of [`super`], and what raising their densities does to
 //! their acceleration.
 
-use std::f64::consts::PI;
+use std::{f64::consts::PI, sync::LazyLock};
 
 /// Bisections of a density: 2^-60 of the interval is its rounding.
 const BISECTIONS: usize = 60;
@@ -13,6 +13,17 @@ pub struct Piece {
     pub density_s_per_mm: [f64; 2],
     /// Length, mm; > 0.
     pub length_mm: f64,
+}
+
+/// A part x of the length of a piece.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    part: f64,
+    /// sin(pi x/2), cos(pi x/2).
+    sine: f64,
+    cosine: f64,
+    /// (1).
+    pub(super) density_s_per_mm: f64,
 }
 
 impl Piece {
@@ -36,10 +47,36 @@ impl Piece {
 
     /// (1) at the part `x` of the length, s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
+        self.place(x).density_s_per_mm
+    }
+
+    /// The part `x` of the length.
+    pub(super) fn place(&self, x: f64) -> Place {
         // Half-angle form: no density below the smaller of the two by rounding.
         let [d1, d2] = self.density_s_per_mm;
-        let (sine, cosine) = ((0.5 * PI * x).sin(), (0.5 * PI * (1.0 - x)).sin());
-        d1 * cosine * cosine + d2 * sine * sine
+        let (sine, cosine) = (half_angle(x).sine(), half_angle(1.0 - x).sine());
+        let density_s_per_mm = d1 * cosine * cosine + d2 * sine * sine;
+        Place { part: x, sine, cosine, density_s_per_mm }
+    }
+
+    /// A bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
+    pub(super) fn fourth_derivative_bound(&self, ends: [Place; 2]) -> f64 {
+        // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
+        // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
+        let sines = ends.map(|e| 2.0 * e.sine * e.cosine);
+        let cosines = ends.map(|e| (e.cosine * e.cosine - e.sine * e.sine).abs());
+        // The cosine is largest at an end, and so is the sine unless the middle lies between the ends.
+        let has_middle = ends[0].part < 0.5 && ends[1].part > 0.5;
+        let sine = if has_middle { 1.0 } else { sines[0].max(sines[1]) };
+        let cosine = cosines[0].max(cosines[1]);
+        let q = PI / self.length_mm;
+        let amplitude = 0.5 * q * self.difference().abs();
+        let (first, second) = (amplitude * sine, amplitude * q * cosine);
+        let third = first * q * q;
+        // D is monotone.
+        let least = ends[0].density_s_per_mm.min(ends[1].density_s_per_mm);
+        let ratio = first / least;
+        (third + ratio * (10.0 * second + 15.0 * ratio * first)) / (least * least).powi(2) / least
     }
 
     /// (2): the time between the parts `from` and `to` of the length, s, to rounding of itself: where the
@@ -50,9 +87,9 @@ impl Piece {
         //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
         //   of cos^2(pi x/2):  the same with 1 - m
         let [d1, d2] = self.density_s_per_mm;
-        let theta = 0.5 * PI * (to - from);
-        let excess = angle_less_sine(theta);
-        let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * theta.sin()) / PI;
+        let theta = half_angle(to - from);
+        let (sine, excess) = (theta.sine(), theta.less_sine());
+        let part = |m: f64| (excess + 2.0 * half_angle(m).sine().powi(2) * sine) / PI;
         let (m, rest) = (0.5 * (from + to), 0.5 * ((1.0 - from) + (1.0 - to)));
         self.length_mm * (d1 * part(rest) + d2 * part(m))
     }
@@ -98,6 +135,40 @@ impl Piece {
     fn raised(&self, by: [f64; 2]) -> Self {
         let [d1, d2] = self.density_s_per_mm;
         Self { density_s_per_mm: [d1 + by[0], d2 + by[1]], ..*self }
+    }
+}
+
+/// Multiples of its inverse are looked up: pieces between equally long segments are halved there.
+const PLACES: usize = 1024;
+
+/// sin(pi x/2) and pi x/2 - sin(pi x/2) at the multiples of 1 / [`PLACES`].
+static HALF_ANGLES: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
+    let at = |k: usize| 0.5 * PI * (k as f64 / PLACES as f64);
+    (0..=PLACES).map(|k| [at(k).sin(), angle_less_sine(at(k))]).collect()
+});
+
+/// The angle pi x/2 for 0 <= x <= 1; what is looked up is the same to the last bit.
+#[derive(Clone, Copy, Debug)]
+struct HalfAngle {
+    x: f64,
+    place: Option<usize>,
+}
+
+fn half_angle(x: f64) -> HalfAngle {
+    let place = (x * PLACES as f64) as usize;
+    let is_there = place as f64 == x * PLACES as f64 && place <= PLACES;
+    HalfAngle { x, place: is_there.then_some(place) }
+}
+
+impl HalfAngle {
+    /// sin(pi x/2).
+    fn sine(self) -> f64 {
+        self.place.map_or_else(|| (0.5 * PI * self.x).sin(), |k| HALF_ANGLES[k][0])
+    }
+
+    /// pi x/2 - sin(pi x/2).
+    fn less_sine(self) -> f64 {
+        self.place.map_or_else(|| angle_less_sine(0.5 * PI * self.x), |k| HALF_ANGLES[k][1])
     }
 }
 
@@ -214,6 +285,39 @@ mod tests {
                 let found = p.elapsed_s(0.0, m) / p.duration_s();
                 assert!((found - x(1.0)).abs() < 1e-15, "{d1} {d2}: {found} {}", x(1.0));
             }
+        }
+    }
+
+    #[test]
+    fn the_fourth_derivative_is_bounded_and_what_is_looked_up_is_the_same() {
+        for (d1, d2) in [(0.02, 0.05), (0.05, 0.02), (1e-3, 3.0), (0.3, 0.301)] {
+            let p = piece(d1, d2, 0.2);
+            // d/dt = 1/(D L) d/dx, three times from the feed 1/D, by central differences.
+            let step = 1e-3;
+            let feed = |x: f64| 1.0 / p.density_s_per_mm_at(x);
+            let rate = |f: &dyn Fn(f64) -> f64, x: f64| {
+                feed(x) * (f(x + step) - f(x - step)) / (2.0 * step * p.length_mm)
+            };
+            let second = |x: f64| rate(&feed, x);
+            let third = |x: f64| rate(&second, x);
+            for (from, to) in [(0.05, 0.1), (0.4, 0.65), (0.5, 0.53), (0.9, 0.95)] {
+                let bound = p.fourth_derivative_bound([from, to].map(|x| p.place(x)));
+                let at = |i: i32| from + (to - from) * f64::from(i) / 50.0;
+                let largest = (0..=50).map(|i| rate(&third, at(i)).abs()).fold(0.0, f64::max);
+                // The differences are good to some step^2 times (d2 / d1 - 1), at most 1 %.
+                assert!(largest <= 1.01 * bound, "{d1} {d2} {from}: {largest} {bound}");
+            }
+            // At a tenth of a percent of difference only one term counts: the bound is sharp.
+            let nearly = piece(0.3, 0.3003, 0.2);
+            let bound = nearly.fourth_derivative_bound([0.5, 0.53].map(|x| nearly.place(x)));
+            let exact = 0.5 * (PI / 0.2).powi(3) * 0.0003 / 0.300_15_f64.powi(5);
+            assert!((bound / exact - 1.0).abs() < 0.01, "{bound} {exact}");
+        }
+        for k in 0..=2 * PLACES {
+            let x = k as f64 / (2 * PLACES) as f64;
+            let angle = 0.5 * PI * x;
+            assert_eq!(half_angle(x).sine(), angle.sin());
+            assert_eq!(half_angle(x).less_sine(), angle_less_sine(angle));
         }
     }
 

@@ -15,7 +15,7 @@ use planish_numerics::{bspline::Knots, quadrature::gauss_legendre};
 use planish_simulate::simulate;
 use planish_testkit::machine;
 use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
-use planish_types::{Surface, Tif};
+use planish_types::{DwellDensity, Surface, Tif};
 use planish_verify::{VerifySettings, verify};
 
 use crate::{
@@ -73,6 +73,7 @@ pub fn reproduce() -> Outcome {
         CUSPS_MM.map(|x| desired[at(x)] - p[at(x)]).iter().sum::<f64>() / CUSPS_MM.len() as f64
     });
     let kept = [0, 1].map(|k| amplitude(&profiles[k], step, 1.0) / amplitude(&desired, step, 1.0));
+    let least = [&vrr, &spline].map(|p| least_feed_mm_per_s(&p.density));
     let pixels = surface.grid().shape().1;
     let per_line = spline.report.control_values as f64 / spline.report.passes as f64;
     let rows = vec![
@@ -89,6 +90,12 @@ pub fn reproduce() -> Outcome {
             format!("{} against {}", significant(kept[0], 3), significant(kept[1], 3)),
             kept[1] > 2.0 * kept[0],
         ),
+        Claim::check(
+            "least feed along the lines (Eq. 10 has a bound F_min, which is not given; VRR and B-spline)",
+            format!("{} and {} mm/s", significant(least[0], 3), significant(least[1], 3)),
+            least[1] > 0.0 && least[1] < least[0],
+        )
+        .remark("the deconvolution stays longer in the valleys; a machine that stalls below a feed would need the bound"),
         Claim::check(
             "residual of the VRR feed over that of the B-spline",
             significant(rms[0] / rms[1], 3),
@@ -125,6 +132,11 @@ pub fn reproduce() -> Outcome {
             ("knots", line.figure(&feeds)),
         ],
     }
+}
+
+/// The inverse of the largest density of the splines, which their values at Greville's abscissae show.
+fn least_feed_mm_per_s(density: &DwellDensity) -> f64 {
+    1.0 / density.dwell_density_s_per_mm().iter().copied().fold(0.0, f64::max)
 }
 
 fn middle_row(map: &Array2<f64>) -> Vec<f64> {

@@ -13,6 +13,7 @@ mod claim;
 mod figure;
 mod lines;
 mod multi_pitch;
+mod node_velocities;
 mod plate;
 mod pvt;
 mod trig_spline;

@@ -2,16 +2,18 @@
 //! Eq. 12, executed and predicted.
 
 use ndarray::{Array2, s};
-use planish_fixture::make;
+use planish_dwell::{bounded_least_squares::Bound, feed_law};
+use planish_fixture::{Recipe, Shape, TifRecipe, make};
 use planish_schedule::average_velocity;
 use planish_simulate::{Settings, simulate};
+use planish_surface::psd::{Detrend, Psd, PsdSettings, Window, psd};
 use planish_testkit::ion_beam;
 use planish_toolpath::{
     LineOrder, RasterSettings, Scan, Turn,
     multi_pitch::{Links, MultiPitchSettings, multi_pitch},
     raster,
 };
-use planish_types::{DwellTime, Surface, Tif, ToolPath};
+use planish_types::{Surface, Tif, ToolPath};
 
 use crate::{
     claim::{Claim, significant},
@@ -94,19 +96,20 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
     };
     let one = raster(&part, &one).expect("a raster");
 
-    let run = |path: &ToolPath, pitch: &dyn Fn(usize) -> f64| {
-        let dwell = feed(&part, path, pitch, vrr, max_velocity_mm_per_s);
-        execute(&part, &tif, path, &dwell)
-    };
-    // Regions and their order are the same whatever the links.
-    let of_regions = |path: &ToolPath| run(path, &|i| pitch_mm[class(path.pass_idx()[i])]);
-    let uniform = run(&one, &|_| WIDEST_MM);
-    let multi = of_regions(&several.path);
-    let [linked, apart] = [Links::On, Links::Off].map(|links| of_regions(&with(links).path));
+    let run = |path: &ToolPath| execute(&part, &tif, path, max_velocity_mm_per_s);
+    let uniform = run(&one);
+    let multi = run(&several.path);
+    let [linked, apart] = [Links::On, Links::Off].map(|links| run(&with(links).path));
+    let of_mrf = Mrf::new(&part, &fine, sigma_mm, &settings, &one);
 
     let classes = several.region_idx.map(|region| class(*region) as i64);
     let inside = interior(&classes, (RIM_MM / PIXEL_MM) as usize);
     let [of_uniform, of_multi] = [&uniform, &multi].map(|r| largest_ripples(&r.ripple_nm, &inside));
+    let [mrf_uniform, mrf_multi] =
+        [&of_mrf.uniform, &of_mrf.multi].map(|r| largest_ripples(&r.ripple_nm, &inside));
+    let spectra = [&uniform, &multi].map(|r| spectrum(&r.residual));
+    let at_lines = spectra.each_ref().map(|s| at_frequency(s, 1.0 / WIDEST_MM));
+    let beside = spectra.each_ref().map(|s| at_frequency(s, 0.8 / WIDEST_MM));
     let waves = |nm: &[f64]| {
         let text: Vec<String> = nm.iter().map(|v| format!("{:.4}", v / WAVE_NM)).collect();
         format!("{} lambda", text.join(" / "))
@@ -160,11 +163,40 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
             significant(100.0 * spot.relative_ripple(WIDEST_MM), 2),
             significant(100.0 * 0.06 * WAVE_NM / pv(part.height_nm()), 2)
         )),
+        Claim::number(
+            "the same with the D-shaped spot of magnetorheological finishing, as wide across the lines (standard deviation)",
+            "lambda",
+            0.06,
+            mrf_uniform[CLASSES - 1] / WAVE_NM,
+            0.2,
+        )
+        .differs(format!(
+            "its shape alone leaves {} times as much as a Gaussian; the size of the paper's spot is not published",
+            significant(mrf_uniform[CLASSES - 1] / of_uniform[CLASSES - 1], 2)
+        )),
         Claim::statement(
             "ripple of the multi-pitch path, in the same classes",
             "below 0.01 lambda in all",
             waves(&of_multi),
             below(&of_multi, 0.01),
+        ),
+        Claim::statement(
+            "the same with the D-shaped spot",
+            "below 0.01 lambda in all",
+            waves(&mrf_multi),
+            below(&mrf_multi, 0.01),
+        )
+        .differs("the first class has the lines of the uniform path, and this spot leaves more of them"),
+        Claim::statement(
+            "the spectrum of what the uniform path leaves has a peak at its lines, 1.25 /mm (density there over that at 1 /mm; uniform and multi-pitch)",
+            "it has, and the multi-pitch path has none (Figs 14 and 15)",
+            format!("{} and {}", significant(at_lines[0] / beside[0], 2), significant(at_lines[1] / beside[1], 2)),
+            at_lines[0] > 10.0 * beside[0] && at_lines[1] < 2.0 * beside[1],
+        ),
+        Claim::check(
+            "that peak, multi-pitch over uniform",
+            significant(at_lines[1] / at_lines[0], 2),
+            at_lines[1] < 0.1 * at_lines[0],
         ),
         Claim::statement(
             "paths dense enough for the deep places remove too much in the shallow ones (least removal of the narrowest pitch everywhere)",
@@ -188,6 +220,7 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
     let figures = vec![
         ("plate", maps(&[(a, &uniform.residual), (b, &multi.residual)], 20, 20.0, SECTION_MM)),
         ("plate-ripple", ripple_figure(&[&uniform, &multi], deepest)),
+        ("plate-psd", spectrum_figure(&spectra)),
     ];
     (rows, figures)
 }
@@ -227,41 +260,58 @@ fn ripple_figure(runs: &[&Run; 2], (row, column): (usize, usize)) -> String {
     )
 }
 
-fn along_a_line(path: &ToolPath, i: usize) -> bool {
-    path.displacement_mm(i)[1].abs() < 1e-9
+/// The same plate and paths with the D-shaped spot of magnetorheological finishing (its process: W. I. Kordonski and
+/// others, Optical Fabrication and Testing 1998, doi 10.1364/oft.1998.omd.1), whose removal across the lines has the same
+/// standard deviation. The flow is along the lines.
+struct Mrf {
+    uniform: Run,
+    multi: Run,
 }
 
-/// Eq. 12: the feed s / (d r), at most the largest one; on links between lines the largest one.
-fn feed(
-    part: &Surface,
-    path: &ToolPath,
-    pitch_mm: &dyn Fn(usize) -> f64,
-    vrr: f64,
-    max_velocity_mm_per_s: f64,
-) -> DwellTime {
-    let grid = part.grid();
-    let near = |v: f64, n: usize| (v.round().max(0.0) as usize).min(n - 1);
-    let depth_nm = |p: [f64; 2]| {
-        let c = near((p[0] - grid.x.start_mm()) / PIXEL_MM, grid.x.len());
-        let r = near((p[1] - grid.y.start_mm()) / PIXEL_MM, grid.y.len());
-        // The mean over half a millimetre, so that the noise of a pixel does not become a feed.
-        let around = |k: usize, n: usize| k.saturating_sub(2)..(k + 3).min(n);
-        let part = part.height_nm().slice(s![around(r, grid.y.len()), around(c, grid.x.len())]);
-        part.sum() / part.len() as f64
-    };
-    let dwell_s = (0..path.len()).map(|i| {
-        let least = 1.0 / max_velocity_mm_per_s;
-        let density = match along_a_line(path, i) {
-            true => (pitch_mm(i) * depth_nm(path.dwell_point_mm()[i]) / vrr).max(least),
-            false => least,
+impl Mrf {
+    fn new(
+        part: &Surface,
+        plate: &Recipe,
+        sigma_mm: f64,
+        settings: &MultiPitchSettings,
+        one: &ToolPath,
+    ) -> Self {
+        let spot = |width_mm: f64| {
+            // The proportions of the spot of `square-200`.
+            let shape = Shape::Mrf { length_mm: 1.2 * width_mm, width_mm };
+            let tif =
+                TifRecipe { peak_nm_per_s: 1000.0, half_size_mm: 14.0 / 2.5 * width_mm, shape };
+            make(&Recipe { tif, ..plate.clone() }).expect("a spot").tif
         };
-        density * path.segment_length_mm(i)
-    });
-    DwellTime::new(dwell_s.collect()).expect("dwell times")
+        let first = spot(sigma_mm);
+        let tif = spot(sigma_mm * sigma_mm / across_mm(&first));
+        let overscan_mm = tif.half_size_mm()[0];
+        // The largest feed asks for the same pitches.
+        let first_nm = 0.5 * pv(part.height_nm()) / CLASSES as f64;
+        let max_velocity_mm_per_s = tif.vrr_nm_mm2_per_s() / (WIDEST_MM * first_nm);
+        let settings =
+            MultiPitchSettings { max_velocity_mm_per_s, overscan_mm, ..settings.clone() };
+        let several = multi_pitch(part, &tif, &settings).expect("a path");
+        let run = |path: &ToolPath| execute(part, &tif, path, max_velocity_mm_per_s);
+        Self { uniform: run(one), multi: run(&several.path) }
+    }
 }
 
-fn execute(part: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> Run {
-    let motion = average_velocity::schedule(path, dwell, &ion_beam()).expect("a motion");
+/// Standard deviation along y of what a TIF removes, mm.
+fn across_mm(tif: &Tif) -> f64 {
+    let (rate, y) = (tif.rate_nm_per_s(), tif.grid().y);
+    let moment = |k: i32| -> f64 {
+        rate.outer_iter().enumerate().map(|(r, row)| row.sum() * y.at(r).powi(k)).sum()
+    };
+    (moment(2) / moment(0) - (moment(1) / moment(0)).powi(2)).sqrt()
+}
+
+/// Dwell times by the feed law (Eq. 12), executed at constant feeds.
+fn execute(part: &Surface, tif: &Tif, path: &ToolPath, max_velocity_mm_per_s: f64) -> Run {
+    let least = Bound::SecondsPerMm(1.0 / max_velocity_mm_per_s);
+    let law = feed_law::dwell(part, tif, path, least, &feed_law::Settings::default());
+    let (dwell, _) = law.expect("dwell times");
+    let motion = average_velocity::schedule(path, &dwell, &ion_beam()).expect("a motion");
     let done = simulate(&motion.trajectory, tif, part, Settings::Gridded).expect("a removal");
     Run {
         residual: done.removal.residual().clone(),
@@ -269,6 +319,47 @@ fn execute(part: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> Run
         time_s: motion.trajectory.total_time_s(),
         length_mm: (0..path.len()).map(|i| path.segment_length_mm(i)).sum(),
     }
+}
+
+fn spectrum(residual: &Surface) -> Psd {
+    let settings =
+        PsdSettings { window: Window::Hann, detrend: Detrend::Plane, band_per_mm: Vec::new() };
+    psd(residual, &settings).expect("a spectrum")
+}
+
+/// Largest density across the lines within 2 % of a frequency, nm^2 mm.
+fn at_frequency(spectrum: &Psd, per_mm: f64) -> f64 {
+    let near = |f: f64| (f / per_mm - 1.0).abs() < 0.02;
+    let of = spectrum.frequency_y_per_mm.iter().zip(&spectrum.psd_y_nm2_mm);
+    of.filter(|(f, _)| near(**f)).fold(0.0, |m, (_, d)| m.max(*d))
+}
+
+/// Figs 14 and 15: spectra across the lines.
+fn spectrum_figure(spectra: &[Psd; 2]) -> String {
+    let series = |name, s: &Psd| Series {
+        name,
+        points: s
+            .frequency_y_per_mm
+            .iter()
+            .zip(&s.psd_y_nm2_mm)
+            .filter(|(f, _)| (0.01..=5.0).contains(*f))
+            .map(|(f, d)| [*f, d.max(1e-8)])
+            .collect(),
+        dots: false,
+    };
+    chart(
+        &Axis {
+            label: "spatial frequency across the lines, 1/mm",
+            ticks: vec![0.01, 0.1, 1.0, 10.0],
+            log: true,
+        },
+        &Axis {
+            label: "density of what is left, nm^2 mm",
+            ticks: (-4..=2).map(|k| 100.0_f64.powi(k)).collect(),
+            log: true,
+        },
+        &[series("uniform, 0.8 mm", &spectra[0]), series("multi-pitch", &spectra[1])],
+    )
 }
 
 /// The removal without its mean over one widest pitch along y; zero at the edges.

@@ -25,6 +25,7 @@ use crate::{
     claim::{Claim, significant},
     figure::{Axis, Series, chart, maps, stacked},
     fixture,
+    node_velocities::{self, correlation},
 };
 
 /// The shift at the end removes another shape where the points are not uniform: on the random path the floor is in
@@ -263,7 +264,11 @@ pub fn reproduce() -> Outcome {
     });
     let smooth = runs.each_ref().map(|r| r.pvt(pvt::Mode::Smooth));
     let mut tables = vec![("pvt", on_the_fixture(&runs, &smooth))];
-    tables.extend(on_the_mirror().map(|rows| ("pvt-mirror", rows)));
+    let on_the_mirror = on_the_mirror().map(|mut rows| {
+        rows.extend(node_velocities::rows());
+        rows
+    });
+    tables.extend(on_the_mirror.map(|rows| ("pvt-mirror", rows)));
     let figures = vec![
         ("pvt-velocity", velocities(&runs[1])),
         ("pvt-paths", residual_maps(&runs, &smooth)),
@@ -383,16 +388,6 @@ fn on_the_fixture(runs: &[Run; 3], smooth: &[Trajectory; 3]) -> Vec<Claim> {
 
 fn tiny(value: f64) -> String {
     if value < 1e-6 { "below 1e-6".into() } else { significant(value, 3) }
-}
-
-/// Pearson's coefficient.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-    let (ma, mb) = (mean(a), mean(b));
-    let sum = |f: &dyn Fn(f64, f64) -> f64| -> f64 {
-        a.iter().zip(b).map(|(x, y)| f(x - ma, y - mb)).sum()
-    };
-    sum(&|x, y| x * y) / (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt()
 }
 
 /// RMS without the pit: pixels within 1.2 mm of the one with the lowest residual do not count.

@@ -8,11 +8,13 @@ use planish_dwell::{
 };
 use planish_numerics::statistics::{fit_plane, subtract_plane};
 use planish_schedule::{
-    average_velocity, constant_acceleration, stop_at_corners,
+    average_velocity, constant_acceleration,
+    interpolator::{Interpolator, Reference, records},
+    stop_at_corners,
     trig_spline::{self, Piece, Schedule},
 };
 use planish_simulate::{Settings, simulate};
-use planish_surface::psd::{Detrend, PsdSettings, Window, psd};
+use planish_surface::psd::{Detrend, Psd, PsdSettings, Window, psd};
 use planish_testkit::machine;
 use planish_types::{Axis as Pixels, DwellTime, Grid, Limits, Surface, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
@@ -40,7 +42,8 @@ pub fn reproduce() -> Outcome {
     let path = lines(&part.surface, 1.0, 5.0);
     let mut rows = offsets(&part.surface, &path);
     rows.extend(one_piece());
-    rows.extend(solvers(&part));
+    let (by_method, spectra) = solvers(&part);
+    rows.extend(by_method);
     rows.extend(full_run());
     rows.extend(spacing_of_bcls());
     rows.extend(waviness());
@@ -63,7 +66,8 @@ pub fn reproduce() -> Outcome {
             Series { name: "TIF of 4 mm half-size", points, dots: true },
         ],
     );
-    Outcome { tables: vec![("trig-spline", rows)], figures: vec![("overscan", figure)] }
+    let figures = vec![("overscan", figure), ("psd-methods", spectra)];
+    Outcome { tables: vec![("trig-spline", rows)], figures }
 }
 
 /// Densities proportional to the desired removal, which is 0 at its lowest pixel, so that both
@@ -200,7 +204,7 @@ fn one_piece() -> Vec<Claim> {
 
 /// Table 2: Lucy-Richardson with the spline, the same as a plain controller executes it, and BCLS on segments as long
 /// as it asks for, by the trapezoidal feeds that it is made for.
-fn solvers(part: &planish_fixture::Fixture) -> Vec<Claim> {
+fn solvers(part: &planish_fixture::Fixture) -> (Vec<Claim>, String) {
     let path = lines(&part.surface, 2.0, 5.0);
     let (surface, tif) = (&part.surface, &part.tif);
     let problem = Problem {
@@ -214,7 +218,8 @@ fn solvers(part: &planish_fixture::Fixture) -> Vec<Claim> {
     let machine = limits(GROUPS[0]);
     let executed = |t: &Trajectory| {
         let done = simulate(t, tif, surface, Settings::Gridded).expect("a removal");
-        (done.removal.residual().statistics().rms, t.total_time_s())
+        let residual = done.removal.residual().clone();
+        (residual.statistics().rms, t.total_time_s(), spectrum(&residual))
     };
     let lr = lucy_richardson::solve(&problem, &Default::default()).expect("dwell times");
     let rms = surface.statistics().rms;
@@ -234,7 +239,9 @@ fn solvers(part: &planish_fixture::Fixture) -> Vec<Claim> {
     let trapezoids = stop_at_corners::schedule(&long, &bounded.solution.dwell, &machine);
     let bounded = executed(&trapezoids.expect("a motion").trajectory);
     let kept = proposed.0 / lr.outcome.model_rms_nm;
-    vec![
+    let band_nm = [&proposed, &stopping, &plain, &bounded].map(|of| of.2.report.bands[0].rms_nm);
+    let figure = spectra_figure([&proposed.2, &stopping.2, &plain.2, &bounded.2]);
+    let rows = vec![
         Claim::statement(
             "convergence of Lucy-Richardson with the spline (1 - residual / initial RMS)",
             "97.57 % (experiment)",
@@ -275,7 +282,48 @@ fn solvers(part: &planish_fixture::Fixture) -> Vec<Claim> {
             (proposed.1 / bounded.1 - 1.0).abs() < 0.2,
         )
         .remark("the offset and a map that has to be positive cost the spline more"),
-    ]
+        Claim::statement(
+            "what is left at 0.02 to 0.2 /mm is least with the spline (Lucy-Richardson by the spline, by stopping at corners, by constant acceleration; BCLS by trapezoids)",
+            "it is (Fig. 12)",
+            format!("{} nm", band_nm.map(|v| significant(v, 3)).join(" / ")),
+            band_nm[1..].iter().all(|other| band_nm[0] <= *other),
+        ),
+    ];
+    (rows, figure)
+}
+
+/// Over the inscribed square of the disk.
+fn spectrum(residual: &Surface) -> Psd {
+    let settings = PsdSettings {
+        window: Window::Hann,
+        detrend: Detrend::Plane,
+        band_per_mm: vec![[0.02, 0.2]],
+    };
+    psd(residual, &settings).expect("a spectrum")
+}
+
+/// Fig. 12: radial spectra of what is left, by method.
+fn spectra_figure(spectra: [&Psd; 4]) -> String {
+    let names = [
+        "Lucy-Richardson, spline",
+        "Lucy-Richardson, stopping at corners",
+        "Lucy-Richardson, constant acceleration",
+        "BCLS, trapezoids",
+    ];
+    let series = names.into_iter().zip(spectra).map(|(name, s)| {
+        let points = s.frequency_radial_per_mm.iter().zip(&s.psd_radial_nm2_mm2);
+        let points = points.filter(|(f, _)| (0.01..=1.0).contains(*f));
+        Series { name, points: points.map(|(f, d)| [*f, *d]).collect(), dots: false }
+    });
+    chart(
+        &Axis { label: "spatial frequency, 1/mm", ticks: vec![0.01, 0.1, 1.0], log: true },
+        &Axis {
+            label: "density of what is left, nm^2 mm^2",
+            ticks: (-6..=4).step_by(2).map(|k| 10.0_f64.powi(k)).collect(),
+            log: true,
+        },
+        &series.collect::<Vec<_>>(),
+    )
 }
 
 /// The source's set-up: 1641 x 1641 pixels, lines and steps D = 0.2 mm apart, the first group of limits.
@@ -311,6 +359,7 @@ fn full_run() -> Vec<Claim> {
         .map(|t| simulate(t, tif, surface, Settings::Gridded).expect("a removal").removal);
     let apart = done.removal_nm() - ideal.removal_nm();
     let apart_nm = pv_nm(surface, apart, EDGE_MM);
+    let (ticks, error_mm) = interpolated(&spline);
     let (rms, before) = (done.residual().statistics().rms, surface.statistics().rms);
     vec![
         Claim::statement(
@@ -339,7 +388,40 @@ fn full_run() -> Vec<Claim> {
             apart_nm < 2.0 * 0.067,
         )
         .remark("another part and tool"),
+        Claim::check(
+            "the real-time interpolator on that run, a tick per millisecond: largest distance from the motion that is judged",
+            format!("{} mm", significant(error_mm, 2)),
+            error_mm <= trig_spline::Settings::default().fit_tolerance_mm,
+        )
+        .remark(format!("{ticks} positions; they are on the spline but for rounding, the motion is fitted to it within 1e-6 mm")),
     ]
+}
+
+/// How many positions the real-time interpolator gives, and how far they are from the motion at most, mm.
+fn interpolated(schedule: &Schedule) -> (usize, f64) {
+    let density = schedule.density.as_ref().expect("a path with a length");
+    let trajectory = &schedule.trajectory;
+    // The interpolator begins at the feed of the first pass, the motion with the run-up to it.
+    let begin_s = (0..trajectory.len())
+        .find(|k| trajectory.tool_on()[*k])
+        .map_or(0.0, |k| trajectory.break_time_s()[k]);
+    let (mut k, mut count, mut largest) = (0, 0, 0.0_f64);
+    let mut compare = |r: Reference| {
+        let time_s = begin_s + r.time_s;
+        let last = trajectory.len() - 1;
+        while k < last && trajectory.break_time_s()[k + 1] <= time_s {
+            k += 1;
+        }
+        let segment = trajectory.segment(k);
+        let p = segment.position_mm(time_s - segment.start_s);
+        largest = largest.max((p[0] - r.position_mm[0]).hypot(p[1] - r.position_mm[1]));
+        count += 1;
+    };
+    let mut interpolator = Interpolator::new(1e-3).expect("a tick");
+    for record in records(density) {
+        interpolator.push(&record, &mut compare).expect("blocks that join");
+    }
+    (count, largest)
 }
 
 /// Times 1 / feed: 0.02 s/mm at 4000 mm/min.

@@ -1,0 +1,32 @@
+//! `planish-dwell feed-law`.
+
+use clap::Args;
+use planish_dwell::feed_law;
+use planish_handoff::{Failure, Status, flags::FloorArgs};
+
+use super::{Ended, Given, solve};
+
+#[derive(Args)]
+pub struct FeedLaw {
+    #[command(flatten)]
+    given: Given,
+    #[command(flatten)]
+    least: FloorArgs,
+    /// Distance between the lines, mm [default: measured line by line, in every pass by itself]
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
+    pitch_mm: Option<f64>,
+}
+
+impl FeedLaw {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = feed_law::Settings { pitch_mm: self.pitch_mm };
+        solve("feed-law", &self.given, &self.least, settings, feed_law::solve, |r, _| Ended {
+            end: r.end,
+            negative: None,
+            words: format!(
+                "{} lines, {:.4} to {:.4} mm apart, {} segments at the largest feed remove too much",
+                r.lines, r.pitch_mm[0], r.pitch_mm[1], r.too_fast
+            ),
+        })
+    }
+}

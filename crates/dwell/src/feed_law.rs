@@ -1,0 +1,379 @@
+//! The feed law of multi-pitch rasters: as long on every segment as its own area asks for, without a solver.
+//!
+//! ```text
+//! v = VRR / (d r) <= v_max                                                                (1)
+//! t = l max(d r / VRR, 1 / v_max)                                                         (2)
+//! ```
+//!
+//! Lines a distance d apart, run at the feed v, remove the depth r on average. It is right where the depth varies
+//! slowly beside the TIF, and leaves the ripple of the lines; whatever one line removes beside itself it does not know.
+//! `1 / v_max` is the floor of the dwell times.
+//!
+//! * *Lines* are runs of segments with the tool on in the direction that most of the path has. What joins them is
+//!   run at the floor.
+//! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their distances
+//!   to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the lines on both
+//!   sides of it, or the distance to the only one.
+//! * *Depth* r of a segment: the mean of the valid pixels in a square of the area l d around its dwell point, or the
+//!   valid pixel nearest to it. A map with negative heights is lifted until none is.
+//!
+//! Source: Development of multi-pitch tool path in computer-controlled optical surfacing processes, JEOS-RP 13 (2017),
+//! Eqs 11 and 12.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | l | `segment_length_mm` | (n) | mm |
+//! | d | `pitch_mm` | (n) | mm |
+//! | r | `depth_nm` | - | nm |
+
+use std::collections::BTreeMap;
+
+use ndarray::s;
+use planish_types::{Axis, DwellTime, End, Invalid, Surface, Tif, ToolPath};
+use serde::Serialize;
+
+use crate::{
+    DwellError,
+    bounds::{self, Bound},
+    problem::{Model, Problem, Solution, check},
+};
+
+/// Segments whose direction differs by less than this are parallel, rad.
+const PARALLEL: f64 = 1e-3;
+
+/// Lines nearer than this are one, mm.
+const SAME_LINE_MM: f64 = 1e-6;
+
+/// Least part of the length of a path that its lines have; half is that of a maze.
+const LEAST_PART_OF_LINES: f64 = 0.6;
+
+/// How to apply the law.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Settings {
+    /// d everywhere, mm; measured line by line where absent.
+    pub pitch_mm: Option<f64>,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// `direct`: nothing is solved for.
+    pub end: End,
+    /// Lines.
+    pub lines: usize,
+    /// Smallest and largest d, mm.
+    pub pitch_mm: [f64; 2],
+    /// Segments of lines whose depth asks for more than the largest feed: more is removed there than asked for.
+    pub too_fast: usize,
+    /// What was added to the map, so that no height is negative, nm.
+    pub lifted_nm: f64,
+}
+
+/// Dwell times by (2), and what they do in the removal model of the solvers.
+pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+    let Problem { desired, tif, path, min_dwell, .. } = *problem;
+    let (dwell, report) = dwell(desired, tif, path, min_dwell, settings)?;
+    Model::new(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
+}
+
+/// (2), without what the dwell times do.
+pub fn dwell(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    min_dwell: Bound,
+    settings: &Settings,
+) -> Result<(DwellTime, Report), Invalid> {
+    if let Some(pitch_mm) = settings.pitch_mm {
+        check("pitch_mm", pitch_mm, |p| p > 0.0, "give a distance above 0")?;
+    }
+    let mut dwell_s = bounds::lower(path, min_dwell)?;
+    let lines = lines(path)?;
+    let pitches = match settings.pitch_mm {
+        Some(pitch_mm) => vec![pitch_mm; lines.len()],
+        None => measured(&lines)?,
+    };
+    let lifted_nm = (-desired.statistics().min).max(0.0);
+    let vrr = tif.vrr_nm_mm2_per_s();
+    let mut too_fast = 0;
+    for (line, pitch_mm) in lines.iter().zip(&pitches) {
+        for i in line.segments.clone() {
+            let length_mm = path.segment_length_mm(i);
+            let side_mm = (length_mm * pitch_mm).sqrt();
+            let depth_nm = depth_nm(desired, path.dwell_point_mm()[i], side_mm) + lifted_nm;
+            // (2)
+            let time_s = length_mm * pitch_mm * depth_nm / vrr;
+            too_fast += usize::from(time_s < dwell_s[i]);
+            dwell_s[i] = dwell_s[i].max(time_s);
+        }
+    }
+    let least_and_largest = |p: [f64; 2], d: &f64| [p[0].min(*d), p[1].max(*d)];
+    let report = Report {
+        end: End::Direct,
+        lines: lines.len(),
+        pitch_mm: pitches.iter().fold([f64::INFINITY, 0.0], least_and_largest),
+        too_fast,
+        lifted_nm,
+    };
+    Ok((DwellTime::new(dwell_s)?, report))
+}
+
+/// A line: consecutive segments in the common direction.
+#[derive(Clone, Debug)]
+struct Line {
+    segments: std::ops::Range<usize>,
+    pass: i64,
+    /// From a common origin, at right angles to the lines, mm.
+    across_mm: f64,
+    /// From where to where along them, mm.
+    along_mm: [f64; 2],
+}
+
+/// The lines of a path, in its order; refuses a path whose length is not mostly that of parallel lines.
+fn lines(path: &ToolPath) -> Result<Vec<Line>, Invalid> {
+    let unit = |i: usize| path.displacement_mm(i).map(|d| d / path.segment_length_mm(i));
+    let is_on = |i: &usize| path.tool_on()[*i] && path.segment_length_mm(*i) > 0.0;
+    // The axis of most of the length: sum of l exp(2 i angle), in which there and back are the same.
+    let (mut cosine, mut sine, mut length_mm) = (0.0, 0.0, 0.0);
+    for i in (0..path.len()).filter(is_on) {
+        let (l, [x, y]) = (path.segment_length_mm(i), unit(i));
+        cosine += l * (x * x - y * y);
+        sine += l * 2.0 * x * y;
+        length_mm += l;
+    }
+    let angle = 0.5 * f64::atan2(sine, cosine);
+    let along = [angle.cos(), angle.sin()];
+    let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
+    let across = [-along[1], along[0]];
+    let mut lines: Vec<Line> = Vec::new();
+    let mut of_lines_mm = 0.0;
+    for i in (0..path.len()).filter(is_on) {
+        if dot(unit(i), across).abs() > PARALLEL {
+            continue;
+        }
+        of_lines_mm += path.segment_length_mm(i);
+        let (a, b) = (path.point_mm()[i], path.point_mm()[i + 1]);
+        let (low, high) = (dot(a, along).min(dot(b, along)), dot(a, along).max(dot(b, along)));
+        let (pass, across_mm) = (path.pass_idx()[i], dot(path.dwell_point_mm()[i], across));
+        match lines.last_mut() {
+            Some(line) if line.segments.end == i && line.pass == pass => {
+                line.segments.end = i + 1;
+                line.along_mm = [line.along_mm[0].min(low), line.along_mm[1].max(high)];
+            }
+            _ => lines.push(Line { segments: i..i + 1, pass, across_mm, along_mm: [low, high] }),
+        }
+    }
+    if of_lines_mm < LEAST_PART_OF_LINES * length_mm || lines.is_empty() {
+        let problem = format!(
+            "has no lines in one direction: {of_lines_mm:.1} of {length_mm:.1} mm with the tool on are parallel"
+        );
+        let remedy = "give a raster or a multi-pitch path, or use a solver: bounded-least-squares";
+        return Err(Invalid::whole("point_mm", problem, remedy));
+    }
+    Ok(lines)
+}
+
+/// d of every line.
+fn measured(lines: &[Line]) -> Result<Vec<f64>, Invalid> {
+    let mut order: Vec<usize> = (0..lines.len()).collect();
+    order.sort_by(|a, b| lines[*a].across_mm.total_cmp(&lines[*b].across_mm));
+    // Distances to the nearest line beside one, before and after it: of its own pass, or of all.
+    let beside = |place: usize, own: bool| {
+        let line = &lines[order[place]];
+        let distance = |other: &usize| {
+            let other = &lines[*other];
+            let distance_mm = (other.across_mm - line.across_mm).abs();
+            let is_beside = (other.pass == line.pass || !own)
+                && distance_mm > SAME_LINE_MM
+                && other.along_mm[0] < line.along_mm[1]
+                && other.along_mm[1] > line.along_mm[0];
+            is_beside.then_some(distance_mm)
+        };
+        let before = order[..place].iter().rev().find_map(distance);
+        [before, order[place + 1..].iter().find_map(distance)]
+    };
+    let mut of_pass: BTreeMap<i64, Vec<f64>> = BTreeMap::new();
+    for (place, k) in order.iter().enumerate() {
+        let nearest = beside(place, true).into_iter().flatten().reduce(f64::min);
+        of_pass.entry(lines[*k].pass).or_default().extend(nearest);
+    }
+    let mut pitches = vec![0.0; lines.len()];
+    for (place, k) in order.iter().enumerate() {
+        let own = of_pass.get_mut(&lines[*k].pass).filter(|distances| !distances.is_empty());
+        pitches[*k] = match (own, beside(place, false)) {
+            (Some(own), _) => {
+                let middle = own.len() / 2;
+                *own.select_nth_unstable_by(middle, f64::total_cmp).1
+            }
+            (None, [Some(before), Some(after)]) => 0.5 * (before + after),
+            (None, [Some(distance_mm), None] | [None, Some(distance_mm)]) => distance_mm,
+            (None, [None, None]) => {
+                let problem = "is on a line without another one beside it, so that it has no pitch";
+                let first = lines[*k].segments.start;
+                return Err(Invalid::at("point_mm", first, problem, "give `pitch_mm`"));
+            }
+        };
+    }
+    Ok(pitches)
+}
+
+/// Mean of the valid pixels in a square around `p`, or the valid pixel nearest to it, nm.
+fn depth_nm(desired: &Surface, p: [f64; 2], side_mm: f64) -> f64 {
+    let (grid, z) = (desired.grid(), desired.height_nm());
+    let range = |axis: &Axis, v: f64| {
+        let place =
+            |v: f64| ((v - axis.start_mm()) / axis.step_mm()).clamp(-1.0, axis.len() as f64);
+        let first = place(v - 0.5 * side_mm).ceil().max(0.0) as usize;
+        let last = place(v + 0.5 * side_mm).floor();
+        first..((last + 1.0) as usize).clamp(first, axis.len())
+    };
+    let square = z.slice(s![range(&grid.y, p[1]), range(&grid.x, p[0])]);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for v in square.iter().filter(|v| !v.is_nan()) {
+        sum += v;
+        count += 1.0;
+    }
+    if count > 0.0 { sum / count } else { z[desired.nearest_valid(p)] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{columns::Columns, model::operator::Operator};
+    use ndarray::Array2;
+    use planish_types::Grid;
+
+    /// A Gaussian of 1 mm and 10 nm/s, to 7 sigma, on pixels of 0.25 mm.
+    fn tif() -> Tif {
+        let axis = Axis::new(-7.0, 0.25, 57).unwrap();
+        let g = |k: usize| (-0.5 * axis.at(k).powi(2)).exp();
+        let rate = Array2::from_shape_fn((57, 57), |(r, c)| 10.0 * g(r) * g(c));
+        Tif::new(Grid { x: axis, y: axis }, rate).unwrap()
+    }
+
+    fn part(height: impl Fn(f64, f64) -> f64) -> Surface {
+        let axis = Axis::new(0.0, 0.25, 81).unwrap();
+        let z = Array2::from_shape_fn((81, 81), |(r, c)| height(axis.at(c), axis.at(r)));
+        Surface::new(Grid { x: axis, y: axis }, z).unwrap()
+    }
+
+    /// Lines along x from -8 to 28 mm at these places, to and fro in steps of 1 mm, a pass each where `apart`;
+    /// turned by an angle about (10, 10).
+    fn raster(places_mm: &[f64], apart: bool, angle: f64) -> ToolPath {
+        let (sine, cosine) = angle.sin_cos();
+        let turned = |x: f64, y: f64| {
+            let (x, y) = (x - 10.0, y - 10.0);
+            [10.0 + cosine * x - sine * y, 10.0 + sine * x + cosine * y]
+        };
+        let (mut points, mut pass) = (Vec::new(), Vec::new());
+        for (k, y) in places_mm.iter().enumerate() {
+            let line = (0..=36).map(|i| f64::from(if k % 2 == 0 { i } else { 36 - i }) - 8.0);
+            points.extend(line.map(|x| turned(x, *y)));
+            pass.extend([if apart { k as i64 } else { 0 }; 37]);
+        }
+        pass.pop();
+        ToolPath::through(points, vec![true; pass.len()], pass).unwrap()
+    }
+
+    fn places(pitch_mm: f64) -> Vec<f64> {
+        let n = (36.0 / pitch_mm).round() as usize;
+        (0..=n).map(|k| -8.0 + pitch_mm * k as f64).collect()
+    }
+
+    fn removal_nm(desired: &Surface, path: &ToolPath) -> (Array2<f64>, Report) {
+        let floor = Bound::SecondsPerMm(1e-6);
+        let (dwell, report) = dwell(desired, &tif(), path, floor, &Settings::default()).unwrap();
+        let places = Columns::Segment.places(path);
+        let operator = Operator::new(&places, &tif(), desired.grid()).unwrap();
+        (operator.apply(dwell.dwell_s()), report)
+    }
+
+    #[test]
+    fn lines_remove_the_depth_of_a_flat_map_whatever_their_pitch_and_angle() {
+        let flat = part(|_, _| 50.0);
+        for pitch_mm in [0.5, 1.0, 1.2] {
+            for (apart, angle) in [(false, 0.0), (true, 0.0), (true, 0.5), (false, -1.2)] {
+                let path = raster(&places(pitch_mm), apart, angle);
+                let (removed, report) = removal_nm(&flat, &path);
+                assert_eq!((report.lines, report.too_fast), (places(pitch_mm).len(), 0));
+                assert!(report.pitch_mm.iter().all(|d| (d / pitch_mm - 1.0).abs() < 1e-9));
+                // In the middle, farther than 7 mm from the ends of the lines: the mean is the depth, and the
+                // ripple of lines is 4 exp(-2 pi^2 / d^2) of it.
+                let ripple = 2.0 * (-2.0 * (std::f64::consts::PI / pitch_mm).powi(2)).exp();
+                for at in [[40, 40], [38, 43], [42, 39]] {
+                    let off = removed[at] / 50.0 - 1.0;
+                    // The tail of the TIF beyond 7 sigma; for places between the samples of the TIF the error of
+                    // Keys' interpolation, up to 1.4e-4 at a distance of 0.25 sigma.
+                    let on_samples = angle == 0.0 && pitch_mm != 1.2;
+                    let rounding = if on_samples { 1e-8 } else { 5e-4 };
+                    assert!(off.abs() < ripple + rounding, "{pitch_mm} {angle} {at:?}: {off}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_line_has_the_pitch_around_it_and_every_region_its_own() {
+        // Neighbours at different distances: half the distance between them.
+        let uneven = raster(&[0.0, 1.0, 3.0, 4.0], true, 0.0);
+        let found = |path: &ToolPath| measured(&lines(path).unwrap()).unwrap();
+        let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!(near(&found(&uneven), &[1.0, 1.5, 1.5, 1.0]));
+        // Two regions, 0.3 mm from each other, the first with a part beyond the second: the lines at the borders
+        // have the pitch of their region, and so has a part of one line.
+        let regions = raster(&[0.0, 1.0, 2.0, 2.3, 2.8, 3.3, 3.6], false, 0.0);
+        let pass = (0..regions.len()).map(|i| i64::from((3 * 37..6 * 37).contains(&i))).collect();
+        let points = regions.point_mm().to_vec();
+        let regions = ToolPath::through(points, vec![true; regions.len()], pass).unwrap();
+        assert!(
+            near(&found(&regions), &[1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 1.0]),
+            "{:?}",
+            found(&regions)
+        );
+    }
+
+    #[test]
+    fn links_and_shallow_places_are_run_at_the_floor_and_negative_maps_are_lifted() {
+        let path = raster(&places(1.0), false, 0.0);
+        let wedge = part(|x, _| 20.0 * x - 100.0);
+        let (tif, floor) = (tif(), 0.01);
+        let found = dwell(&wedge, &tif, &path, Bound::SecondsPerMm(floor), &Settings::default());
+        let (found, report) = found.unwrap();
+        assert_eq!(report.lifted_nm, 100.0);
+        let vrr = tif.vrr_nm_mm2_per_s();
+        let mut at_floor = 0;
+        for (i, t) in found.dwell_s().iter().enumerate() {
+            let x = path.dwell_point_mm()[i][0];
+            let is_link = path.displacement_mm(i)[0] == 0.0;
+            // The mean of a wedge over a square is that in its middle, where the map holds the square.
+            if is_link || 20.0 * x / vrr < floor - 1e-3 {
+                assert_eq!(*t, floor, "{i}");
+                at_floor += usize::from(!is_link);
+            } else if (1.0..19.0).contains(&x) && 20.0 * x / vrr > floor {
+                assert!((t / (20.0 * x / vrr) - 1.0).abs() < 1e-9, "{i}: {t}");
+            } else if x > 20.5 {
+                assert!((t / (400.0 / vrr) - 1.0).abs() < 1e-9, "{i}: {t}");
+            }
+        }
+        assert!(at_floor > 0 && report.too_fast >= at_floor);
+    }
+
+    #[test]
+    fn paths_without_lines_and_lines_without_neighbours_are_refused() {
+        let stairs = (0..41).map(|i| [f64::from(i / 2), f64::from((i + 1) / 2)]).collect();
+        let stairs = ToolPath::through(stairs, vec![true; 40], vec![0; 40]).unwrap();
+        let flat = part(|_, _| 50.0);
+        let of = |path: &ToolPath, pitch_mm| {
+            let settings = Settings { pitch_mm };
+            dwell(&flat, &tif(), path, Bound::Seconds(0.0), &settings).map_err(|e| e.to_string())
+        };
+        assert!(of(&stairs, None).unwrap_err().contains("no lines in one direction"));
+        let alone = raster(&[3.0], true, 0.0);
+        assert!(of(&alone, None).unwrap_err().contains("give `pitch_mm`"));
+        let (times, _) = of(&alone, Some(0.5)).unwrap();
+        assert!((times.dwell_s()[9] * tif().vrr_nm_mm2_per_s() - 25.0).abs() < 1e-9);
+        for pitch_mm in [0.0, -1.0, f64::NAN] {
+            assert!(of(&alone, Some(pitch_mm)).unwrap_err().contains("pitch_mm"));
+        }
+    }
+}
