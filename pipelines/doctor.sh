@@ -37,7 +37,7 @@ fi
 row cores "$(nproc 2> /dev/null || getconf _NPROCESSORS_ONLN)" 'stages use all; RAYON_NUM_THREADS limits them'
 row memory "$(awk '/^MemAvailable/ { printf "%.1f GiB available", $2 / 1048576 }' /proc/meminfo 2> /dev/null)" \
     'a stage refuses what needs more than its --memory-gib'
-row 'disk' "$(df -Pk "$root" | awk 'NR == 2 { printf "%.1f GiB free", $4 / 1048576 }')" 'target: 1 GiB after just build, more after just test'
+row 'disk' "$(df -Pk "$root" | awk 'NR == 2 { printf "%.1f GiB free", $4 / 1048576 }')" 'target: 1 GiB after just build, 2 GiB after just test'
 row PLANISH_REFERENCE "$(if [ -d "${PLANISH_REFERENCE:-/nowhere}/nsls2-mirror" ]; then echo 'set'; else echo 'not set, or not the folder'; fi)" \
     'tests and tables of the reference mirror'
 printf '\noptional:\n'
