@@ -12,8 +12,8 @@
 //! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
 //! of `B' W B`, `A` the effective area of the TIF (at least that of 36 dwell points), `p` the distance of neighbouring
 //! lines of the path, `l_k` the length of segment k, `m_k` that between the middles of segments k - 1 and k, and
-//! `a_k = p l_k` the area that dwell point k stands for: `r` is the dwell time per area. `alpha` decides the dwell times that the map does not
-//! (outside the clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
+//! `a_k = p l_k` the area that dwell point k stands for: `r` is the dwell time per area. `alpha` decides the dwell
+//! times that the map does not (outside the clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
 //! is the price of a second in half a mean square, and Q, where a program has one, any symmetric positive
 //! semidefinite matrix, of which only products are asked for: what the scatter of a process adds. In place of
 //! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts

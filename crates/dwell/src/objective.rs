@@ -279,6 +279,11 @@ impl Penalty {
         &self.alpha
     }
 
+    /// The least of them: a lower bound of the eigenvalues of L.
+    pub fn least_alpha(&self) -> f64 {
+        self.alpha.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+
     /// k and the factors u, v of a term `(v t_k - u t_{k-1})^2 / 2`.
     pub fn steps(&self) -> &[(usize, f64, f64)] {
         &self.steps

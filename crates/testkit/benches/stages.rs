@@ -12,7 +12,7 @@ use planish_dwell::{
     lucy_richardson::{self, Unknowns},
     problem::Problem,
 };
-use planish_fixture::{Recipe, make};
+use planish_fixture::{Fixture, Recipe, make};
 use planish_numerics::{fft::convolution::Convolution, linear::skyline::Skyline};
 use planish_schedule::{
     pvt::{self, Mode},
@@ -276,6 +276,18 @@ fn schedule_trig_spline_long(bencher: Bencher, segments: usize) {
     });
 }
 
+/// A fixture along a path, without a least dwell time.
+fn without_floor<'a>(fixture: &'a Fixture, path: &'a ToolPath) -> Problem<'a> {
+    Problem {
+        desired: &fixture.surface,
+        tif: &fixture.tif,
+        path,
+        weight: None,
+        columns: Columns::Segment,
+        min_dwell: Bound::Seconds(0.0),
+    }
+}
+
 /// The set-up of the trigonometric-spline paper: 1641 x 1641 pixels, lines and steps of 0.2 mm, 4000 mm/min and 2000
 /// mm/s^2; repair and motion of its 249 900 segments.
 #[divan::bench(sample_count = 5, sample_size = 1)]
@@ -290,14 +302,7 @@ fn schedule_trig_spline_of_the_source(bencher: Bencher) {
         stop_at_max: true,
         ..Default::default()
     };
-    let problem = Problem {
-        desired: &fixture.surface,
-        tif: &fixture.tif,
-        path: &path,
-        weight: None,
-        columns: Columns::Segment,
-        min_dwell: Bound::Seconds(0.0),
-    };
+    let problem = without_floor(&fixture, &path);
     let dwell = lucy_richardson::solve(&problem, &how).unwrap().dwell;
     let limits = machine([4000.0 / 60.0; 2], [2000.0; 2]);
     let how = trig_spline::Settings::default();
@@ -329,14 +334,7 @@ fn dwell_lucy_richardson_map(bencher: Bencher, side: usize) {
     let recipe: Recipe = serde_json::from_str(&recipe).unwrap();
     let fixture = make(&recipe).unwrap();
     let path = raster(&fixture.surface, &raster_settings(1.0)).unwrap();
-    let problem = Problem {
-        desired: &fixture.surface,
-        tif: &fixture.tif,
-        path: &path,
-        weight: None,
-        columns: Columns::Segment,
-        min_dwell: Bound::Seconds(0.0),
-    };
+    let problem = without_floor(&fixture, &path);
     let how = lucy_richardson::Settings {
         unknowns: Unknowns::Map,
         max_iterations: 60,

@@ -146,8 +146,7 @@ impl<'a> BoundedProblem<'a> {
                 Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
             }
             None => {
-                let least = penalty.alpha().iter().copied().fold(f64::INFINITY, f64::min);
-                if least >= MIN_TIKHONOV_TWO_LEVEL * strongest {
+                if penalty.least_alpha() >= MIN_TIKHONOV_TWO_LEVEL * strongest {
                     splines_mm = surrogate::spline_pitch(program.places, &reached, tif, grid, cell);
                 }
                 if splines_mm.is_none() {

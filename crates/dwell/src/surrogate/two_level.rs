@@ -352,9 +352,7 @@ fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
             below[j] += v;
         }
     });
-    // The least eigenvalue of L is at least the least alpha.
-    let least = penalty.alpha().iter().copied().fold(f64::INFINITY, f64::min);
-    tridiagonal::Factor::new(diagonal, below, least)
+    tridiagonal::Factor::new(diagonal, below, penalty.least_alpha())
 }
 
 #[cfg(test)]
