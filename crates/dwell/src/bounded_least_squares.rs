@@ -34,8 +34,8 @@
 //!
 //! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`: cells of pixels and the
 //! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and
-//! conjugate gradients with a spline lattice; where the lattice would be too large, projected
-//! gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
+//! conjugate gradients with a spline lattice, after easier problems; where the lattice would be too
+//! large, projected gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
 //! result. B is applied by FFT, which is exact where the TIF has the pitch of the map; otherwise its
 //! columns are stored, unless they are too many.
 //! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound in (1); in what is returned

@@ -226,7 +226,7 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 ///
 /// The sums are those of integrals over the part: with closer lines or points they go to
 /// `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
-#[derive(Clone)]
+#[derive(Clone, PartialEq)]
 pub struct Penalty {
     /// Of every dwell time: `alpha D A / a_j`.
     alpha: Vec<f64>,

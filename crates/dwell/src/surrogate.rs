@@ -1,7 +1,7 @@
 //! Cheap surrogates of the normal matrix of [`crate::bounded_least_squares`], by which its steps
 //! are made. What they cost in accuracy is corrected by the exact gradient.
 //!
-//! The pixels of every cell of s x s are taken together,
+//! Where H~ is factorised the pixels of every cell of s x s are taken together,
 //!
 //! ```text
 //! H~ = B' W^1/2 P W^1/2 B - U U',     P: mean over every cell, weighted                  (1)
@@ -9,6 +9,17 @@
 //!
 //! which loses `s^2 h^2 / 12 <|grad R|^2> / <R^2>` of the energy of a column of pixels h: s is the
 //! largest at which a given fraction is lost. U is exact: a mean over cells keeps sums.
+//!
+//! Where H~ is applied the map has one sample in every cell,
+//!
+//! ```text
+//! H~ = C' W_c C - U U',     W_c: the weights of the pixels, shared linearly by the samples around         (2)
+//! ```
+//!
+//! with C by the splines of `model::fft_operator`. A sum of the product of two smooth TIFs over samples is that
+//! over pixels to many digits, but at the rim of the weights, where the sharing costs `s^2 h^2 / 12` of the
+//! curvature of the product; so (2) holds for what the TIF hardly resolves, too, of which (1) loses several
+//! times as much as of a column. It keeps sums and first moments: U is exact for a piston and a plane.
 //!
 //! | module | how `min q'd + d'H~d / 2` within the bounds is found |
 //! |---|---|

@@ -475,6 +475,23 @@ fn nnls_and_bounded_least_squares_find_the_same_minimum_and_its_conditions_hold(
 }
 
 #[test]
+fn dwell_times_that_hardly_move_are_not_a_proof() {
+    // On the spread of these weights a second is far from the optimum, and the bound says so.
+    let (desired, tool, path) = (surface(bowl()), bell(), path(1.0));
+    for max_factorised_points in [6000, 1] {
+        let settings = bounded_least_squares::Settings {
+            min_dwell: Bound::SecondsPerMm(FLOOR),
+            tolerance_s: 1.0,
+            max_factorised_points,
+            ..Default::default()
+        };
+        let s = bounded_least_squares::solve(&desired, &tool, &path, None, &settings).unwrap();
+        assert_eq!(s.report.end, End::Optimal);
+        assert!(s.report.relative_gap.unwrap() <= settings.relative_gap, "{:?}", s.report);
+    }
+}
+
+#[test]
 fn lsqr_solves_its_normal_equations_and_the_floor_is_met_by_a_level() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let case =

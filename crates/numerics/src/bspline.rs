@@ -13,6 +13,15 @@
 
 use ndarray::Array2;
 
+/// The four cubic B-splines of knots at distance 1 that are not 0 on a cell, at the offset `f` in [0, 1] from its
+/// beginning.
+#[inline]
+pub fn on_a_cell(f: f64) -> [f64; 4] {
+    let g = 1.0 - f;
+    let inner = |f: f64| (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0;
+    [g * g * g / 6.0, inner(f), inner(g), f * f * f / 6.0]
+}
+
 /// Degree of the splines.
 const P: usize = 3;
 
@@ -198,6 +207,17 @@ mod tests {
     fn uneven() -> Knots {
         let fine = Knots::uniform(3.0, 9);
         fine.without(2).without(4)
+    }
+
+    #[test]
+    fn on_a_cell_they_are_those_of_uniform_knots() {
+        let knots = Knots::uniform(9.0, 9);
+        for f in [0.0, 0.3, 0.8, 0.999] {
+            let (first, expected) = knots.basis(4.0 + f);
+            assert_eq!(first, 4);
+            let found = on_a_cell(f);
+            assert!((0..4).all(|k| (found[k] - expected[k]).abs() < 1e-15), "{f}: {found:?}");
+        }
     }
 
     #[test]

@@ -21,7 +21,9 @@ const SMOOTHNESS_RATIO: f64 = 1.05;
 /// The minimum, at the given smoothness or at the one that the noise of the map asks for.
 pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellError> {
     let given = problem.settings.smoothness;
-    let first = problem.minimise(given)?;
+    let approach = problem.approach(given)?;
+    let mut first = problem.minimise(given)?;
+    first.iterations += approach;
     let (smoothness, iterate) = match problem.settings.noise_rms_nm {
         Some(noise) if problem.rms_nm(&first) < noise => problem.stop_at(noise, first)?,
         _ => (given, first),

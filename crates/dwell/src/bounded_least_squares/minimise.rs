@@ -26,6 +26,32 @@ const BEFORE_LAST: f64 = 0.9;
 /// Most steps of H~; measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
 
+/// An easier problem than (1), see [`BoundedProblem::approach`].
+struct Rough {
+    /// Weights of the penalty over those of (1).
+    weight: f64,
+    /// Pitch of the splines over that for (1).
+    splines: f64,
+    /// Side of the cells over that for (1).
+    cells: usize,
+}
+
+/// One after the other. By the time that problems took: a third one, or smaller steps of the weights, cost what they
+/// save.
+const ROUGH_PROBLEMS: [Rough; 2] = [
+    Rough { weight: 1e3, splines: 2.0, cells: 2 },
+    Rough { weight: 30.0, splines: 1.35, cells: 1 },
+];
+
+/// alpha from which on a problem is no way to another: the penalty decides all of it.
+const MAX_ROUGH_TIKHONOV: f64 = 1e-2;
+
+/// Relative gap that an easier problem may leave. The bound is by the penalty alone; what it finds is nearer.
+const ROUGH_GAP: f64 = 10.0;
+
+/// Most steps of H~ for an easier problem; measured ones take 1.
+const MAX_ROUGH_CORRECTIONS: usize = 3;
+
 /// A step that leaves more than this fraction of the natural residual is a slow one ...
 const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
 
@@ -85,7 +111,49 @@ impl BoundedProblem<'_> {
     /// components at their bounds are settled. With a Huber loss every q has the weights of its own
     /// residual ([`huber_weights`]).
     pub(super) fn minimise(&mut self, smoothness: f64) -> Result<Iterate, DwellError> {
-        let settings = Settings { smoothness, ..*self.settings };
+        self.minimise_by(&Settings { smoothness, ..*self.settings }, MAX_CORRECTIONS)
+    }
+
+    /// Takes the two-level method near the minimum by easier problems, and returns the products with their surrogates:
+    /// with larger weights of the penalty the dwell times are smoother, so that wider splines and larger cells can say
+    /// them, and which of them are at their bounds is settled in fewer and cheaper steps. Afterwards some percent of
+    /// them change.
+    ///
+    /// Does nothing for other methods, or where a guess is given.
+    pub(super) fn approach(&mut self, smoothness: f64) -> Result<usize, DwellError> {
+        let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
+        let mut iterations = 0;
+        for (k, rough) in ROUGH_PROBLEMS.iter().enumerate() {
+            let tikhonov = rough.weight * self.settings.tikhonov;
+            if self.is_guessed || tikhonov > MAX_ROUGH_TIKHONOV {
+                continue;
+            }
+            let cells = (rough.cells * cell, Some(rough.splines * pitch_mm));
+            let surrogate = self.convolved(cells)?;
+            let fine = std::mem::replace(&mut self.surrogate, surrogate);
+            let settings = Settings {
+                tikhonov,
+                smoothness: rough.weight * smoothness,
+                relative_gap: ROUGH_GAP,
+                ..*self.settings
+            };
+            let found = progress::part(k, 2 * ROUGH_PROBLEMS.len(), || {
+                self.minimise_by(&settings, MAX_ROUGH_CORRECTIONS)
+            });
+            self.surrogate = fine;
+            let found = found?;
+            iterations += found.iterations;
+            self.start = found.t;
+        }
+        Ok(iterations)
+    }
+
+    /// [`Self::minimise`] with the weights and limits of these settings, in at most so many corrections.
+    fn minimise_by(
+        &mut self,
+        settings: &Settings,
+        max_corrections: usize,
+    ) -> Result<Iterate, DwellError> {
         let weights = settings.penalty_weights();
         let penalty = Penalty::new(self.path, self.lo, &self.scale, &weights);
         let own = penalty.diagonal();
@@ -135,10 +203,15 @@ impl BoundedProblem<'_> {
                 progress::of_convergence(first, gap, settings.relative_gap)
             });
             progress::done(usual.max(proven));
-            let optimal = natural_residual <= settings.tolerance_s
-                || relative_gap.is_some_and(|gap| gap <= settings.relative_gap);
-            let mut end = if optimal { Some(End::Optimal) } else { settled };
-            if end.is_none() && corrections >= MAX_CORRECTIONS {
+            // Where there is a gap it decides, and how far a dwell time would still move where no step falls any more.
+            let is_still = natural_residual <= settings.tolerance_s;
+            let proven = relative_gap.map_or(is_still, |gap| gap <= settings.relative_gap);
+            let mut end = if proven || (is_still && settled.is_some()) {
+                Some(End::Optimal)
+            } else {
+                settled
+            };
+            if end.is_none() && corrections >= max_corrections {
                 end = Some(End::IterationLimit);
             }
             slow = if natural_residual > SLOW_RESIDUAL_FRACTION * residual_before {
@@ -151,7 +224,7 @@ impl BoundedProblem<'_> {
             let by_gradient = !factorised && self.splines_mm.is_none();
             if slow >= SLOW_STEPS_BEFORE_SHARPENING && factorised && end.is_none() {
                 slow = 0;
-                self.sharpen(&penalty)?;
+                self.sharpen(&penalty);
             }
             // d by H~; where that is singular, by smaller cells
             let mut to = t.clone();
@@ -163,7 +236,7 @@ impl BoundedProblem<'_> {
                             (to, iterations) = (found, iterations + count);
                             break;
                         }
-                        if !self.sharpen(&penalty)? {
+                        if !self.sharpen(&penalty) {
                             return Err(DwellError::Singular { tikhonov: settings.tikhonov });
                         }
                     }
@@ -193,7 +266,7 @@ impl BoundedProblem<'_> {
             let d: Vec<f64> = to.iter().zip(&t).map(|(to, t)| to - t).collect();
             let slope: f64 = q.iter().zip(&d).map(|(q, d)| q * d).sum();
             if end.is_none() && -slope <= STEP_ROUNDING * objective {
-                end = Some(End::Stagnated);
+                end = Some(if is_still { End::Optimal } else { End::Stagnated });
             }
             if let Some(end) = end {
                 return Ok(Iterate {

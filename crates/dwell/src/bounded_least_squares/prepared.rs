@@ -55,6 +55,8 @@ pub struct BoundedProblem<'a> {
     pub splines_mm: Option<f64>,
     /// Where the steps begin (n), s.
     pub start: Vec<f64>,
+    /// Whether that is a guess of whoever asks.
+    pub is_guessed: bool,
     /// Q.
     pub quadratic: Option<Product<'a>>,
 }
@@ -176,34 +178,29 @@ impl<'a> BoundedProblem<'a> {
             cell,
             splines_mm,
             start,
+            is_guessed: program.guess.is_some(),
             quadratic: program.quadratic,
         })
     }
 
-    /// H~ of smaller cells; `false` when there are none.
-    pub fn sharpen(&mut self, penalty: &Penalty) -> Result<bool, DwellError> {
-        if self.cell == 1 {
-            return Ok(false);
+    /// The factorised H~ with smaller cells; `false` when there are none, or another H~ is used.
+    pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
+        if self.cell == 1 || matches!(self.surrogate, Surrogate::Convolved(_)) {
+            return false;
         }
         self.cell /= 2;
-        let (tif, grid, weight) = (self.tif, self.desired.grid(), &self.weight);
-        self.surrogate = match &self.surrogate {
-            Surrogate::Ordered(_) => {
-                let (cells, _) = columns::on_cells(self.places, tif, grid, weight, self.cell);
-                Surrogate::Ordered(Ordered::new(
-                    &cells,
-                    &self.u,
-                    &self.reached,
-                    penalty,
-                    self.cell == 1,
-                ))
-            }
-            Surrogate::Convolved(_) => {
-                let cells = (self.cell, self.splines_mm);
-                convolved(self.places, &self.reached, tif, grid, weight, self.settings.free, cells)?
-            }
-        };
-        Ok(true)
+        let grid = self.desired.grid();
+        let (cells, _) = columns::on_cells(self.places, self.tif, grid, &self.weight, self.cell);
+        let is_exact = self.cell == 1;
+        self.surrogate =
+            Surrogate::Ordered(Ordered::new(&cells, &self.u, &self.reached, penalty, is_exact));
+        true
+    }
+
+    /// H~ for many dwell points, on cells of a size and with splines of a pitch.
+    pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
+        let (grid, free) = (self.desired.grid(), self.settings.free);
+        convolved(self.places, &self.reached, self.tif, grid, &self.weight, free, cells)
     }
 }
 

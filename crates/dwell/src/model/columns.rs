@@ -14,7 +14,11 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
-use planish_numerics::{keys, linear::skyline::dot, quadrature::gauss_legendre};
+use planish_numerics::{
+    keys,
+    linear::skyline::{Sums, dot},
+    quadrature::gauss_legendre,
+};
 use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -334,7 +338,9 @@ impl Patch {
             start..start + (c1 - c0)
         };
         let (a, b) = (self.all(), other.all());
-        (r0..r1).map(|r| dot(&a[row(self, r)], &b[row(other, r)])).sum()
+        let mut sums = Sums::default();
+        (r0..r1).for_each(|r| sums.add_products(&a[row(self, r)], &b[row(other, r)]));
+        sums.total()
     }
 
     /// Whether some pixel is in both patches.

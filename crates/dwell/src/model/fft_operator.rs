@@ -30,7 +30,7 @@ use planish_types::{Grid, Tif};
 use rayon::prelude::*;
 
 use crate::model::columns::Place;
-use lattice::{Lattice, Placed, placed, samples, without_ghosts};
+use lattice::{Lattice, Placed, Spread, kernel, placed, samples};
 use spill::{Across, LINES_PER_TASK};
 pub use sums::Sums;
 
@@ -43,6 +43,7 @@ pub struct FftOperator {
     rows: Across,
     /// Transposed.
     columns_across: Across,
+    spread: Spread,
     spills: bool,
 }
 
@@ -52,23 +53,21 @@ const NEGLIGIBLE_SPILL: f64 = 1e-14;
 impl FftOperator {
     /// Plans for the columns of one path, TIF and map.
     pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
-        Self::with_border(places, tif, grid, true)
+        Self::spreading(places, tif, grid, Spread::Keys)
     }
 
-    /// E alone, of samples that are continued by zeros: for a surrogate, whose samples are few, so that
-    /// ghost nodes would be far from R.
+    /// C S with cubic splines in the place of Keys' interpolation, of samples that are continued by zeros: for a
+    /// surrogate, whose samples are so few that Keys' weights would be too rough and ghost nodes far from R.
     pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
-        Self::with_border(places, tif, grid, false)
+        Self::spreading(places, tif, grid, Spread::Splines)
     }
 
-    fn with_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid, border: bool) -> Self {
-        let x = Lattice::new(&grid.x, &tif.grid().x);
-        let y = Lattice::new(&grid.y, &tif.grid().y);
-        let mut samples = samples(tif, &x, &y);
-        if !border {
-            samples = without_ghosts(samples);
-        }
-        let convolution = Convolution::new(samples.view(), (y.sources(), x.sources()));
+    fn spreading(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread) -> Self {
+        let x = Lattice::new(&grid.x, &tif.grid().x, spread);
+        let y = Lattice::new(&grid.y, &tif.grid().y, spread);
+        let samples = samples(tif, &x, &y);
+        let shape = (y.sources(), x.sources());
+        let convolution = Convolution::new(kernel(&samples, spread).view(), shape);
         let placed = placed(places, &x, &y);
         let swap = |p: &Placed| Placed {
             cell: [p.cell[1], p.cell[0]],
@@ -80,17 +79,18 @@ impl FftOperator {
         let columns_across = Across::new(x, y, samples.t(), swapped);
         let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let (my, mx) = samples.dim();
-        let spills = border
+        let spills = spread == Spread::Keys
             && samples.indexed_iter().any(|((r, c), v)| {
                 let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
                 (at_border(r, my) || at_border(c, mx)) && v.abs() > NEGLIGIBLE_SPILL * peak
             });
-        Self { columns: places.len(), samples, convolution, rows, columns_across, spills }
+        Self { columns: places.len(), samples, convolution, rows, columns_across, spread, spills }
     }
 
     /// Whether (1) is exact: the TIF has the pitch of the map.
     pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
-        Lattice::new(&grid.x, &tif.grid().x).own && Lattice::new(&grid.y, &tif.grid().y).own
+        let of = |map, tif| Lattice::new(map, tif, Spread::Keys);
+        of(&grid.x, &tif.grid().x).own && of(&grid.y, &tif.grid().y).own
     }
 
     /// `B t`: (ny, nx), nm.
@@ -125,7 +125,7 @@ impl FftOperator {
 
     /// `B' m` with R^2 in place of R, but for what spills.
     pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
-        let squared = self.samples.mapv(|r| r * r);
+        let squared = kernel(&self.samples.mapv(|r| r * r), self.spread);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
         let field = Convolution::new(squared.view(), shape).adjoint(map.view());
         self.rows.gather(&field, self.columns)
@@ -220,6 +220,34 @@ mod tests {
         let spill = largest(&(spilling.apply(&t) - &expected)) / largest(&expected);
         // Keys' interpolation of samples at 0.13 mm of a bell of 0.7 mm; the border is 0.3 of 1.3.
         assert!(error < 5e-3 && spill > 10.0 * error, "{error} {spill}");
+    }
+
+    #[test]
+    fn without_a_border_it_follows_a_smooth_tif_by_the_fourth_power_of_the_pitch() {
+        // exp(-(x^2 + 1.3 y^2) / 2), 1e-14 at its edge, of a tool at 40 places between the nodes, over every pixel
+        let bell = |x: f64, y: f64| (-(x * x + 1.3 * y * y) / 2.0).exp();
+        let error = |h: f64, operator: fn(&[Vec<Place>], &Tif, &Grid) -> FftOperator| {
+            let axis = |half: f64| {
+                let n = (half / h).round();
+                Axis::new(-n * h, h, 2 * n as usize + 1).unwrap()
+            };
+            let own = Grid { x: axis(8.0), y: axis(8.0) };
+            let rate = Array2::from_shape_fn(own.shape(), |(r, c)| bell(own.x.at(c), own.y.at(r)));
+            let (tif, map) = (Tif::new(own, rate).unwrap(), Grid { x: axis(3.0), y: axis(2.0) });
+            let of = |k: usize| {
+                let at = [0.7 * (k as f64).sin(), 0.4 * (1.7 * k as f64).cos()];
+                let places = vec![vec![Place { position_mm: at, fraction: 1.0 }]];
+                let found = operator(&places, &tif, &map).apply(&[1.0]);
+                let exact = |(r, c)| bell(map.x.at(c) - at[0], map.y.at(r) - at[1]);
+                largest(&(found - Array2::from_shape_fn(map.shape(), exact)))
+            };
+            (0..40).map(of).fold(0.0, f64::max)
+        };
+        let [coarse, fine] = [0.4, 0.2].map(|h| error(h, FftOperator::without_border));
+        // 2^4 and the next order; Keys' weights are of the third.
+        assert!((13.0..26.0).contains(&(coarse / fine)), "{coarse} {fine}");
+        let by_keys = error(0.4, FftOperator::new);
+        assert!(coarse < 0.25 * by_keys, "{coarse} {by_keys}");
     }
 
     #[test]

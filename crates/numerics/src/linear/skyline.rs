@@ -203,17 +203,36 @@ impl Factor {
     }
 }
 
-/// Sum of products in eight independent sums, which a compiler turns into vectors.
+/// Sum of products.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 8];
-    let ((a8, a_rest), (b8, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
-    let tail: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    for (a, b) in a8.iter().zip(b8) {
-        for k in 0..8 {
-            sums[k] += a[k] * b[k];
+    let mut sums = Sums::default();
+    sums.add_products(a, b);
+    sums.total()
+}
+
+/// A sum in eight independent ones, which a compiler turns into vectors.
+#[derive(Default)]
+pub struct Sums([f64; 8]);
+
+impl Sums {
+    /// Adds the products of the elements of two slices of the same length.
+    #[inline]
+    pub fn add_products(&mut self, a: &[f64], b: &[f64]) {
+        let ((a8, a_rest), (b8, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+        for (a, b) in a8.iter().zip(b8) {
+            for k in 0..8 {
+                self.0[k] += a[k] * b[k];
+            }
+        }
+        for (sum, (a, b)) in self.0.iter_mut().zip(a_rest.iter().zip(b_rest)) {
+            *sum += a * b;
         }
     }
-    sums.iter().sum::<f64>() + tail
+
+    /// The sum.
+    pub fn total(&self) -> f64 {
+        self.0.iter().sum()
+    }
 }
 
 /// `y += a x`.

@@ -1,7 +1,10 @@
 //! The lattice on which dwell times are spread: the pixels of the map, continued by the reach of the TIF.
 
 use ndarray::{Array2, Axis as NdAxis, s};
-use planish_numerics::keys;
+use planish_numerics::{
+    bspline, keys,
+    linear::tridiagonal::{self, Row},
+};
 use planish_types::{Axis, Tif};
 
 use crate::model::columns::Place;
@@ -9,6 +12,17 @@ use crate::model::columns::Place;
 /// Two pitches are the same when they differ by less than this over the whole TIF, in steps: the same
 /// pitch may be rounded differently in two files.
 const SAME_PITCH: f64 = 1e-4;
+
+/// How a tool between nodes is spread on four of them, and of what numbers the kernel is made.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Spread {
+    /// Keys' weights, and the samples of R with ghost nodes: what R is between its samples.
+    Keys,
+    /// The cubic B-splines, and the coefficients of the spline through the samples, which is 0 beyond them: for samples
+    /// so few that Keys' weights would be too rough. At a fifth of the sampling frequency these lose 3 % and have an
+    /// image of 3 %, splines 0.4 %.
+    Splines,
+}
 
 /// One axis: pixel i of the map, sample j of R, j = -1 ..= last.
 #[derive(Clone, Copy)]
@@ -24,10 +38,11 @@ pub struct Lattice {
     pub edge: f64,
     /// The last sample with a ghost node beyond the upper edge.
     pub last: isize,
+    spread: Spread,
 }
 
 impl Lattice {
-    pub fn new(map: &Axis, tif: &Axis) -> Self {
+    pub fn new(map: &Axis, tif: &Axis, spread: Spread) -> Self {
         let steps = (tif.len() - 1) as f64;
         let own = (map.step_mm() / tif.step_mm() - 1.0).abs() * steps <= SAME_PITCH;
         let edge = if own { steps } else { (tif.end_mm() - tif.start_mm()) / map.step_mm() };
@@ -41,6 +56,16 @@ impl Lattice {
             own,
             edge,
             last: whole + if fraction > 0.0 { 2 } else { 1 },
+            spread,
+        }
+    }
+
+    /// Weights of the nodes -1 ..= 2 at the offset f from node 0.
+    #[inline]
+    pub fn weights(&self, f: f64) -> [f64; 4] {
+        match self.spread {
+            Spread::Keys => keys::weights(f),
+            Spread::Splines => bspline::on_a_cell(f),
         }
     }
 
@@ -94,12 +119,25 @@ pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
     .collect()
 }
 
-/// Zeros in place of the ghost nodes.
-pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
-    let (my, mx) = samples.dim();
-    samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
-    samples.slice_mut(s![.., ..;mx - 1]).fill(0.0);
-    samples
+/// What is convolved with the spread dwell times, for the samples of R with ghost nodes.
+pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
+    let mut kernel = samples.clone();
+    if spread == Spread::Keys {
+        return kernel;
+    }
+    let (my, mx) = kernel.dim();
+    kernel.slice_mut(s![..;my - 1, ..]).fill(0.0);
+    kernel.slice_mut(s![.., ..;mx - 1]).fill(0.0);
+    // c_{j-1} / 6 + 4 c_j / 6 + c_{j+1} / 6 = R_j along one axis, then along the other
+    for axis in [0, 1] {
+        for mut line in kernel.lanes_mut(NdAxis(axis)) {
+            let row =
+                |j: usize| Row { elements: [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0], right: line[j] };
+            let coefficients = tridiagonal::solve(line.len(), row);
+            line.iter_mut().zip(coefficients).for_each(|(v, c)| *v = c);
+        }
+    }
+    kernel
 }
 
 /// R at the pixels of the map, with a ghost node before its lower edge and up to two beyond its upper

@@ -96,9 +96,10 @@ impl Across {
     /// Adds the seconds of the node d of a group, with the weights along.
     fn spread(&self, group: &Group, d: isize, t: &[f64], line: &mut [f64]) {
         for p in &self.places[group.places.clone()] {
-            let seconds =
-                t[p.column as usize] * p.fraction * keys::weights(p.offset[0])[(d + 1) as usize];
-            let w = keys::weights(p.offset[1]);
+            let seconds = t[p.column as usize]
+                * p.fraction
+                * self.across.weights(p.offset[0])[(d + 1) as usize];
+            let w = self.along.weights(p.offset[1]);
             let first = p.cell[1] as isize - 1 + self.along.last;
             for (i, w) in w.iter().enumerate() {
                 let at = first + i as isize;
@@ -114,7 +115,7 @@ impl Across {
         let field = field.as_slice().expect("in C order");
         let (height, width) = (self.across.sources() as isize, self.along.sources());
         let of = |p: &Placed| {
-            let w = keys::weights(p.offset[0]);
+            let w = self.across.weights(p.offset[0]);
             let first = p.cell[0] as isize - 1 + self.across.last;
             let mut sum = 0.0;
             for (i, w) in w.iter().enumerate() {
@@ -141,7 +142,7 @@ impl Across {
             let at = usize::try_from(first + i as isize).ok();
             at.and_then(|at| line.get(at)).map_or(0.0, |v| w * v)
         };
-        keys::weights(p.offset[1]).iter().enumerate().map(of).sum()
+        self.along.weights(p.offset[1]).iter().enumerate().map(of).sum()
     }
 
     /// The pairs (k, d) at which a group spills, of its lower or its upper edge.
@@ -236,7 +237,7 @@ impl Across {
         range: &Range<isize>,
         mut add: impl FnMut(usize, usize, f64),
     ) {
-        let (wy, wx) = (keys::weights(p.offset[0]), keys::weights(p.offset[1]));
+        let (wy, wx) = (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]));
         let along = &self.along;
         let [low, high] = along.spills(p.offset[1]);
         let mut of_pixel = |c: isize, from: isize, to: isize| {
@@ -334,7 +335,7 @@ impl Across {
                         }
                     }
                     for p in &self.places[group.places.clone()] {
-                        let w = keys::weights(p.offset[0]);
+                        let w = self.across.weights(p.offset[0]);
                         let of = |(d, field): &(isize, Vec<f64>)| {
                             w[(d + 1) as usize] * self.along_sum(p, &field[..self.along.sources()])
                         };

@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use ndarray::{Array2, s};
-use planish_numerics::{fft::convolution::Convolution, keys};
+use planish_numerics::fft::convolution::Convolution;
 use planish_types::{Grid, Tif};
 
-use super::lattice::{Lattice, Placed, placed, samples, without_ghosts};
+use super::lattice::{Lattice, Placed, Spread, kernel, placed, samples};
 use crate::model::columns::{Patch, Place};
 
 /// Sums of a few columns of `FftOperator::without_border`, on the pixels that they reach.
@@ -24,15 +24,15 @@ pub struct Sums {
 impl Sums {
     /// For columns whose places are within a square of `size_mm`.
     pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64) -> Self {
-        let x = Lattice::new(&grid.x, &tif.grid().x);
-        let y = Lattice::new(&grid.y, &tif.grid().y);
+        let x = Lattice::new(&grid.x, &tif.grid().x, Spread::Splines);
+        let y = Lattice::new(&grid.y, &tif.grid().y, Spread::Splines);
         // In the order of the columns.
         let placed = placed(places, &x, &y);
         let before = |j: usize| placed.partition_point(|p| (p.column as usize) < j) as u32;
         let first = (0..=places.len()).map(before).collect();
         let nodes = |l: &Lattice| (size_mm / l.step_mm).ceil() as usize + 5;
         let room = (nodes(&y), nodes(&x));
-        let correlation = full_correlation(&without_ghosts(samples(tif, &x, &y)), room);
+        let correlation = full_correlation(&kernel(&samples(tif, &x, &y), Spread::Splines), room);
         Self { x, y, placed, first, room, correlation }
     }
 
@@ -76,7 +76,7 @@ impl Sums {
         assert!(fits, "columns within the planned square");
         let mut seconds = Array2::zeros(self.room);
         for (p, t) in t.iter().flat_map(|(j, t)| self.places(*j).iter().map(move |p| (p, t))) {
-            let (wy, wx) = (keys::weights(p.offset[0]), keys::weights(p.offset[1]));
+            let (wy, wx) = (self.y.weights(p.offset[0]), self.x.weights(p.offset[1]));
             let at = |axis: usize| (p.cell[axis] as isize - 1 - low[axis]) as usize;
             for (r, wy) in wy.iter().enumerate() {
                 for (c, wx) in wx.iter().enumerate() {
