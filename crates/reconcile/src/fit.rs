@@ -36,8 +36,8 @@ const NOTHING: f64 = 1e-4;
 const MOST_STEPS: usize = 12;
 const MOST_POINTS: usize = 25;
 
-/// Points that a fit usually takes, for an estimate of the time.
-const USUAL_POINTS: f64 = 5.0;
+/// Points that a fit usually takes, for an estimate of the time, and the part after so many of them.
+const USUAL_POINTS: f64 = 4.0;
 const BEFORE_LAST: f64 = 0.9;
 
 /// First and largest lambda.

@@ -27,7 +27,7 @@ const RUNS_OF_ALL: usize = 200;
 /// Draws from which it is known what 95 % of the runs are below without one of the errors.
 const DRAWS_WITHOUT_ONE: usize = 10_000;
 
-/// Derivatives, second order and runs take about as long as each other.
+/// Derivatives, second order and runs, which count alike in the estimate of the time.
 const PARTS: usize = 3;
 
 /// What `process` adds to the residual of `trajectory` on `desired`.
