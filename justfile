@@ -6,7 +6,10 @@ default:
 
 start := quote(justfile_directory() / "pipelines/start.sh")
 
-# Run a pipeline (bspline, compare-dwell, maze, multi-pitch, random-adaptive, raster, spiral, trig-spline): just run raster pitch_mm=0.5 fixture=coupon, or surface=DIR tif=DIR machine=FILE out=DIR
+# just run raster pitch_mm=0.5 fixture=coupon, or of one's own: just run raster surface=DIR tif=DIR machine=FILE out=DIR
+#
+# Run a pipeline: bspline, compare-dwell, maze, multi-pitch, random-adaptive, raster, spiral, trig-spline
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
@@ -14,6 +17,7 @@ run pipeline *settings: build
     @{{ start }} run "$@"
 
 # Every dwell solver on one mirror: just compare-dwell coupon-ring pitch_mm=0.5
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
@@ -21,46 +25,61 @@ compare-dwell fixture="coupon" *settings: build
     @fixture=$1 && shift && {{ start }} run compare-dwell "fixture=$fixture" "$@"
 
 # Every scheduler on the same path and dwell times, along three paths: just compare coupon
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
 compare fixture="flat-92x16" *settings: build
     @{{ quote(justfile_directory() / "pipelines/compare.sh") }} "$@"
 
+# just tolerance raster maze fixture=coupon process=fixtures/processes/mrf.json; just tolerance reference: single errors
+# on the mirror in PLANISH_REFERENCE (docs/tolerance.md)
+#
 # What the errors of a process add to the plans of pipelines, the best first: just tolerance raster maze fixture=coupon
-# process=fixtures/processes/mrf.json; just tolerance reference: single errors on the mirror in PLANISH_REFERENCE
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
 tolerance *words: build
     @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
 
-# A campaign on the virtual machine: plan, run, measure, learn, plan again, beside the same without learning and with a
-# tool that is known: just campaign coupon runs=3 seed=7 process=fixtures/processes/hidden.json (docs/campaign.md)
+# Beside the same without learning and with a tool that is known: just campaign coupon runs=3 seed=7
+# process=fixtures/processes/hidden.json (docs/campaign.md)
+#
+# A campaign on the virtual machine: plan, run, measure, learn, plan again: just campaign coupon runs=3
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
 campaign *words: build
     @{{ quote(justfile_directory() / "pipelines/campaign.sh") }} "$@"
 
-# How the results of campaigns scatter over this many seeds: just campaign-spread coupon seeds=20 runs=2; each campaign is in
-# out/campaign-spread/MIRROR/SEED, or in OUT/SEED
+# Each campaign is in out/campaign-spread/MIRROR/SEED, or in OUT/SEED
+#
+# How the results of campaigns scatter over this many seeds: just campaign-spread coupon seeds=20 runs=2
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
 campaign-spread *words: build
     @{{ quote(justfile_directory() / "pipelines/campaign-spread.sh") }} "$@"
 
-# What the last run taught, the next plan, and whether it is worth it: just next-run before=DIR after=DIR trajectory=DIR
-# tif=DIR [machine=FILE process=FILE transform=DIR specification=FILE out=DIR] (docs/campaign.md)
+# just next-run before=DIR after=DIR trajectory=DIR tif=DIR [machine=FILE process=FILE transform=DIR specification=FILE
+# out=DIR] (docs/campaign.md)
+#
+# What the last run taught, the next plan, and whether it is worth it: just next-run before=DIR after=DIR ...
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
 next-run *words: build
     @{{ quote(justfile_directory() / "pipelines/next-run.sh") }} "$@"
 
-# Many plans, and the best one (docs/sweeps.md): just sweep sweeps/small.yaml; profile=slurm on a cluster, refine_front=yes
-# for plans between those of the front, out=DIR. Makes its own virtual environment
+# profile=slurm on a cluster, refine_front=yes for plans between those of the front, out=DIR. Makes its own virtual
+# environment (docs/sweeps.md)
+#
+# Many plans, and the best one: just sweep sweeps/small.yaml
+[group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
@@ -68,11 +87,14 @@ sweep file *settings: build snakemake
     @{{ quote(justfile_directory() / "workflow/sweep.sh") }} "$@"
 
 # Kill a sweep and one of its stages in the middle: a second run finishes, makes nothing again, and gives the same bytes (Linux)
+[group('4 slower tests')]
 test-sweep: build snakemake
     python3 workflow/test_sweep.py
 
-# A sweep here and through Slurm on this machine, the same byte by byte? just test-slurm sweeps/reference.yaml. Installs and
-# starts Debian's slurm and munge (root)
+# just test-slurm sweeps/reference.yaml. Installs and starts Debian's slurm and munge (root)
+#
+# A sweep here and through Slurm on this machine: the same byte by byte?
+[group('4 slower tests')]
 [positional-arguments]
 test-slurm *settings: build snakemake
     @workflow/test-slurm.sh "$@"
@@ -82,8 +104,10 @@ snakemake:
     @test -d target/snakemake || python3 -m venv "$(mkdir -p target && cd target && pwd -P)/snakemake"
     @target/snakemake/bin/pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
 
-# How often the truth is within two standard errors of planish-reconcile: 500 runs of the virtual machine on the fixture
-# coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
+# 500 runs of the virtual machine on the fixture coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
+#
+# How often the truth is within two standard errors of planish-reconcile
+[group('5 pages and tables')]
 learn-coverage runs="500": build
     @just run raster fixture=coupon out=out/learn > /dev/null || [ $? -eq 1 ]
     @for block in 1 3; do \
@@ -91,16 +115,19 @@ learn-coverage runs="500": build
             out/learn/methods/pvt/trajectory fixtures/processes/hidden.json {{ runs }} $block || exit; \
     done
 
-# Show a pipeline with its settings and their defaults
+# The settings of a pipeline as a table, with their defaults and units: just show raster
+[group('1 plans')]
 [positional-arguments]
 show pipeline:
     @{{ start }} show "$@"
 
-# Build the stages
+# Build every program, in target/release
+[group('2 programs')]
 build:
     @cargo build --quiet --release --locked --workspace --bins
 
-# Make every fixture mirror (coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, flat-92x16, multi-cylinder, square-200) under out/fixtures
+# Make every fixture mirror under out/fixtures: coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, flat-92x16, multi-cylinder, square-200
+[group('1 plans')]
 fixtures: build
     @for recipe in fixtures/*.json; do \
         target/release/planish-fixture "$recipe" --force \
@@ -108,6 +135,7 @@ fixtures: build
     done
 
 # Run the tests; with PLANISH_REFERENCE set, also those on the reference mirror. The last line counts those that were skipped
+[group('3 development')]
 test:
     #!/bin/sh
     skipped=$(mktemp) || exit
@@ -120,17 +148,20 @@ test:
 # PLANISH_COUNTS=FILE keeps the counts of pieces (other seeds or first cases) and prints the table of their sum.
 # 1e6 schedules take 35 minutes of CPU time on two threads, extrapolated from 100 cases, which took 47 s.
 # Every scheduler along random paths, judged by exact ranges: 1e6 schedules
+[group('4 slower tests')]
 test-schedulers-long cases="5051" seed="1" first="0":
     PLANISH_CASES={{ quote(cases) }} PLANISH_SEED={{ quote(seed) }} PLANISH_FIRST={{ quote(first) }} \
         cargo test --release --locked --workspace --test schedulers -- --show-output
 
 # Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
+[group('4 slower tests')]
 test-interop: build
     @test -d target/interop || python3 -m venv target/interop
     @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1
     target/interop/bin/python crates/import/tests/interop.py target/release/planish-import target/interop/files
 
 # One wheel with every program, the pipelines and the Python module, in target/wheel (python/; for machines like this one)
+[group('2 programs')]
 wheel: build
     @test -d target/wheel-python || python3 -m venv target/wheel-python
     @rm -f target/wheel/planish-*.whl
@@ -140,41 +171,50 @@ wheel: build
     @du -h target/wheel/planish-*.whl
 
 # Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
+[group('4 slower tests')]
 test-wheel: wheel
     python/tests/try-wheel.sh target/wheel out/wheel
 
 # Run docs/notebook.ipynb in the environment of the wheel, and write its pictures into it
+[group('5 pages and tables')]
 notebook: test-wheel
     cp out/wheel/notebook.ipynb docs/notebook.ipynb
 
 # Call the programs from Octave by python/matlab/planish.m, and compare the bytes with those of the command line (root, the first time)
+[group('4 slower tests')]
 test-matlab: build python
     @which octave-cli > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends octave)
     python/tests/try-matlab.sh target/release target/python/bin/python out/matlab
 
 # README's first command in an empty clone of what is committed here, and a mirror made with NumPy, with the times
+[group('4 slower tests')]
 test-clone: python
     python/tests/try-clone.sh . target/python/bin/python out/clone
 
-# Coverage-guided fuzzing, this many inputs for every reader (or: just fuzz 10000000 1 hdf5 datx); needs a C++ compiler
+# Coverage-guided fuzzing, this many inputs for every reader; needs a C++ compiler: just fuzz 10000000 1 hdf5 datx
+[group('4 slower tests')]
 fuzz executions="50000" seed="1" *readers:
     fuzz/run.sh {{ executions }} {{ seed }} {{ readers }}
 
 # Damaged inputs and absurd flags through the real programs: just fuzz-binaries 1000 2
+[group('4 slower tests')]
 fuzz-binaries cases="500" seed="1": build
     python3 crates/testkit/fuzz_binaries.py --cases {{ cases }} --seed {{ seed }}
 
 # Kill every stage at every call that writes, let runs race, fill the disk, cut the power: what is lost? (Linux, strace; root for the disks)
+[group('4 slower tests')]
 test-faults kills="1000" races="200": build
     @which strace > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends strace)
     python3 crates/testkit/tests/faults.py target/release --kills {{ kills }} --races {{ races }}
 
 # Run G-code through the interpreter of LinuxCNC, where `rs274` is installed. The run ends with 1: lines of G-code have steps in velocity
+[group('4 slower tests')]
 test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode || [ $? -eq 1 ]
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
 # The residual with counts of 0.1 and 1 um, on the mirror in PLANISH_REFERENCE
+[group('5 pages and tables')]
 quantisation: build (reference-mirror "out/quantisation/mirror")
     just run raster surface=out/quantisation/mirror/surface tif=out/quantisation/mirror/tif out=out/quantisation/raster
     pipelines/quantisation.sh out/quantisation/raster out/quantisation/mirror/tif
@@ -191,14 +231,17 @@ reference-mirror out:
     @cp "$PLANISH_REFERENCE/nsls2-mirror/tif_nm_per_s.npy" {{ quote(out) }}/tif/rate_nm_per_s.npy
 
 # The claims of the papers (pvt, trig-spline, bspline, multi-pitch): prints them, writes docs/reproduction.md
+[group('5 pages and tables')]
 reproduce paper="all":
     @cargo run --quiet --release --locked --example reproduce -- {{ quote(paper) }}
 
 # What is here, in which version, and what needs it: versions, cores, memory, disk, optional programs
+[group('2 programs')]
 @doctor:
     pipelines/doctor.sh
 
 # Between two edits: format, lint and test the crates that changed since the last commit
+[group('3 development')]
 check:
     #!/bin/sh
     set -eu
@@ -213,9 +256,11 @@ check:
     cargo test --locked $changed
 
 # Everything that must pass before a change lands
+[group('3 development')]
 ci: test checks
 
 # Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
+[group('3 development')]
 ci-long:
     cargo test --locked --workspace # the dev profile, which finds overflows
     just test-faults 1000 200
@@ -229,6 +274,7 @@ ci-long:
     just fuzz-binaries 100000
 
 # What is checked beside the tests
+[group('3 development')]
 checks:
     cargo fmt --all --check
     cargo clippy --release --locked --workspace --all-targets -- -D warnings
@@ -239,7 +285,10 @@ checks:
     just test-pipelines
     just test-commands
 
-# Residual against total time along a raster: prints the table, draws out/pareto/FIXTURE/curve/pareto.svg (just pareto reference: the mirror in PLANISH_REFERENCE)
+# Prints the table, draws out/pareto/FIXTURE/curve/pareto.svg; just pareto reference: the mirror in PLANISH_REFERENCE
+#
+# Residual against total time along a raster: just pareto coupon
+[group('1 plans')]
 pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_s_per_mm="0.02": build
     #!/bin/sh
     set -eu
@@ -254,31 +303,41 @@ pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_
     target/release/planish-refine pareto --surface "$at/surface" --tif "$at/tif" --tool-path "$at/tool_path" --machine "$machine" --min-dwell-s-per-mm="$least" --out "$at/curve" --force
 
 # The tables of docs/refine.md; with PLANISH_REFERENCE set, also those of the reference mirror
+[group('5 pages and tables')]
 refine-table:
     @cargo run --quiet --release --locked --example refined
 
-# The tables of docs/feed.md: motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference mirror), or some: just feed-table mirror slow jerk fixtures
+# Motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference
+# mirror), or some: just feed-table mirror slow jerk fixtures
+#
+# The tables of docs/feed.md
+[group('5 pages and tables')]
 feed-table *names:
     @cargo run --quiet --release --locked --example refined -- feed {{ names }}
 
 # `just run` and its relatives as a user calls them: hostile settings, races, exit codes
+[group('4 slower tests')]
 test-pipelines: build
     cargo test --release --locked --workspace --test pipelines
 
 # Run the commands of README.md and docs/ as they are printed, in a copy of this folder (makes its own virtual environment)
+[group('4 slower tests')]
 test-commands: build python
     cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
 
 # Run every pipeline on small fixtures, as it stands here and as it was at a revision, and compare every array to the last bit: just same-bytes HEAD~3
+[group('3 development')]
 same-bytes revision:
     pipelines/same-bytes.sh {{ quote(revision) }}
 
 # Write the generated pages and pictures in docs/
+[group('5 pages and tables')]
 docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "raster-angle" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --angle-deg 30") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
     @cargo run --quiet --release --locked --example formats > docs/formats.md
     @just surface-pictures
 
 # Draw a path over a fixture to docs/paths/NAME.svg
+[group('5 pages and tables')]
 picture name method fixture flags: build
     @mkdir -p docs/paths
     @target/release/planish-fixture fixtures/{{ fixture }}.json --out out/pictures/{{ fixture }} --force
@@ -286,6 +345,7 @@ picture name method fixture flags: build
     @target/release/planish-toolpath draw --tool-path out/pictures/{{ name }} --surface out/pictures/{{ fixture }}/surface --out docs/paths/{{ name }}.svg --force
 
 # Draw the pictures of docs/surface.md to docs/surface/
+[group('5 pages and tables')]
 surface-pictures: build
     #!/bin/sh
     set -eu
@@ -327,6 +387,7 @@ surface-pictures: build
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
 # Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
+[group('5 pages and tables')]
 paths-table machine="fixtures/machines/ion-beam.json": build
     @sh docs/paths/table.sh {{ quote(machine) }}
 
@@ -336,6 +397,7 @@ python:
     @target/python/bin/pip install --quiet numpy
 
 # Use the report in headless Chromium (Debian package chromium) as a person would, and check it
+[group('4 slower tests')]
 test-report: build browser
     just run raster fixture=coupon refine=yes out=out/test-report
     target/python/bin/python crates/compare/tests/browser.py out/test-report/report out/test-report --shots out/test-report-pictures
@@ -348,10 +410,12 @@ test-report: build browser
     target/python/bin/python crates/compare/tests/browser.py --large target/release out/test-report-large
 
 # Write the pictures of docs/gallery.md: every path and method on one mirror
+[group('5 pages and tables')]
 gallery: build
     pipelines/gallery.sh
 
 # Write the pictures of docs/report.md, and the one that README.md opens with
+[group('5 pages and tables')]
 report-pictures: build browser
     just run raster
     target/release/planish-compare figures out/raster/flat-92x16 --format png --dpi 110 --out out/raster/figures --force
@@ -364,10 +428,12 @@ browser: python
     @target/python/bin/pip install --quiet websocket-client
 
 # Run the benchmarks
+[group('3 development')]
 bench:
     cargo bench --locked --workspace --bench stages
 
 # The same work by NumPy, SciPy and Clarabel (makes its own virtual environment)
+[group('3 development')]
 bench-peers: peers
     @target/peers/bin/python benches/peers.py
 
@@ -377,6 +443,7 @@ peers:
     @target/peers/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 clarabel==0.11.1
 
 # Benchmarks, peers and whole processes in one run; writes the tables of docs/performance.md
+[group('3 development')]
 performance: build peers
     @mkdir -p out/performance
     @target/peers/bin/python benches/performance.py target/release out/performance docs/performance.md

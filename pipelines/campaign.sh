@@ -97,11 +97,16 @@ quiet() {
     }
 }
 
-# plan RUN SURFACE TIF SETTINGS...: the pipeline in RUN for a map and a tool
+# plan RUN SURFACE TIF SETTINGS...: the pipeline in RUN for a map and a tool. Nearly all the time of a campaign is spent
+# here: a terminal is told how many plans are made, and how long the others will take.
+begun=$(date +%s) plans=$((3 * runs + 1)) made=0
 plan() {
     plan_at=$1 plan_map=$2 plan_tool=$3
     shift 3
     quiet "$root/pipelines/start.sh" run "$pipeline" frames=0 plan_feed=no "$@" "surface=$plan_map" "tif=$plan_tool" "out=$plan_at"
+    made=$((made + 1)) took=$(($(date +%s) - begun))
+    [ ! -t 2 ] || printf 'plan %s of %s after %s s, about %s s left\n' \
+        "$made" "$plans" "$took" $((took * (plans - made) / made)) >&2
 }
 
 # machine_runs AT K MEASURED MOTION FLAGS...: run K of the virtual machine, which has the true tool

@@ -25,6 +25,7 @@ row '----' '----' '----------'
 stages=$(find "$root/target/release" -maxdepth 1 -name 'planish-*' -type f -perm -u+x 2> /dev/null | wc -l)
 row Planish "$(git -C "$root" describe --always --dirty 2> /dev/null || echo 'no git')" "$((stages)) programs built in target/release"
 program cargo 'building' || missing=1
+program cc 'building' || missing=1
 program just 'every recipe' || missing=1
 wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' "$root/Cargo.toml")
 have=$(rustc --version 2> /dev/null | cut -d ' ' -f 2)
@@ -41,7 +42,8 @@ row 'disk' "$(df -Pk "$root" | awk 'NR == 2 { printf "%.1f GiB free", $4 / 10485
 row PLANISH_REFERENCE "$(if [ -d "${PLANISH_REFERENCE:-/nowhere}/nsls2-mirror" ]; then echo 'set'; else echo 'not set, or not the folder'; fi)" \
     'tests and tables of the reference mirror'
 printf '\noptional:\n'
-program python3 'just test-commands, test-interop, test-report, fuzz-binaries; your own stages' || :
+program python3 'just wheel, sweep, test-commands, test-interop, test-report, fuzz-binaries; your own stages' || :
+program octave-cli 'just test-matlab (installed there on Debian, as root)' || :
 program c++ 'just fuzz' || :
 program chromium 'just test-report, docs (installed there on Debian, as root)' || :
 program strace 'just test-faults (installed there on Debian, as root)' || :

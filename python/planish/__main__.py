@@ -29,14 +29,19 @@ def main():
         return 0
     if goal == "list":
         for folder, ending in (("pipelines", ".just"), ("fixtures", ".json"), ("fixtures/machines", ".json")):
-            names = [p for p in sorted((share() / folder).glob(f"*{ending}")) if p.stem != "stages"]
-            print(f"{folder}: " + ", ".join(str(p) if folder.endswith("machines") else p.stem for p in names))
+            found = [p for p in sorted((share() / folder).glob(f"*{ending}")) if p.stem != "stages"]
+            # A pipeline takes the name of a fixture, and the path of a machine.
+            own_line = folder.endswith("machines")
+            print(f"{folder}:" + "".join(f"\n  {p}" if own_line else f" {p.stem}" for p in found))
         for what, file in (("MATLAB and Octave", "planish.m"), ("notebook", "notebook.ipynb")):
             print(f"{what}: {next(share().rglob(file))}")
         print(f"programs (PLANISH_PROGRAMS): {programs()}")
         return 0
-    if goal not in ("run", "show") or len(arguments) < 2:
-        print(f"error: '{' '.join(arguments)}' is no command\n{USAGE}", end="", file=sys.stderr)
+    if goal not in ("run", "show"):
+        print(f"error: '{goal}' is no command\n{USAGE}", end="", file=sys.stderr)
+        return 2
+    if len(arguments) < 2:
+        print(f"error: {goal} what? Give a pipeline: planish {goal} raster (planish list names them)", file=sys.stderr)
         return 2
     try:
         folder = programs()

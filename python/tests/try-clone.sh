@@ -23,7 +23,8 @@ first=$(grep -m 1 '^cargo install .* just run raster$' clone/README.md)
 begun=$(date +%s)
 (cd clone && sh -c "$first") > first-command 2>&1 || { tail -n 20 first-command >&2; exit 1; }
 tail -n 12 first-command
-echo "first command: $(($(date +%s) - begun)) s; $(du -sm clone/target | cut -f 1) MB in target"
+times > processor-time
+echo "first command: $(($(date +%s) - begun)) s, processor time (user, system) $(sed -n 2p processor-time); $(du -sm clone/target | cut -f 1) MB in target"
 
 cd lab
 begun=$(date +%s)

@@ -47,7 +47,7 @@
 
 use ndarray::{Array2, ArrayView2, Zip};
 use planish_numerics::linear::skyline::dot;
-use planish_types::{End, Surface, Tif};
+use planish_types::{End, Surface, Tif, progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -390,6 +390,7 @@ fn iterate(
     let mut iterations = 0;
     // x_k and g_k of (3)
     let mut extrapolated: Option<(Vec<f64>, Vec<f64>)> = None;
+    let mut tell_excess = progress::of_excess();
     loop {
         // rho = w E / m
         let mut rho = forward(&t);
@@ -398,11 +399,14 @@ fn iterate(
         rms_nm.push(rms);
         if iterations >= 10 {
             let before = rms_nm[iterations - 10];
-            if before - rms_nm[iterations] < settings.tolerance * before {
+            let fall = before - rms_nm[iterations];
+            if fall < settings.tolerance * before {
                 end = End::Settled;
                 break;
             }
+            tell_excess(fall / (settings.tolerance * before));
         }
+        progress::done(iterations as f64 / settings.max_iterations as f64);
         if iterations == settings.max_iterations {
             break;
         }

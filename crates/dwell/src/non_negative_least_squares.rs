@@ -19,7 +19,7 @@
 //! | t, lo | `dwell_s`, `min_dwell` | (n) | s |
 
 use planish_numerics::qp::nnls::nnls;
-use planish_types::End;
+use planish_types::{End, progress};
 use serde::Serialize;
 
 use crate::{
@@ -93,7 +93,8 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         h[[j, j]] = if model.reached(j) { h[[j, j]] + alpha } else { 0.0 };
     }
     let g = model.gradient(&model.target());
-    let found = nnls(&h, &g, settings.tolerance, settings.max_changes_per_point * n);
+    let most = settings.max_changes_per_point * n;
+    let found = nnls(&h, &g, settings.tolerance, most, progress::of_excess());
     let report = Report {
         end: if found.converged { End::Optimal } else { End::IterationLimit },
         iterations: found.iterations,

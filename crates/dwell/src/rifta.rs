@@ -29,7 +29,7 @@ use std::f64::consts::PI;
 
 use ndarray::{Array2, Zip};
 use planish_numerics::fft::Complex64;
-use planish_types::{End, Invalid};
+use planish_types::{End, Invalid, progress};
 use serde::Serialize;
 
 use crate::{
@@ -111,11 +111,13 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         .into());
     }
     // Reference: the margin of the TIF; then smaller ones, from a third of it.
-    let reference = fourier.solve(fourier.radius_mm, settings);
-    let mut tried = vec![reference];
+    let solve = |k: usize, margin_mm: f64| {
+        progress::part(k, 1 + MARGINS_TRIED, || fourier.solve(margin_mm, settings))
+    };
+    let mut tried = vec![solve(0, fourier.radius_mm)];
     for k in 0..MARGINS_TRIED {
         let fraction = 1.0 / 3.0 + 2.0 / 3.0 * k as f64 / MARGINS_TRIED as f64;
-        tried.push(fourier.solve(fraction * fourier.radius_mm, settings));
+        tried.push(solve(1 + k, fraction * fourier.radius_mm));
         let (first, last) = (&tried[0], &tried[tried.len() - 1]);
         if last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm {
             break;

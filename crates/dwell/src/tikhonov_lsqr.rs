@@ -22,7 +22,7 @@
 //! | delta | `damping_nm_per_s` | - | nm/s |
 
 use planish_numerics::linear::lsqr::{Damped, largest_singular_value, lsqr};
-use planish_types::End;
+use planish_types::{End, progress};
 use serde::Serialize;
 
 use crate::{
@@ -134,10 +134,11 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
             &dampings,
             settings.tolerance,
             settings.max_iterations,
+            progress::of_excess(),
         )
     };
     let z = problem.desired.height_nm();
-    let found = run(&model.project(z), &relative);
+    let found = progress::part(0, 2, || run(&model.project(z), &relative));
     let rms: Vec<f64> =
         found.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect();
     let norm: Vec<f64> =
@@ -152,7 +153,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     // The answer to a level of dwell: b = s + argmin |A u + A s|^2 + delta^2 |u|^2.
     let level: Vec<f64> = model.weighted(&model.shape).iter().map(|v| -v).collect();
-    let answer = run(&level, &relative[chosen..=chosen]).remove(0);
+    let answer = progress::part(1, 2, || run(&level, &relative[chosen..=chosen])).remove(0);
     let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
     let chosen_one = &found[chosen];
     let levelled = model.levelled(&chosen_one.value, &b);

@@ -21,7 +21,7 @@
 
 use ndarray::ArrayView1;
 use planish_numerics::linear::lanczos::{Truncated, truncated};
-use planish_types::{End, Invalid, budget};
+use planish_types::{End, Invalid, budget, progress};
 use serde::Serialize;
 
 use crate::{
@@ -95,11 +95,12 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     let run = |g: &[f64]| -> Truncated {
         // The eigenvalues of the normal equations are squares.
-        truncated(apply, g, settings.cut.powi(2), settings.tolerance, max_steps)
+        let watch = progress::of_excess();
+        truncated(apply, g, settings.cut.powi(2), settings.tolerance, max_steps, watch)
     };
-    let found = run(&model.gradient(problem.desired.height_nm()));
+    let found = progress::part(0, 2, || run(&model.gradient(problem.desired.height_nm())));
     let level: Vec<f64> = apply(&model.shape).iter().map(|v| -v).collect();
-    let answer = run(&level);
+    let answer = progress::part(1, 2, || run(&level));
     let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
     let levelled = model.levelled(&found.value, &b);
     let report = Report {

@@ -25,7 +25,7 @@
 //! | beta | `step` | - | 1 |
 
 use ndarray::{Array2, Zip};
-use planish_types::End;
+use planish_types::{End, progress};
 use serde::Serialize;
 
 use crate::{
@@ -137,6 +137,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         }
         rms_nm.push(rms(&after));
         (t, residual) = (next, after);
+        progress::done((rms_nm.len() - 1) as f64 / settings.max_iterations as f64);
     }
     let report = Report { end, iterations: rms_nm.len() - 1, rms_nm };
     match settings.floor {

@@ -48,7 +48,7 @@ pub(crate) fn sentences(
         .collect();
     lines.push(format!("largest: {}", fastest.join(", ")));
     lines.push(
-        "before 1: home the axes; tool off or away from the part, nothing else within the reach"
+        "before 1: home the axes, with the tool off or away from the part, and nothing else within the reach"
             .into(),
     );
     lines.push(format!(

@@ -20,7 +20,7 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
-use planish_types::{End, Grid, Invalid};
+use planish_types::{End, Grid, Invalid, progress};
 
 use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
 
@@ -35,6 +35,10 @@ const NOTHING: f64 = 1e-4;
 /// Steps with the derivatives of one point, and how often they are computed anew.
 const MOST_STEPS: usize = 12;
 const MOST_POINTS: usize = 25;
+
+/// Points that a fit usually takes, for an estimate of the time, and the part after so many of them.
+const USUAL_POINTS: f64 = 4.0;
+const BEFORE_LAST: f64 = 0.9;
 
 /// First and largest lambda.
 const LAMBDA: [f64; 2] = [1e-3, 1e6];
@@ -301,6 +305,7 @@ pub fn fit(
     let (mut points, mut end) = (1, End::RoundLimit);
     let mut way: Option<DVector<f64>> = None;
     loop {
+        progress::done((points as f64 / USUAL_POINTS).min(BEFORE_LAST));
         let here = values.clone();
         let inverse = normal.inverse();
         let objective = |rest: &Array2<f64>, values: &DVector<f64>| {

@@ -30,7 +30,10 @@ const EXCEPTIONS: [(&str, &str); 12] = [
     ("just fuzz 50000", "minutes; .ci/run gives every reader 20 000 inputs"),
     ("just fuzz 10000000 2 hdf5", "a quarter of an hour"),
     ("just fuzz-binaries 500 1", "minutes"),
-    ("cargo install --locked just && just test", "it runs this workspace's tests; .ci/run runs it"),
+    (
+        "cargo install --locked --debug just && just test",
+        "it runs this workspace's tests; .ci/run runs it",
+    ),
     ("just reproduce", "minutes; `just checks` runs it"),
     ("just reproduce pvt", "part of `just reproduce`"),
     ("PLANISH_REFERENCE=DIR just reproduce", "needs the reference mirror"),

@@ -24,7 +24,7 @@ const QUICK_RUN: [&str; 3] = ["fixture=coupon", "refine=no", "frames=0"];
 fn just_is_installed() -> bool {
     let there = Command::new("just").arg("--version").output().is_ok();
     if !there {
-        skip("`just` is not installed (cargo install --locked just)");
+        skip("`just` is not installed (cargo install --locked --debug just)");
     }
     there
 }

@@ -1,6 +1,6 @@
 //! The budget of the errors, from the plan to the table, the distribution, and what to improve first.
 
-use planish_types::{Invalid, Surface, Tif, Trajectory};
+use planish_types::{Invalid, Surface, Tif, Trajectory, progress};
 
 use crate::{
     distribution::{Errors, Span},
@@ -27,6 +27,9 @@ const RUNS_OF_ALL: usize = 200;
 /// Draws from which it is known what 95 % of the runs are below without one of the errors.
 const DRAWS_WITHOUT_ONE: usize = 10_000;
 
+/// Derivatives, second order and runs, which count alike in the estimate of the time.
+const PARTS: usize = 3;
+
 /// What `process` adds to the residual of `trajectory` on `desired`.
 pub fn tolerance(
     trajectory: &Trajectory,
@@ -41,7 +44,7 @@ pub fn tolerance(
     let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;
 
     // f_i, and n
-    let linear = work.linear(width)?;
+    let linear = progress::part(0, PARTS, || work.linear(width))?;
     let span = Span::new(&work, &linear);
     let reach = Reach::new(&work.inner, &moved, width);
     let noises = work.noises();
@@ -64,7 +67,7 @@ pub fn tolerance(
     let responses = columns.map(response).unwrap_or_default();
 
     // What each adds alone
-    let departures = work.departures(&linear, columns, seed)?;
+    let departures = progress::part(1, PARTS, || work.departures(&linear, columns, seed))?;
     let mut lines = work.lines(&linear, &responses, &reach, &departures);
 
     // What all add together
@@ -80,7 +83,8 @@ pub fn tolerance(
         work.simulate_line(i, line, &reach, seed)?;
     }
     let least = if simulated { RUNS_OF_ALL } else { 0 };
-    let runs = work.runs(settings.simulated_runs.max(least), &linear, columns, seed)?;
+    let count = settings.simulated_runs.max(least);
+    let runs = progress::part(2, PARTS, || work.runs(count, &linear, columns, seed))?;
     let rms = if simulated {
         let mut rms: Vec<f64> = runs.iter().map(|r| r.simulated_rms_nm).collect();
         rms.sort_unstable_by(f64::total_cmp);

@@ -47,7 +47,7 @@ mod points;
 mod rounding;
 mod tour;
 
-use planish_types::{Invalid, Surface, ToolPath};
+use planish_types::{Invalid, Surface, ToolPath, progress};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -174,8 +174,9 @@ pub fn random_adaptive(
         step_mm: settings.step_mm.unwrap_or(p),
         extent_mm: field.extent_mm(),
     };
-    for _ in 0..TRIALS {
-        let mut trial = Trial::new(&field, settings, scale).ok_or_else(too_many)?;
+    for k in 0..TRIALS {
+        let made = progress::part(k, TRIALS, || Trial::new(&field, settings, scale));
+        let mut trial = made.ok_or_else(too_many)?;
         let ratio = trial.effective_pitch_mm(&field) / p;
         trial.pitch_scale = normal * ratio;
         let error = ratio.ln().abs();

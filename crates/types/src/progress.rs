@@ -51,6 +51,12 @@ pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     result
 }
 
+/// Tells how far an iteration is that ends where its excess is 1 or less, from the excess after every step.
+pub fn of_excess() -> impl FnMut(f64) {
+    let mut first = None;
+    move |excess| done(of_convergence(*first.get_or_insert(excess), excess, 1.0))
+}
+
 fn within([first, last]: [f64; 2], fraction: f64) -> f64 {
     first + (last - first) * fraction.clamp(0.0, 1.0)
 }
@@ -81,8 +87,13 @@ mod tests {
             part(1, 2, || done(0.5));
         });
         done(0.1); // never less than before
-        part(1, 2, || done(2.0));
-        let expected = [0.25, 0.375, 0.5, 0.5, 0.5, 1.0, 1.0];
+        part(1, 2, || {
+            let mut tell = of_excess();
+            tell(100.0);
+            tell(10.0);
+            done(2.0);
+        });
+        let expected = [0.25, 0.375, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0];
         assert_eq!(*told.lock().unwrap(), expected);
     }
 

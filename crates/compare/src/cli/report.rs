@@ -17,7 +17,7 @@ use planish_compare::{
     table::{execution_table, specification_table, table, table_of_runs},
 };
 use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task};
-use planish_types::text::visible;
+use planish_types::{progress, text::visible};
 use serde_json::json;
 
 use crate::files::{self, Names};
@@ -86,14 +86,15 @@ impl Report {
             Plots::Never => false,
         };
         // The table is wanted every time, also when the files are there already.
-        let views = if writer.is_some() || plotted { views(read) } else { vec![] };
+        let wanted = writer.is_some() || plotted;
+        let views = progress::part(0, 3, || if wanted { views(read) } else { vec![] });
         if let Some(mut writer) = writer {
             let summary = to_json(&summaries);
             let mut bytes = serde_json::to_vec_pretty(&summary)?;
             bytes.push(b'\n');
-            let page = page(&views, &summary);
+            let page = progress::part(1, 3, || page(&views, &summary));
             let mut beside = vec![("summary.json", bytes), ("report.html", page.into_bytes())];
-            let drawn = figures(&views, &Layout::BESIDE_PAGE);
+            let drawn = progress::part(2, 3, || figures(&views, &Layout::BESIDE_PAGE));
             let drawn: Vec<_> =
                 drawn.into_iter().map(|(name, svg)| (format!("{name}.svg"), svg)).collect();
             beside

@@ -42,13 +42,15 @@ pub struct Truncated {
 }
 
 /// Computes (1) from the products `apply`. The process ends when it has spanned all of g, or when x
-/// changed by less than `tolerance` of its length in the last third of the steps.
+/// changed by less than `tolerance` of its length in the last third of the steps; at every look `watch` is told that
+/// change over the one wanted.
 pub fn truncated(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     g: &[f64],
     cut: f64,
     tolerance: f64,
     max_steps: usize,
+    mut watch: impl FnMut(f64),
 ) -> Truncated {
     let n = g.len();
     let max_steps = max_steps.min(n);
@@ -89,7 +91,9 @@ pub fn truncated(
             result = solve(&alpha, &beta, &v, length, cut);
             let change = &Array1::from(result.value.clone()) - &before;
             let size = ArrayView1::from(&result.value);
-            let settled = change.dot(&change) <= (tolerance * tolerance) * size.dot(&size);
+            let enough = (tolerance * tolerance) * size.dot(&size);
+            let settled = change.dot(&change) <= enough;
+            watch((change.dot(&change) / enough).sqrt());
             result.converged = spanned || max_steps == n && last || settled;
             if last || settled {
                 break;
@@ -151,7 +155,7 @@ mod tests {
         let apply = |x: &[f64]| a.tr_mul(&(&a * DVector::from_row_slice(x))).as_slice().to_vec();
         let g = a.tr_mul(&b);
         // Between 0.7^9 = 0.040 and 0.7^10 = 0.028: ten are kept.
-        let found = truncated(apply, g.as_slice(), 0.03_f64.powi(2), 1e-12, 40);
+        let found = truncated(apply, g.as_slice(), 0.03_f64.powi(2), 1e-12, 40, |_| ());
         assert!(found.converged, "{found:?}");
         let svd = a.svd(true, true);
         let expected = svd.solve(&b, 0.03).unwrap();
@@ -165,7 +169,7 @@ mod tests {
 
     #[test]
     fn no_right_hand_side_no_solution() {
-        let found = truncated(|x| x.to_vec(), &[0.0; 4], 1e-3, 1e-9, 4);
+        let found = truncated(|x| x.to_vec(), &[0.0; 4], 1e-3, 1e-9, 4, |_| ());
         assert!(found.converged && found.value == [0.0; 4] && found.rank == 0);
     }
 }

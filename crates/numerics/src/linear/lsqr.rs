@@ -41,7 +41,8 @@ struct Lane {
 /// Solves (1) for every delta of `dampings`, in their order.
 ///
 /// `apply` is x (n) -> A x (m), `adjoint` its adjoint. A lane ends when
-/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`.
+/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`; after every step `watch` is told the
+/// largest ratio of the two sides.
 pub fn lsqr(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     adjoint: impl Fn(&[f64]) -> Vec<f64>,
@@ -49,6 +50,7 @@ pub fn lsqr(
     dampings: &[f64],
     tolerance: f64,
     max_iterations: usize,
+    mut watch: impl FnMut(f64),
 ) -> Vec<Damped> {
     // beta u = b, alpha v = A' u
     let mut u = b.to_vec();
@@ -80,16 +82,19 @@ pub fn lsqr(
         let beta = normalise(&mut u);
         step(&mut v, adjoint(&u), beta);
         alpha = normalise(&mut v);
+        let mut excess = 0.0_f64;
         for lane in lanes.iter_mut().filter(|lane| !lane.result.converged) {
-            lane.advance(&v, alpha, beta, tolerance);
+            excess = excess.max(lane.advance(&v, alpha, beta, tolerance));
             lane.result.iterations = iteration;
         }
+        watch(excess);
     }
     lanes.into_iter().map(|lane| lane.result).collect()
 }
 
 impl Lane {
-    fn advance(&mut self, v: &[f64], alpha: f64, beta: f64, tolerance: f64) {
+    /// One step; the left side of the condition over the right one.
+    fn advance(&mut self, v: &[f64], alpha: f64, beta: f64, tolerance: f64) -> f64 {
         let delta = self.result.damping;
         // A rotation takes delta out of the bidiagonal matrix ...
         let damped = self.rho_bar.hypot(delta);
@@ -108,7 +113,9 @@ impl Lane {
         self.norm2 += beta * beta + alpha * alpha + delta * delta;
         let residual = (self.phi_bar * self.phi_bar + self.left).sqrt();
         let gradient = self.phi_bar * alpha * c;
-        self.result.converged = gradient.abs() <= tolerance * self.norm2.sqrt() * residual;
+        let enough = tolerance * self.norm2.sqrt() * residual;
+        self.result.converged = gradient.abs() <= enough;
+        gradient.abs() / enough
     }
 }
 
@@ -164,7 +171,7 @@ mod tests {
         let apply = |x: &[f64]| (&a * DVector::from_row_slice(x)).as_slice().to_vec();
         let adjoint = |y: &[f64]| a.tr_mul(&DVector::from_row_slice(y)).as_slice().to_vec();
         let dampings = [1.0, 0.1, 0.01];
-        let found = lsqr(apply, adjoint, b.as_slice(), &dampings, 1e-14, 500);
+        let found = lsqr(apply, adjoint, b.as_slice(), &dampings, 1e-14, 500, |_| ());
         for (damped, delta) in found.iter().zip(dampings) {
             assert!(damped.converged && damped.damping == delta);
             let h = a.tr_mul(&a) + DMatrix::identity(25, 25) * delta * delta;
@@ -180,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_right_hand_side_of_zeros_needs_no_step() {
-        let found = lsqr(|x| x.to_vec(), |x| x.to_vec(), &[0.0; 3], &[0.1], 1e-12, 10);
+        let found = lsqr(|x| x.to_vec(), |x| x.to_vec(), &[0.0; 3], &[0.1], 1e-12, 10, |_| ());
         assert!(found[0].converged && found[0].value == [0.0; 3] && found[0].iterations == 0);
     }
 }

@@ -30,8 +30,15 @@ pub struct NonNegative {
 
 /// Solves (1); components with `H_jj <= 0` stay 0.
 ///
-/// Ends when no component at zero wants to grow: `-q_j <= tolerance max |g|`.
-pub fn nnls(h: &Array2<f64>, g: &[f64], tolerance: f64, max_iterations: usize) -> NonNegative {
+/// Ends when no component at zero wants to grow: `-q_j <= tolerance max |g|`; before every change `watch` is told the
+/// largest ratio of the two sides.
+pub fn nnls(
+    h: &Array2<f64>,
+    g: &[f64],
+    tolerance: f64,
+    max_iterations: usize,
+    mut watch: impl FnMut(f64),
+) -> NonNegative {
     let n = g.len();
     let floor = tolerance * g.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     let mut x = vec![0.0; n];
@@ -49,6 +56,7 @@ pub fn nnls(h: &Array2<f64>, g: &[f64], tolerance: f64, max_iterations: usize) -
             converged = true;
             break;
         };
+        watch(-q[j] / floor);
         iterations += 1;
         if !free.add(h, j) {
             barred[j] = true;
@@ -189,7 +197,7 @@ mod tests {
     #[test]
     fn a_diagonal_problem_is_clipped() {
         let h = Array2::from_diag(&ndarray::array![1.0, 4.0, 16.0, 0.0]);
-        let found = nnls(&h, &[3.0, -2.0, 4.0, 5.0], 1e-12, 50);
+        let found = nnls(&h, &[3.0, -2.0, 4.0, 5.0], 1e-12, 50, |_| ());
         assert_eq!(found.value, [3.0, 0.0, 0.25, 0.0]);
         assert!(found.converged && found.violation == 0.0);
     }
@@ -200,7 +208,7 @@ mod tests {
         let (h, _) = random_problem(5, 12, 0.0, 3);
         let planted = ndarray::Array1::from_iter((0..12).map(|j| f64::from(j % 3)));
         let g = h.dot(&planted).to_vec();
-        let found = nnls(&h, &g, 1e-11, 500);
+        let found = nnls(&h, &g, 1e-11, 500, |_| ());
         assert!(found.converged && found.violation < 1e-9, "{found:?}");
         assert!(found.value.iter().all(|v| *v >= 0.0));
     }
@@ -211,7 +219,7 @@ mod tests {
         #[test]
         fn agrees_with_the_active_set_method(n in 1..40_usize, seed in any::<u64>()) {
             let (h, g) = random_problem(n, n, 0.3, seed);
-            let found = nnls(&h, &g, 1e-13, 1000);
+            let found = nnls(&h, &g, 1e-13, 1000, |_| ());
             prop_assert!(found.converged);
             prop_assert!(found.violation < 1e-10, "{}", found.violation);
             let (lo, hi) = (vec![0.0; n], vec![f64::INFINITY; n]);

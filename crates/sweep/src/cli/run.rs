@@ -312,6 +312,7 @@ impl Work<'_> {
             ));
         }
         let (done, failed) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let begun = Instant::now();
         let keep = |row: &Row| {
             if row.status == RowStatus::Failed {
                 failed.fetch_add(1, Ordering::Relaxed);
@@ -319,7 +320,9 @@ impl Work<'_> {
             }
             let count = done.fetch_add(1, Ordering::Relaxed) + 1;
             if count % to_do.len().div_ceil(10) == 0 {
-                say(format!("{count} of {} plans", to_do.len()));
+                let left_s =
+                    begun.elapsed().as_secs_f64() * (to_do.len() - count) as f64 / count as f64;
+                say(format!("{count} of {} plans, about {left_s:.0} s left", to_do.len()));
             }
             write_json(&row_path(self.dir, &row.id), row)
         };
