@@ -372,6 +372,21 @@ mod tests {
     }
 
     #[test]
+    fn the_depth_of_a_plane_is_exact_wherever_the_square_lies() {
+        let plane = |x: f64, y: f64| 3.0 * x - 2.0 * y + 100.0;
+        let map = part(plane);
+        for [x, y] in [[7.123, 9.456], [10.0, 10.125], [1.01, 18.9]] {
+            for side_mm in [0.01, 0.3, 0.9, 1.7] {
+                let off = depth_nm(&map, [x, y], side_mm) - plane(x, y);
+                // Rounding of weights of a pixel in a square of 0.04 pixels.
+                assert!(off.abs() < 1e-10, "{x} {y} {side_mm}: {off}");
+            }
+        }
+        // Beyond the map that of its nearest pixel.
+        assert_eq!(depth_nm(&map, [-3.0, 25.0], 1.0), plane(0.0, 20.0));
+    }
+
+    #[test]
     fn links_and_shallow_places_are_run_at_the_floor_and_negative_maps_are_lifted() {
         let path = raster(&places(1.0), false, 0.0);
         let wedge = part(|x, _| 20.0 * x - 100.0);
