@@ -222,6 +222,10 @@ fn a_sweep_that_raises_the_objective_is_given_up_and_said() {
         assert!(sweeps.contains(&(o.len() - 1)), "{o:?}");
         assert!(o.windows(2).all(|w| w[1] < w[0]), "{o:?}");
         assert!(r.given_up_nm2.unwrap() > o[o.len() - 1], "{r:?}");
+        // What is returned is what the last value is of, not what was given up: (1) is half the sum of the squares
+        // and penalties, which are positive.
+        let squares = ridges().height_nm().len() as f64 * r.model_rms_nm.unwrap().powi(2);
+        assert!(0.5 * squares <= o[o.len() - 1], "{squares} {o:?}");
         let said = given_up.drawback(&ridges(), &settings).unwrap();
         assert!(said.contains("raised the objective") && said.contains("was given up"), "{said}");
         // What is returned is a plan: within the limits.

@@ -14,8 +14,9 @@
 //! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their distances
 //!   to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the lines on both
 //!   sides of it, or the distance to the only one.
-//! * *Depth* r of a segment: the mean of the valid pixels in a square of the area l d around its dwell point, or the
-//!   valid pixel nearest to it. A map with negative heights is lifted until none is.
+//! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around its
+//!   dwell point; where the square holds no valid pixel, that of the nearest one. A map with negative heights is lifted
+//!   until none is.
 //!
 //! Source: Development of multi-pitch tool path in computer-controlled optical surfacing processes, JEOS-RP 13 (2017),
 //! Eqs 11 and 12.
@@ -28,7 +29,6 @@
 
 use std::collections::BTreeMap;
 
-use ndarray::s;
 use planish_types::{Axis, DwellTime, End, Invalid, Surface, Tif, ToolPath};
 use serde::Serialize;
 
@@ -133,24 +133,31 @@ struct Line {
 fn lines(path: &ToolPath) -> Result<Vec<Line>, Invalid> {
     let unit = |i: usize| path.displacement_mm(i).map(|d| d / path.segment_length_mm(i));
     let is_on = |i: &usize| path.tool_on()[*i] && path.segment_length_mm(*i) > 0.0;
-    // The axis of most of the length: sum of l exp(2 i angle), in which there and back are the same.
-    let (mut cosine, mut sine, mut length_mm) = (0.0, 0.0, 0.0);
-    for i in (0..path.len()).filter(is_on) {
-        let (l, [x, y]) = (path.segment_length_mm(i), unit(i));
-        cosine += l * (x * x - y * y);
-        sine += l * 2.0 * x * y;
-        length_mm += l;
-    }
-    let angle = 0.5 * f64::atan2(sine, cosine);
-    let along = [angle.cos(), angle.sin()];
     let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
+    // The axis of most of the length: sum of l exp(2 i angle), in which there and back are the same.
+    let axis = |segments: &[usize]| {
+        let (mut cosine, mut sine) = (0.0, 0.0);
+        for i in segments {
+            let (l, [x, y]) = (path.segment_length_mm(*i), unit(*i));
+            cosine += l * (x * x - y * y);
+            sine += l * 2.0 * x * y;
+        }
+        let angle = 0.5 * f64::atan2(sine, cosine);
+        [angle.cos(), angle.sin()]
+    };
+    let on: Vec<usize> = (0..path.len()).filter(is_on).collect();
+    let length_mm: f64 = on.iter().map(|i| path.segment_length_mm(*i)).sum();
+    // Of all segments at first, and of the lines alone in the end: slanted links turn it.
+    let (mut along, mut parallel) = (axis(&on), Vec::new());
+    for within in [0.1, 0.01, PARALLEL] {
+        let off = |i: usize| dot(unit(i), [-along[1], along[0]]).abs();
+        parallel = on.iter().copied().filter(|i| off(*i) <= within).collect();
+        along = axis(&parallel);
+    }
     let across = [-along[1], along[0]];
     let mut lines: Vec<Line> = Vec::new();
     let mut of_lines_mm = 0.0;
-    for i in (0..path.len()).filter(is_on) {
-        if dot(unit(i), across).abs() > PARALLEL {
-            continue;
-        }
+    for i in parallel {
         of_lines_mm += path.segment_length_mm(i);
         let (a, b) = (path.point_mm()[i], path.point_mm()[i + 1]);
         let (low, high) = (dot(a, along).min(dot(b, along)), dot(a, along).max(dot(b, along)));
@@ -217,23 +224,38 @@ fn measured(lines: &[Line]) -> Result<Vec<f64>, Invalid> {
     Ok(pitches)
 }
 
-/// Mean of the valid pixels in a square around `p`, or the valid pixel nearest to it, nm.
+/// Mean over a square around `p` of the map, linear between its pixels, or the valid pixel nearest to it, nm. Invalid
+/// pixels have no part in it.
 fn depth_nm(desired: &Surface, p: [f64; 2], side_mm: f64) -> f64 {
     let (grid, z) = (desired.grid(), desired.height_nm());
-    let range = |axis: &Axis, v: f64| {
-        let place =
-            |v: f64| ((v - axis.start_mm()) / axis.step_mm()).clamp(-1.0, axis.len() as f64);
-        let first = place(v - 0.5 * side_mm).ceil().max(0.0) as usize;
-        let last = place(v + 0.5 * side_mm).floor();
-        first..((last + 1.0) as usize).clamp(first, axis.len())
-    };
-    let square = z.slice(s![range(&grid.y, p[1]), range(&grid.x, p[0])]);
-    let (mut sum, mut count) = (0.0, 0.0);
-    for v in square.iter().filter(|v| !v.is_nan()) {
-        sum += v;
-        count += 1.0;
+    let (rows, columns) = (weights(&grid.y, p[1], side_mm), weights(&grid.x, p[0], side_mm));
+    let (mut sum, mut total) = (0.0, 0.0);
+    for (r, by_row) in &rows {
+        for (c, by_column) in &columns {
+            if !z[[*r, *c]].is_nan() {
+                sum += by_row * by_column * z[[*r, *c]];
+                total += by_row * by_column;
+            }
+        }
     }
-    if count > 0.0 { sum / count } else { z[desired.nearest_valid(p)] }
+    if total > 0.0 { sum / total } else { z[desired.nearest_valid(p)] }
+}
+
+/// The pixels of an axis that have a part in the mean of what is linear between them, from `v` - side/2 to
+/// `v` + side/2, each with its part times side / pixel:
+///
+/// ```text
+/// w_i = H(b - i) - H(a - i),   H' = max(1 - |u|, 0)     a, b the ends, in pixels
+/// ```
+fn weights(axis: &Axis, v: f64, side_mm: f64) -> Vec<(usize, f64)> {
+    let hat = |u: f64| {
+        let rest = 1.0 - u.abs().min(1.0);
+        if u < 0.0 { 0.5 * rest * rest } else { 1.0 - 0.5 * rest * rest }
+    };
+    let [a, b] = [-0.5, 0.5].map(|side| (v + side * side_mm - axis.start_mm()) / axis.step_mm());
+    let end = |at: f64| at.clamp(0.0, axis.len() as f64) as usize;
+    let pixels = end(a.floor())..end(b.ceil() + 1.0);
+    pixels.map(|i| (i, hat(b - i as f64) - hat(a - i as f64))).filter(|(_, w)| *w > 0.0).collect()
 }
 
 #[cfg(test)]
@@ -330,6 +352,38 @@ mod tests {
             "{:?}",
             found(&regions)
         );
+    }
+
+    #[test]
+    fn slanted_links_do_not_turn_the_lines() {
+        // Lines of 36 mm whose ends move by 0.3 mm from one to the next, so that every link is slanted the same way.
+        let mut points = Vec::new();
+        for k in 0..20 {
+            let (y, x) = (f64::from(k), 0.3 * f64::from(k));
+            let line = [[x, y], [x + 18.0, y], [x + 36.0, y]];
+            points.extend(if k % 2 == 0 { line } else { [line[2], line[1], line[0]] });
+        }
+        let n = points.len() - 1;
+        let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
+        let lines = lines(&path).unwrap();
+        assert_eq!(lines.len(), 20);
+        // Rounding of places up to 42 mm.
+        assert!(measured(&lines).unwrap().iter().all(|d| (d - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn the_depth_of_a_plane_is_exact_wherever_the_square_lies() {
+        let plane = |x: f64, y: f64| 3.0 * x - 2.0 * y + 100.0;
+        let map = part(plane);
+        for [x, y] in [[7.123, 9.456], [10.0, 10.125], [1.01, 18.9]] {
+            for side_mm in [0.01, 0.3, 0.9, 1.7] {
+                let off = depth_nm(&map, [x, y], side_mm) - plane(x, y);
+                // Rounding of weights of a pixel in a square of 0.04 pixels.
+                assert!(off.abs() < 1e-10, "{x} {y} {side_mm}: {off}");
+            }
+        }
+        // Beyond the map that of its nearest pixel.
+        assert_eq!(depth_nm(&map, [-3.0, 25.0], 1.0), plane(0.0, 20.0));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use planish_schedule::{
 };
 use planish_simulate::{Plan, Settings, simulate};
 use planish_testkit::{case_generator, ion_beam, machine, workspace};
-use planish_toolpath::{LineOrder, MazeSettings, RasterSettings, Scan, Tree, Turn, maze, raster};
+use planish_toolpath::{MazeSettings, RasterSettings, Tree, maze, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 use rand::RngExt;
@@ -42,17 +42,7 @@ fn solver() -> bounded_least_squares::Settings {
 }
 
 fn raster_settings(pitch_mm: f64) -> RasterSettings {
-    RasterSettings {
-        pitch_mm,
-        step_mm: pitch_mm,
-        overscan_mm: 5.0,
-        scan: Scan::X,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    }
+    RasterSettings::new(pitch_mm, pitch_mm, 5.0)
 }
 
 static CASE: LazyLock<Case> = LazyLock::new(|| {

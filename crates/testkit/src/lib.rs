@@ -30,6 +30,21 @@ pub fn workspace() -> PathBuf {
     crates.and_then(Path::parent).expect("this crate is in crates/").to_path_buf()
 }
 
+/// What a setting of a pipeline is where nobody gives it: of `pipelines/PIPELINE.just`, or of `stages.just`.
+pub fn pipeline_setting(pipeline: &str, name: &str) -> String {
+    let value = |file: &&str| {
+        let file = workspace().join("pipelines").join(format!("{file}.just"));
+        let text = std::fs::read_to_string(file).expect("a pipeline");
+        text.lines()
+            .find_map(|line| Some(line.strip_prefix(name)?.strip_prefix(" := ")?.to_owned()))
+    };
+    let value = [pipeline, "stages"].iter().find_map(value).expect("a setting of the pipeline");
+    match value.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
+        Some(text) => text.to_owned(),
+        None => pipeline_setting(pipeline, &value),
+    }
+}
+
 /// A machine from the limits of (x, y), without a limit on jerk.
 pub fn machine(velocity_mm_per_s: [f64; 2], acceleration_mm_per_s2: [f64; 2]) -> Limits {
     let axis = |a: usize| MachineFileAxis {

@@ -6,7 +6,7 @@ use planish_bspline_feed::{Plan, Settings, deconvolution::Refinement, plan, plan
 use planish_fixture::{Recipe, make};
 use planish_simulate::simulate;
 use planish_testkit::{machine, workspace};
-use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{RasterSettings, raster};
 use planish_types::{Limits, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
@@ -21,17 +21,7 @@ fn mirror(name: &str) -> (Surface, Tif) {
 }
 
 fn lines(surface: &Surface, tif: &Tif, pitch_mm: f64) -> ToolPath {
-    let settings = RasterSettings {
-        pitch_mm,
-        step_mm: pitch_mm,
-        overscan_mm: tif.half_size_mm()[0],
-        scan: Scan::X,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
+    let settings = RasterSettings::new(pitch_mm, pitch_mm, tif.half_size_mm()[0]);
     raster(surface, &settings).unwrap()
 }
 

@@ -13,7 +13,7 @@ use planish_testkit::{
     maps::{largest_difference, largest_magnitude},
     workspace,
 };
-use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{RasterSettings, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 
 /// x -> sign x + shift, along x and y.
@@ -95,17 +95,7 @@ fn part() -> (Surface, Tif) {
 }
 
 fn path(surface: &Surface) -> ToolPath {
-    let settings = RasterSettings {
-        pitch_mm: 1.0,
-        step_mm: 1.0,
-        overscan_mm: 3.5,
-        scan: Scan::X,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
+    let settings = RasterSettings::new(1.0, 1.0, 3.5);
     raster(surface, &settings).unwrap()
 }
 

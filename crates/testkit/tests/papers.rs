@@ -6,12 +6,12 @@ use planish_dwell::{
 use planish_fixture::{Fixture, Recipe, make};
 use planish_schedule::{stop_at_corners, trig_spline};
 use planish_simulate::{Settings, simulate};
-use planish_testkit::{machine, workspace};
+use planish_testkit::{machine, pipeline_setting, workspace};
 use planish_toolpath::{
-    Construction, LineOrder, RandomAdaptiveSettings, RasterSettings, Scan, Turn, random_adaptive,
-    raster,
+    Construction, MultiPitchSettings, RandomAdaptiveSettings, RasterSettings, multi_pitch,
+    multi_pitch::Links, pitch_limit, random_adaptive, raster,
 };
-use planish_types::{ToolPath, Trajectory};
+use planish_types::{Axis, ToolPath, Trajectory};
 
 fn fixture(name: &str) -> Fixture {
     let file = workspace().join("fixtures").join(format!("{name}.json"));
@@ -44,26 +44,63 @@ fn what_makes_convex_cylinders_is_removed_in_the_valleys_and_not_on_the_crests()
 fn a_random_path_has_dwell_points_that_the_usual_floor_allows() {
     let part = fixture("flat-92x16");
     // The settings of the pipeline, and without its longest step.
+    let text = |name: &str| pipeline_setting("random-adaptive", name);
+    let number = |name: &str| text(name).parse::<f64>().unwrap();
+    assert_eq!((text("construction").as_str(), text("overscan_mm").as_str()), ("mesh-tree", ""));
     let with = |step_mm: Option<f64>| {
         let settings = RandomAdaptiveSettings {
-            pitch_mm: 1.0,
+            pitch_mm: number("pitch_mm"),
             overscan_mm: part.tif.half_size_mm()[0],
             step_mm,
-            contrast: 1.0,
+            contrast: number("contrast"),
             construction: Construction::MeshTree,
-            rounding_passes: 1,
-            seed: 1,
+            rounding_passes: text("rounding_passes").parse().unwrap(),
+            seed: text("seed").parse().unwrap(),
         };
         let path = random_adaptive(&part.surface, &settings).unwrap().path;
         let solved = lucy_richardson::solve(
-            &problem(&part, &path, Bound::Seconds(0.1)),
+            &problem(&part, &path, Bound::Seconds(number("min_dwell_s"))),
             &lucy_richardson::Settings { max_iterations: 2, ..Default::default() },
         );
         (path.len(), solved.map(|s| s.outcome.floor_removal_nm).map_err(|e| e.to_string()))
     };
-    let ((few, allowed), (many, refused)) = (with(Some(1.0)), with(None));
+    let ((few, allowed), (many, refused)) = (with(Some(number("step_mm"))), with(None));
     println!("{few} points: {allowed:?}; {many} points: {refused:?}");
     assert!(allowed.is_ok() && 2 * few < many, "{few} {many} {allowed:?}");
+}
+
+#[test]
+fn two_regions_of_the_multi_pitch_pipeline_do_not_both_run_links_along_their_border() {
+    let part = fixture("square-200");
+    let text = |name: &str| pipeline_setting("multi-pitch", name);
+    let number = |name: &str| text(name).parse::<f64>().unwrap();
+    let grid = part.surface.grid();
+    // Segments with the tool on across the lines, farther than 1 mm inside the part.
+    let inner_links = |links: Links| {
+        let settings = MultiPitchSettings {
+            classes: text("classes").parse().unwrap(),
+            max_velocity_mm_per_s: number("max_velocity_mm_per_s"),
+            min_pitch_mm: number("min_pitch_mm"),
+            max_pitch_mm: pitch_limit(&part.tif).pitch_mm(),
+            min_area_mm2: None,
+            step_mm: number("step_mm"),
+            overscan_mm: part.tif.half_size_mm()[0],
+            links,
+        };
+        let path = multi_pitch(&part.surface, &part.tif, &settings).unwrap().path;
+        let is_inside =
+            |axis: &Axis, at: f64| at > axis.start_mm() + 1.0 && at < axis.end_mm() - 1.0;
+        let is_link = |i: &usize| {
+            let [x, y] = path.dwell_point_mm()[*i];
+            let across = path.displacement_mm(*i)[1].abs() > 1e-6;
+            path.tool_on()[*i] && across && is_inside(&grid.x, x) && is_inside(&grid.y, y)
+        };
+        (0..path.len()).filter(is_link).count()
+    };
+    assert_eq!(text("links"), "outside");
+    let (lifted, on) = (inner_links(Links::Outside), inner_links(Links::On));
+    println!("links along borders: {lifted}; with `--links on` {on}");
+    assert!(lifted == 0 && on > 100, "{lifted} {on}");
 }
 
 #[test]
@@ -73,15 +110,8 @@ fn lucy_richardson_with_the_spline_leaves_less_than_bcls_each_executed_by_its_ow
     let path = raster(
         &part.surface,
         &RasterSettings {
-            pitch_mm: 2.0,
-            step_mm: 2.0,
-            overscan_mm: part.tif.half_size_mm()[0] + 1.0,
-            scan: Scan::X,
-            turn: Turn::Square,
             line_origin_mm: Some(0.0),
-            order: LineOrder::Sequential,
-            one_directional: false,
-            pitch_range_mm: None,
+            ..RasterSettings::new(2.0, 2.0, part.tif.half_size_mm()[0] + 1.0)
         },
     )
     .unwrap();

@@ -20,7 +20,7 @@ use planish_testkit::{
     mirror::{Mirror, mirror},
     program::{run_within, text},
 };
-use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{RasterSettings, raster};
 use planish_types::{DwellTime, Removal, Tif, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
 use rand::RngExt;
@@ -342,17 +342,7 @@ fn refined_on_the_published_paths() {
 fn own_raster_own_dwell_executed_by_pvt() {
     let Some(mirror) = mirror() else { return };
     let [x, y] = mirror.tif.half_size_mm();
-    let settings = RasterSettings {
-        pitch_mm: 1.0,
-        step_mm: 1.0,
-        overscan_mm: x.max(y),
-        scan: Scan::X,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
+    let settings = RasterSettings::new(1.0, 1.0, x.max(y));
     let path = raster(&mirror.desired, &settings).unwrap();
     let settings =
         bounded_least_squares::Settings { min_dwell: Bound::Seconds(0.1), ..Default::default() };

@@ -1157,17 +1157,8 @@ fn disk_100_repaired_removes_a_piston_more() {
     let (surface, tif) = (&fixture.surface, &fixture.tif);
     let [half_x, half_y] = tif.half_size_mm();
     let (pitch_mm, step_mm) = (1.0, 0.2);
-    let settings = planish_toolpath::RasterSettings {
-        pitch_mm,
-        step_mm,
-        overscan_mm: half_x.max(half_y) + 1.0,
-        scan: planish_toolpath::Scan::X,
-        turn: planish_toolpath::Turn::Square,
-        line_origin_mm: None,
-        order: planish_toolpath::LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
+    let settings =
+        planish_toolpath::RasterSettings::new(pitch_mm, step_mm, half_x.max(half_y) + 1.0);
     let path = planish_toolpath::raster(surface, &settings).unwrap();
     // density = z pitch / VRR, z the mean height within 1 mm, continued from the edge outwards.
     let height = |p: [f64; 2]| {

@@ -94,6 +94,22 @@ pub struct RasterSettings {
 }
 
 impl RasterSettings {
+    /// Lines along x, centred and one after the other, joined by square turns: what `planish-toolpath raster` makes
+    /// without further flags.
+    pub fn new(pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> Self {
+        Self {
+            pitch_mm,
+            step_mm,
+            overscan_mm,
+            scan: Scan::X,
+            turn: Turn::Square,
+            line_origin_mm: None,
+            order: LineOrder::Sequential,
+            one_directional: false,
+            pitch_range_mm: None,
+        }
+    }
+
     /// The largest distance between neighbouring lines, mm.
     pub fn largest_pitch_mm(&self) -> f64 {
         self.pitch_range_mm.map_or(self.pitch_mm, |[_, most]| most)
@@ -394,17 +410,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn settings(pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> RasterSettings {
-        RasterSettings {
-            pitch_mm,
-            step_mm,
-            overscan_mm,
-            scan: Scan::X,
-            turn: Turn::Square,
-            line_origin_mm: None,
-            order: LineOrder::Sequential,
-            one_directional: false,
-            pitch_range_mm: None,
-        }
+        RasterSettings::new(pitch_mm, step_mm, overscan_mm)
     }
 
     /// Pixels of 0.5 mm with the height `z(x, y)`, NaN outside.

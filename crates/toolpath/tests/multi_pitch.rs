@@ -10,7 +10,7 @@ use ndarray::{Array1, Array2};
 use planish_handoff::artifact;
 use planish_testkit::{maps::random_aperture, program::save};
 use planish_toolpath::{
-    LineOrder, MultiPitch, MultiPitchSettings, RasterSettings, Scan, Turn, multi_pitch,
+    MultiPitch, MultiPitchSettings, RasterSettings, multi_pitch,
     multi_pitch::{Links, class_pitches_mm},
     raster, statistics,
 };
@@ -107,17 +107,7 @@ fn a_constant_map_is_one_region_and_the_uniform_raster() {
         assert_eq!((made.report.classes.len(), made.report.regions.len()), (1, 1));
         assert!((made.report.classes[0].pitch_mm - pitch_mm).abs() < 1e-12);
         assert!(made.region_idx.iter().all(|i| *i == 0));
-        let uniform = RasterSettings {
-            pitch_mm: made.report.classes[0].pitch_mm,
-            step_mm: 1.0,
-            overscan_mm: 3.0,
-            scan: Scan::X,
-            turn: Turn::Square,
-            line_origin_mm: None,
-            order: LineOrder::Sequential,
-            one_directional: false,
-            pitch_range_mm: None,
-        };
+        let uniform = RasterSettings::new(made.report.classes[0].pitch_mm, 1.0, 3.0);
         let uniform = raster(&surface, &uniform).unwrap();
         assert_eq!(made.path.tool_on(), uniform.tool_on());
         for (a, b) in made.path.point_mm().iter().zip(uniform.point_mm()) {

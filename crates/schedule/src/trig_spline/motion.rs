@@ -1,14 +1,12 @@
 //! The passes as cubics in time, joined by links with the tool off; each proven within the limits: steps
 //! 3 to 6 of [`super`].
 
-use std::iter;
-
 use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
 
 use super::{
     passes::{MARGIN, Pass, Straight, along},
     report::Report,
-    spline::Piece,
+    spline::{Piece, STRETCH_PLACES, Stretch},
 };
 use crate::{
     hermite::{accelerations, coefficients, peak_velocity},
@@ -203,17 +201,20 @@ impl<'a> Motion<'a> {
         };
         let both = match next {
             Some(next) if a.half_length_mm == 0.0 && b.half_length_mm == 0.0 => {
-                let cut = match (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
-                    true => 0.5,
-                    false => 0.5 * own.length / fit.shape.length_mm,
+                let [first, second] = match (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
+                    true => Stretch::WHOLE.halves(),
+                    false => {
+                        let cut = 0.5 * own.length / fit.shape.length_mm;
+                        [Stretch::new(0.0, cut), Stretch::new(cut, 1.0)]
+                    }
                 };
-                [Some((0.0, cut, own.index)), Some((cut, 1.0, next.index))]
+                [Some((first, own.index)), Some((second, next.index))]
             }
-            _ => [Some((0.0, 1.0, straight.index)), None],
+            _ => [Some((Stretch::WHOLE, straight.index)), None],
         };
         let mut proven = !limited.is_too_fast([0.0; 2]);
-        for (from, to, index) in both.into_iter().flatten() {
-            fit.cubics(from, to, 0, &mut |cubic: Cubic| {
+        for (stretch, index) in both.into_iter().flatten() {
+            fit.cubics(stretch, 0, &mut |cubic: Cubic| {
                 proven &= cubic.within_limits;
                 let error_mm = &mut self.report.fit_error_mm;
                 *error_mm = error_mm.max(cubic.error_mm);
@@ -254,7 +255,7 @@ struct Cubic {
     duration_s: f64,
     /// Distance from the start of the piece.
     coefficient_mm: [f64; 4],
-    /// An upper bound, or the largest of [`FIT_POINTS`] where the bound does not decide.
+    /// An upper bound, or the largest at the places of its stretch where the bound does not decide.
     error_mm: f64,
     /// The largest velocity and acceleration of the cubic, at its own extrema.
     within_limits: bool,
@@ -263,54 +264,55 @@ struct Cubic {
 /// Most halvings of a piece: the error falls by 16 with each, the swing of the acceleration by 4.
 const MAX_HALVINGS: usize = 20;
 
-/// Inner points at which the error is looked at where its bound does not decide; that of Hermite
-/// interpolation has one hump. The middle one is looked at first.
-const FIT_POINTS: usize = 9;
-
-/// Part of the tolerance that the error at these points may take: between two of them the hump
-/// u^2 (1-u)^2 is higher by 2 % at most.
+/// Part of the tolerance that the error at the places of a stretch may take: that of Hermite interpolation has one hump,
+/// u^2 (1-u)^2, which is higher by 2 % at most between two of them.
 const FIT_SAFETY: f64 = 0.95;
 
 impl Fit {
-    /// Cubics from the part `from` to the part `to` of the length, in order.
-    fn cubics(&self, from: f64, to: f64, halvings: usize, emit: &mut impl FnMut(Cubic)) {
-        if let Some(cubic) = self.cubic(from, to, halvings == MAX_HALVINGS) {
+    /// Cubics along a stretch, in order.
+    fn cubics(&self, stretch: Stretch, halvings: usize, emit: &mut impl FnMut(Cubic)) {
+        if let Some(cubic) = self.cubic(&stretch, halvings == MAX_HALVINGS) {
             return emit(cubic);
         }
-        let middle = 0.5 * (from + to);
-        self.cubics(from, middle, halvings + 1, emit);
-        self.cubics(middle, to, halvings + 1, emit);
+        for half in stretch.halves() {
+            self.cubics(half, halvings + 1, emit);
+        }
     }
 
-    /// The Hermite cubic between the two parts of the length, where it is good or the last one.
-    fn cubic(&self, from: f64, to: f64, is_last: bool) -> Option<Cubic> {
+    /// The Hermite cubic along a stretch, where it is good or the last one.
+    fn cubic(&self, stretch: &Stretch, is_last: bool) -> Option<Cubic> {
         let piece = &self.shape;
-        let ends = [from, to].map(|x| piece.place(x));
+        let ends = piece.ends(stretch);
         let [v0, v1] = ends.map(|end| 1.0 / end.density_s_per_mm);
-        let h = piece.elapsed_s(from, to);
-        let dp = piece.length_mm * (to - from);
-        let (start, end) = accelerations(dp, v0, v1, h);
-        let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
-            && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
-        if !(within_limits || is_last) {
-            return None;
-        }
-        let c = coefficients(piece.length_mm * from, dp, v0, v1, h);
+        let h = piece.elapsed_s_to(stretch, STRETCH_PLACES);
+        let dp = piece.length_mm * (stretch.to - stretch.from);
+        let c = coefficients(piece.length_mm * stretch.from, dp, v0, v1, h);
         let most_mm = FIT_SAFETY * self.tolerance_mm;
+        let error_mm_at = |k: usize| {
+            let u = piece.elapsed_s_to(stretch, k);
+            let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
+            (position_mm - piece.length_mm * stretch.part(k)).abs()
+        };
         // Hermite interpolation: error <= h^4 / 384 max |d^4 s/dt^4|
         let mut error_mm = (h * h).powi(2) / 384.0 * piece.fourth_derivative_bound(ends);
         if error_mm.is_nan() || error_mm > most_mm {
-            error_mm = 0.0;
-            for i in iter::once(FIT_POINTS / 2 + 1).chain(1..=FIT_POINTS) {
-                let x = from + (to - from) * i as f64 / (FIT_POINTS + 1) as f64;
-                let u = piece.elapsed_s(from, x);
-                let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
-                error_mm = error_mm.max((position_mm - piece.length_mm * x).abs());
-                if error_mm > most_mm && !is_last {
-                    return None;
-                }
+            // The middle first: it decides nearly always where the cubic is not good.
+            if error_mm_at(STRETCH_PLACES / 2) > most_mm && !is_last {
+                return None;
+            }
+            error_mm = (1..STRETCH_PLACES).map(error_mm_at).fold(0.0, f64::max);
+            if error_mm > most_mm && !is_last {
+                return None;
             }
         }
-        Some(Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits })
+        let (start, end) = accelerations(dp, v0, v1, h);
+        let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
+            && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
+        (within_limits || is_last).then_some(Cubic {
+            duration_s: h,
+            coefficient_mm: c,
+            error_mm,
+            within_limits,
+        })
     }
 }

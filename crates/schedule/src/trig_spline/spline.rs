@@ -15,13 +15,12 @@ pub struct Piece {
     pub length_mm: f64,
 }
 
-/// A part x of the length of a piece.
+/// A place along a piece.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
-    part: f64,
-    /// sin(pi x/2), cos(pi x/2).
-    sine: f64,
-    cosine: f64,
+    /// Part of the length.
+    x: f64,
+    angle: HalfAngle,
     /// (1).
     pub(super) density_s_per_mm: f64,
 }
@@ -47,26 +46,33 @@ impl Piece {
 
     /// (1) at the part `x` of the length, s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
-        self.place(x).density_s_per_mm
+        self.place(x, HalfAngle::at(x)).density_s_per_mm
     }
 
-    /// The part `x` of the length.
-    pub(super) fn place(&self, x: f64) -> Place {
+    /// Both ends of a stretch.
+    pub(super) fn ends(&self, stretch: &Stretch) -> [Place; 2] {
+        let [from, to] = stretch.angles();
+        [self.place(stretch.from, from), self.place(stretch.to, to)]
+    }
+
+    fn place(&self, x: f64, angle: HalfAngle) -> Place {
         // Half-angle form: no density below the smaller of the two by rounding.
         let [d1, d2] = self.density_s_per_mm;
-        let (sine, cosine) = (half_angle(x).sine(), half_angle(1.0 - x).sine());
+        let HalfAngle { sine, cosine } = angle;
         let density_s_per_mm = d1 * cosine * cosine + d2 * sine * sine;
-        Place { part: x, sine, cosine, density_s_per_mm }
+        Place { x, angle, density_s_per_mm }
     }
 
     /// A bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
     pub(super) fn fourth_derivative_bound(&self, ends: [Place; 2]) -> f64 {
         // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
         // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
-        let sines = ends.map(|e| 2.0 * e.sine * e.cosine);
-        let cosines = ends.map(|e| (e.cosine * e.cosine - e.sine * e.sine).abs());
+        let sines = ends.map(|Place { angle, .. }| 2.0 * angle.sine * angle.cosine);
+        let cosines = ends.map(|Place { angle, .. }| {
+            (angle.cosine * angle.cosine - angle.sine * angle.sine).abs()
+        });
         // The cosine is largest at an end, and so is the sine unless the middle lies between the ends.
-        let has_middle = ends[0].part < 0.5 && ends[1].part > 0.5;
+        let has_middle = ends[0].x < 0.5 && ends[1].x > 0.5;
         let sine = if has_middle { 1.0 } else { sines[0].max(sines[1]) };
         let cosine = cosines[0].max(cosines[1]);
         let q = PI / self.length_mm;
@@ -83,15 +89,17 @@ impl Piece {
     /// densities of the ends differ by orders of magnitude, a difference of two times of (2) leaves
     /// no digit of a short one.
     pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
-        // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
-        //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
-        //   of cos^2(pi x/2):  the same with 1 - m
+        self.time_s(time_weights(from, to))
+    }
+
+    /// The time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
+    pub(super) fn elapsed_s_to(&self, stretch: &Stretch, k: usize) -> f64 {
+        self.time_s(stretch.time_weights(k))
+    }
+
+    fn time_s(&self, weights: [f64; 2]) -> f64 {
         let [d1, d2] = self.density_s_per_mm;
-        let theta = half_angle(to - from);
-        let (sine, excess) = (theta.sine(), theta.less_sine());
-        let part = |m: f64| (excess + 2.0 * half_angle(m).sine().powi(2) * sine) / PI;
-        let (m, rest) = (0.5 * (from + to), 0.5 * ((1.0 - from) + (1.0 - to)));
-        self.length_mm * (d1 * part(rest) + d2 * part(m))
+        self.length_mm * (d1 * weights[0] + d2 * weights[1])
     }
 
     /// (2) inverted: the part of the length at the part `m` of the time, by Newton's method kept in
@@ -138,39 +146,102 @@ impl Piece {
     }
 }
 
-/// Multiples of its inverse are looked up: pieces between equally long segments are halved there.
-const PLACES: usize = 1024;
-
-/// sin(pi x/2) and pi x/2 - sin(pi x/2) at the multiples of 1 / [`PLACES`].
-static HALF_ANGLES: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
-    let at = |k: usize| 0.5 * PI * (k as f64 / PLACES as f64);
-    (0..=PLACES).map(|k| [at(k).sin(), angle_less_sine(at(k))]).collect()
-});
-
-/// The angle pi x/2 for 0 <= x <= 1; what is looked up is the same to the last bit.
-#[derive(Clone, Copy, Debug)]
+/// sin(pi x/2) and cos(pi x/2) at a part x of the length of a piece.
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct HalfAngle {
-    x: f64,
-    place: Option<usize>,
-}
-
-fn half_angle(x: f64) -> HalfAngle {
-    let place = (x * PLACES as f64) as usize;
-    let is_there = place as f64 == x * PLACES as f64 && place <= PLACES;
-    HalfAngle { x, place: is_there.then_some(place) }
+    sine: f64,
+    cosine: f64,
 }
 
 impl HalfAngle {
-    /// sin(pi x/2).
-    fn sine(self) -> f64 {
-        self.place.map_or_else(|| (0.5 * PI * self.x).sin(), |k| HALF_ANGLES[k][0])
-    }
-
-    /// pi x/2 - sin(pi x/2).
-    fn less_sine(self) -> f64 {
-        self.place.map_or_else(|| angle_less_sine(0.5 * PI * self.x), |k| HALF_ANGLES[k][1])
+    fn at(x: f64) -> Self {
+        Self { sine: (0.5 * PI * x).sin(), cosine: (0.5 * PI * (1.0 - x)).sin() }
     }
 }
+
+/// The time between two parts of the length, by the length, of a density of 1 at either end of the piece alone.
+fn time_weights(from: f64, to: f64) -> [f64; 2] {
+    // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
+    //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
+    //   of cos^2(pi x/2):  the same with 1 - m
+    let theta = 0.5 * PI * (to - from);
+    let (sine, excess) = (theta.sin(), angle_less_sine(theta));
+    let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI;
+    [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)].map(part)
+}
+
+/// Equal steps of a stretch at whose ends the motion along it is looked at.
+pub(super) const STRETCH_PLACES: usize = 10;
+
+/// A stretch of a piece, between two parts of its length.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stretch {
+    pub(super) from: f64,
+    pub(super) to: f64,
+    /// Its number among the halved ones: 1 is the whole piece, 2 k and 2 k + 1 are the halves of k; 0 for any other.
+    halved: usize,
+}
+
+impl Stretch {
+    pub(super) const WHOLE: Self = Self { from: 0.0, to: 1.0, halved: 1 };
+
+    /// Between any two parts of the length.
+    pub(super) fn new(from: f64, to: f64) -> Self {
+        Self { from, to, halved: 0 }
+    }
+
+    pub(super) fn halves(&self) -> [Self; 2] {
+        let middle = 0.5 * (self.from + self.to);
+        let first = 2 * self.halved;
+        let second = first + usize::from(first > 0);
+        [
+            Self { to: middle, halved: first, ..*self },
+            Self { from: middle, halved: second, ..*self },
+        ]
+    }
+
+    /// The part of the length at the place `k`.
+    pub(super) fn part(&self, k: usize) -> f64 {
+        if k == STRETCH_PLACES {
+            return self.to;
+        }
+        self.from + (self.to - self.from) * k as f64 / STRETCH_PLACES as f64
+    }
+
+    fn known(&self) -> Option<&'static Known> {
+        KNOWN.get(self.halved.wrapping_sub(1))
+    }
+
+    fn angles(&self) -> [HalfAngle; 2] {
+        self.known().map_or_else(|| [self.from, self.to].map(HalfAngle::at), |known| known.angles)
+    }
+
+    fn time_weights(&self, k: usize) -> [f64; 2] {
+        let known = self.known().map(|known| known.time_weights[k]);
+        known.unwrap_or_else(|| time_weights(self.from, self.part(k)))
+    }
+}
+
+/// What all pieces have in common on a stretch, whatever their densities and lengths.
+#[derive(Clone, Copy, Debug)]
+struct Known {
+    angles: [HalfAngle; 2],
+    /// To every place, the start included.
+    time_weights: [[f64; 2]; STRETCH_PLACES + 1],
+}
+
+/// The halved stretches, in the order of their numbers: down to 1/128 of a piece.
+static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
+    let mut stretches = vec![Stretch::WHOLE];
+    for k in 0..127 {
+        stretches.extend(stretches[k].halves());
+    }
+    let known = |s: &Stretch| Known {
+        angles: [s.from, s.to].map(HalfAngle::at),
+        time_weights: std::array::from_fn(|k| time_weights(s.from, s.part(k))),
+    };
+    stretches.iter().map(known).collect()
+});
 
 /// x - sin x for 0 <= x <= pi/2 to rounding of itself.
 fn angle_less_sine(x: f64) -> f64 {
@@ -289,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fourth_derivative_is_bounded_and_what_is_looked_up_is_the_same() {
+    fn the_fourth_derivative_is_bounded() {
         for (d1, d2) in [(0.02, 0.05), (0.05, 0.02), (1e-3, 3.0), (0.3, 0.301)] {
             let p = piece(d1, d2, 0.2);
             // d/dt = 1/(D L) d/dx, three times from the feed 1/D, by central differences.
@@ -301,7 +372,7 @@ mod tests {
             let second = |x: f64| rate(&feed, x);
             let third = |x: f64| rate(&second, x);
             for (from, to) in [(0.05, 0.1), (0.4, 0.65), (0.5, 0.53), (0.9, 0.95)] {
-                let bound = p.fourth_derivative_bound([from, to].map(|x| p.place(x)));
+                let bound = p.fourth_derivative_bound(p.ends(&Stretch::new(from, to)));
                 let at = |i: i32| from + (to - from) * f64::from(i) / 50.0;
                 let largest = (0..=50).map(|i| rate(&third, at(i)).abs()).fold(0.0, f64::max);
                 // The differences are good to some step^2 times (d2 / d1 - 1), at most 1 %.
@@ -309,15 +380,25 @@ mod tests {
             }
             // At a tenth of a percent of difference only one term counts: the bound is sharp.
             let nearly = piece(0.3, 0.3003, 0.2);
-            let bound = nearly.fourth_derivative_bound([0.5, 0.53].map(|x| nearly.place(x)));
+            let bound = nearly.fourth_derivative_bound(nearly.ends(&Stretch::new(0.5, 0.53)));
             let exact = 0.5 * (PI / 0.2).powi(3) * 0.0003 / 0.300_15_f64.powi(5);
             assert!((bound / exact - 1.0).abs() < 0.01, "{bound} {exact}");
         }
-        for k in 0..=2 * PLACES {
-            let x = k as f64 / (2 * PLACES) as f64;
-            let angle = 0.5 * PI * x;
-            assert_eq!(half_angle(x).sine(), angle.sin());
-            assert_eq!(half_angle(x).less_sine(), angle_less_sine(angle));
+    }
+
+    #[test]
+    fn what_is_looked_up_is_the_same_to_the_last_bit() {
+        let mut stretches = vec![Stretch::WHOLE];
+        for k in 0..400 {
+            stretches.extend(stretches[k].halves());
+        }
+        assert!(stretches[254].known().is_some() && stretches[255].known().is_none());
+        for s in stretches {
+            let same = Stretch::new(s.from, s.to);
+            assert_eq!(s.angles(), same.angles());
+            for k in 0..=STRETCH_PLACES {
+                assert_eq!(s.time_weights(k), same.time_weights(k), "{s:?} {k}");
+            }
         }
     }
 

@@ -5,8 +5,8 @@ use std::fs;
 use planish_fixture::{Fixture, Recipe, make};
 use planish_testkit::workspace;
 use planish_toolpath::{
-    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
-    Turn, maze, random_adaptive, raster,
+    Construction, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree, maze,
+    random_adaptive, raster,
 };
 use planish_types::{Surface, Tif, ToolPath};
 
@@ -60,16 +60,6 @@ pub fn fixture(name: &str, noise: bool) -> Fixture {
 /// Lines `pitch_mm` apart, which the tool leaves the part between.
 pub fn lines(desired: &Surface, tif: &Tif, pitch_mm: f64, scan: Scan) -> ToolPath {
     let [x, y] = tif.half_size_mm();
-    let settings = RasterSettings {
-        pitch_mm,
-        step_mm: pitch_mm,
-        overscan_mm: x.max(y),
-        scan,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
+    let settings = RasterSettings { scan, ..RasterSettings::new(pitch_mm, pitch_mm, x.max(y)) };
     raster(desired, &settings).expect("a path")
 }

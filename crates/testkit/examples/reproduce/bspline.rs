@@ -14,7 +14,7 @@ use planish_fixture::make;
 use planish_numerics::{bspline::Knots, quadrature::gauss_legendre};
 use planish_simulate::simulate;
 use planish_testkit::machine;
-use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{RasterSettings, raster};
 use planish_types::{DwellDensity, Surface, Tif};
 use planish_verify::{VerifySettings, verify};
 
@@ -35,21 +35,8 @@ pub fn reproduce() -> Outcome {
     let part = make(&strip).expect("a fixture");
     let (surface, tif) = (&part.surface, &part.tif);
     let limits = machine([20.0, 20.0], [200.0, 200.0]);
-    let path = raster(
-        surface,
-        &RasterSettings {
-            pitch_mm: 0.2,
-            step_mm: 0.2,
-            overscan_mm: tif.half_size_mm()[0],
-            scan: Scan::X,
-            turn: Turn::Square,
-            line_origin_mm: None,
-            order: LineOrder::Sequential,
-            one_directional: false,
-            pitch_range_mm: None,
-        },
-    )
-    .expect("a raster");
+    let path =
+        raster(surface, &RasterSettings::new(0.2, 0.2, tif.half_size_mm()[0])).expect("a raster");
     let base = Settings { tolerance: 1e-2, max_sweeps: 40, ..Settings::default() };
     let with = |settings: Settings| plan(surface, tif, &path, &limits, &settings).expect("a feed");
     let spline = with(base);

@@ -14,7 +14,7 @@ use ndarray::Array2;
 use planish_schedule::average_velocity;
 use planish_simulate::{Settings, simulate};
 use planish_testkit::ion_beam;
-use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
+use planish_toolpath::{RasterSettings, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 
 const PIXEL_MM: f64 = 0.05;
@@ -97,15 +97,8 @@ pub fn lines(part: &Surface, pitch_mm: f64, overscan_mm: f64) -> ToolPath {
 /// The same in steps of at most `step_mm`.
 pub fn lines_in_steps(part: &Surface, pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> ToolPath {
     let settings = RasterSettings {
-        pitch_mm,
-        step_mm,
-        overscan_mm,
-        scan: Scan::X,
-        turn: Turn::Square,
         line_origin_mm: Some(0.0),
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
+        ..RasterSettings::new(pitch_mm, step_mm, overscan_mm)
     };
     raster(part, &settings).expect("a raster")
 }

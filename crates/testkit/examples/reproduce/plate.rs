@@ -9,7 +9,7 @@ use planish_simulate::{Settings, simulate};
 use planish_surface::psd::{Detrend, Psd, PsdSettings, Window, psd};
 use planish_testkit::ion_beam;
 use planish_toolpath::{
-    LineOrder, RasterSettings, Scan, Turn,
+    RasterSettings,
     multi_pitch::{Links, MultiPitchSettings, multi_pitch},
     raster,
 };
@@ -83,17 +83,7 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
     let several = with(Links::Outside);
     let pitch_mm: Vec<f64> = several.report.classes.iter().map(|c| c.pitch_mm).collect();
     let class = |region: i64| several.report.regions[region as usize].class;
-    let one = RasterSettings {
-        pitch_mm: WIDEST_MM,
-        step_mm: 1.0,
-        overscan_mm,
-        scan: Scan::X,
-        turn: Turn::Square,
-        line_origin_mm: None,
-        order: LineOrder::Sequential,
-        one_directional: false,
-        pitch_range_mm: None,
-    };
+    let one = RasterSettings::new(WIDEST_MM, 1.0, overscan_mm);
     let one = raster(&part, &one).expect("a raster");
 
     let run = |path: &ToolPath| execute(&part, &tif, path, max_velocity_mm_per_s);

@@ -14,8 +14,8 @@ use planish_simulate::{Settings, simulate};
 use planish_surface::tif_fit;
 use planish_testkit::{ion_beam, mirror::mirror};
 use planish_toolpath::{
-    Construction, LineOrder, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree,
-    Turn, maze, random_adaptive, raster, statistics,
+    Construction, MazeSettings, RandomAdaptiveSettings, RasterSettings, Tree, maze,
+    random_adaptive, raster, statistics,
 };
 use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{Verdict, VerifySettings, verify};
@@ -148,21 +148,7 @@ fn rms_acceleration(t: &Trajectory) -> f64 {
 fn own_path(name: &str, part: &Surface, tif: &Tif) -> ToolPath {
     let overscan_mm = largest(tif.half_size_mm());
     match name {
-        "raster" => raster(
-            part,
-            &RasterSettings {
-                pitch_mm: 1.0,
-                step_mm: 1.0,
-                overscan_mm,
-                scan: Scan::X,
-                turn: Turn::Square,
-                line_origin_mm: None,
-                order: LineOrder::Sequential,
-                one_directional: false,
-                pitch_range_mm: None,
-            },
-        )
-        .expect("a raster"),
+        "raster" => raster(part, &RasterSettings::new(1.0, 1.0, overscan_mm)).expect("a raster"),
         "maze" => {
             maze(
                 part,
