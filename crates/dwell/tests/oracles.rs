@@ -194,7 +194,9 @@ fn objective(case: &Case, settings: &Settings, t: &[f64]) -> f64 {
     }
     let strongest = energy.iter().copied().fold(0.0, f64::max);
     residual *= &valid;
-    let squares = residual.mapv(|r| r * r).sum() - residual.sum().powi(2) / total;
+    // The piston first: its square is 1e9 times what is left.
+    let mean = residual.sum() / total;
+    let squares = ((residual - mean).mapv(|r| r * r) * &valid).sum();
     let Bound::Seconds(lo) = settings.min_dwell else { panic!("a bound in seconds") };
     // In (1) an unreached column stays at its bound.
     let held: Vec<f64> =

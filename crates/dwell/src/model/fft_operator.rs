@@ -30,7 +30,8 @@ use planish_types::{Grid, Tif};
 use rayon::prelude::*;
 
 use crate::model::columns::Place;
-use lattice::{Lattice, Placed, Spread, kernel, placed, samples};
+pub use lattice::Spread;
+use lattice::{Lattice, Placed, kernel, placed, samples, without_ghosts};
 use spill::{Across, LINES_PER_TASK};
 pub use sums::Sums;
 
@@ -53,19 +54,28 @@ const NEGLIGIBLE_SPILL: f64 = 1e-14;
 impl FftOperator {
     /// Plans for the columns of one path, TIF and map.
     pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
-        Self::spreading(places, tif, grid, Spread::Keys)
+        Self::spreading(places, tif, grid, Spread::Keys, true)
     }
 
-    /// C S with cubic splines in the place of Keys' interpolation, of samples that are continued by zeros: for a
-    /// surrogate, whose samples are so few that Keys' weights would be too rough and ghost nodes far from R.
-    pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
-        Self::spreading(places, tif, grid, Spread::Splines)
+    /// C S alone, of samples that are continued by zeros: for a surrogate. With few samples Keys' weights are too rough
+    /// and ghost nodes far from R.
+    pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread) -> Self {
+        Self::spreading(places, tif, grid, spread, false)
     }
 
-    fn spreading(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread) -> Self {
+    fn spreading(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        grid: &Grid,
+        spread: Spread,
+        border: bool,
+    ) -> Self {
         let x = Lattice::new(&grid.x, &tif.grid().x, spread);
         let y = Lattice::new(&grid.y, &tif.grid().y, spread);
-        let samples = samples(tif, &x, &y);
+        let mut samples = samples(tif, &x, &y);
+        if !border {
+            samples = without_ghosts(samples);
+        }
         let shape = (y.sources(), x.sources());
         let convolution = Convolution::new(kernel(&samples, spread).view(), shape);
         let placed = placed(places, &x, &y);
@@ -79,7 +89,7 @@ impl FftOperator {
         let columns_across = Across::new(x, y, samples.t(), swapped);
         let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let (my, mx) = samples.dim();
-        let spills = spread == Spread::Keys
+        let spills = border
             && samples.indexed_iter().any(|((r, c), v)| {
                 let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
                 (at_border(r, my) || at_border(c, mx)) && v.abs() > NEGLIGIBLE_SPILL * peak
@@ -216,7 +226,7 @@ mod tests {
         let expected = by_columns(&places, &tif, &coarse, &t);
         let operator = FftOperator::new(&places, &tif, &coarse);
         let error = largest(&(operator.apply(&t) - &expected)) / largest(&expected);
-        let spilling = FftOperator::without_border(&places, &tif, &coarse);
+        let spilling = FftOperator::without_border(&places, &tif, &coarse, Spread::Keys);
         let spill = largest(&(spilling.apply(&t) - &expected)) / largest(&expected);
         // Keys' interpolation of samples at 0.13 mm of a bell of 0.7 mm; the border is 0.3 of 1.3.
         assert!(error < 5e-3 && spill > 10.0 * error, "{error} {spill}");
@@ -243,7 +253,8 @@ mod tests {
             };
             (0..40).map(of).fold(0.0, f64::max)
         };
-        let [coarse, fine] = [0.4, 0.2].map(|h| error(h, FftOperator::without_border));
+        let [coarse, fine] = [0.4, 0.2]
+            .map(|h| error(h, |p, t, g| FftOperator::without_border(p, t, g, Spread::Splines)));
         // 2^4 and the next order; Keys' weights are of the third.
         assert!((13.0..26.0).contains(&(coarse / fine)), "{coarse} {fine}");
         let by_keys = error(0.4, FftOperator::new);
@@ -254,9 +265,16 @@ mod tests {
     fn sums_of_few_columns_are_those_of_the_operator() {
         let (path, tif, map) = case(0.3);
         let places = [Columns::Segment.places(&path), places(&map)].concat();
-        let operator = FftOperator::without_border(&places, &tif, &map);
-        let sums = Sums::new(&places, &tif, &map, 20.0);
-        for columns in [0..3, 17..18, 40..200, 0..places.len()] {
+        let whole = 0..places.len();
+        for (spread, columns) in [
+            (Spread::Keys, 0..3),
+            (Spread::Splines, 17..18),
+            (Spread::Keys, 40..200),
+            (Spread::Keys, whole.clone()),
+            (Spread::Splines, whole),
+        ] {
+            let operator = FftOperator::without_border(&places, &tif, &map, spread);
+            let sums = Sums::new(&places, &tif, &map, 20.0, spread);
             let t: Vec<(usize, f64)> = columns.map(|j| (j, 1.0 + (j as f64).cos())).collect();
             let mut all = vec![0.0; places.len()];
             t.iter().for_each(|(j, t)| all[*j] = *t);

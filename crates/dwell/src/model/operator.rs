@@ -214,6 +214,7 @@ pub fn normal_matrix(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::fft_operator::Spread;
     use planish_testkit::maps::largest_difference;
     use planish_types::Axis;
     use rand::{RngExt, SeedableRng};
@@ -262,7 +263,7 @@ mod tests {
         };
         let fft = Operator::Fft(Box::new(FftOperator::new(&places, &tif, &grid)));
         let removal = Removal::Stored(Stored::new(&places, &tif, &grid));
-        let without_border = FftOperator::without_border(&places, &tif, &grid);
+        let without_border = FftOperator::without_border(&places, &tif, &grid, Spread::Splines);
         let pairs: [Pair<'_>; 4] = [
             ("stored", stored.apply(&t), stored.adjoint(&m)),
             ("FFT", fft.apply(&t), fft.adjoint(&m)),

@@ -12,7 +12,7 @@ use super::{
 use crate::{
     model::{
         columns::Place,
-        fft_operator::{FftOperator, Sums},
+        fft_operator::{FftOperator, Spread, Sums},
     },
     objective::{Basis, Free, Penalty},
 };
@@ -56,8 +56,12 @@ impl Convolved {
         };
         let grid = Grid { x: axis(&map.x)?, y: axis(&map.y)? };
         let cells = on_cells(weight, grid.shape(), size);
-        let tif = if size == 1 { tif.clone() } else { sampled(tif, map, size)? };
-        let b = FftOperator::without_border(places, &tif, &grid);
+        // On cells of one pixel H~ is H but for what spills over the border of R.
+        let (tif, spread) = match size {
+            1 => (tif.clone(), Spread::Keys),
+            _ => (sampled(tif, map, size)?, Spread::Splines),
+        };
+        let b = FftOperator::without_border(places, &tif, &grid, spread);
         let basis = Basis::new(&grid, &cells, free);
         let u = basis.columns(&cells, |m| b.adjoint(m));
         let mut diagonal = b.adjoint_of_squared_tif(&cells);
@@ -69,7 +73,7 @@ impl Convolved {
             let lengths = places.iter().zip(&short).filter(|(_, short)| **short);
             let longest = lengths.map(|(places, _)| length_mm(places)).fold(0.0, f64::max);
             // What is under a spline has its centre there.
-            let sums = Sums::new(places, &tif, &grid, 4.0 * pitch + 2.0 * longest);
+            let sums = Sums::new(places, &tif, &grid, 4.0 * pitch + 2.0 * longest, spread);
             let nodes = Nodes::new(places, &short, pitch);
             let coarse = Coarse::new(&nodes, &sums, &short);
             Splines { sums, nodes, coarse }

@@ -375,7 +375,10 @@ fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
 mod tests {
     use super::*;
     use crate::{
-        model::{columns::Columns, fft_operator::FftOperator},
+        model::{
+            columns::Columns,
+            fft_operator::{FftOperator, Spread},
+        },
         objective::{PenaltyScale, PenaltyWeights},
     };
     use planish_numerics::linear::skyline::dot;
@@ -401,7 +404,7 @@ mod tests {
         let n = points.len() - 1;
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         let places = Columns::Segment.places(&path);
-        let b = FftOperator::without_border(&places, &tif, &map);
+        let b = FftOperator::without_border(&places, &tif, &map, Spread::Keys);
         let weight =
             Array2::from_shape_fn(map.shape(), |(r, c)| if r < 5 && c > 20 { 0.0 } else { 1.0 });
         let weights =
@@ -423,7 +426,7 @@ mod tests {
             penalty.add_product(t, &mut h_t);
             h_t
         };
-        let sums = Sums::new(&places, &tif, &map, 5.0);
+        let sums = Sums::new(&places, &tif, &map, 5.0, Spread::Keys);
         let nodes = Nodes::new(&places, &vec![true; n], 1.0);
         let mut coarse = Coarse::new(&nodes, &sums, &vec![true; n]);
         // From one to the other only what changed is computed.

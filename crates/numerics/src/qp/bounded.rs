@@ -32,6 +32,9 @@ const STEPS_BETWEEN_LOOKS: usize = 50;
 /// Gradient steps that make progress where an active set method has failed.
 pub const DESCENT_STEPS: usize = 300;
 
+/// Products after which [`conjugate_gradients`] has come down to the rounding of its coarse solutions.
+const PRODUCTS_WITHOUT_PROGRESS: usize = 60;
+
 /// Factorisations without a smaller natural residual after which [`active_set`] is cycling.
 const CYCLING_AFTER: usize = 10;
 
@@ -357,7 +360,7 @@ pub fn active_set_by_products<D: Deflation>(
 /// ```
 ///
 /// Source: J. M. Tang, R. Nabben, C. Vuik, Y. A. Erlangga, J. Sci. Comput. 39 (2009) 340, method A-DEF2.
-/// Ends where `r' z <= inexact^2 * (fall so far)`, with the number of products.
+/// Ends where `r' z <= inexact^2 * (fall so far)`, or falls no more, with the number of products.
 fn conjugate_gradients(
     apply: &impl Fn(&[f64]) -> Vec<f64>,
     deflation: &impl Deflation,
@@ -383,13 +386,18 @@ fn conjugate_gradients(
     let mut r = masked(q);
     let (mut p, mut rz) = (vec![0.0; n], 0.0);
     let mut products = 1;
+    let (mut least, mut at_least) = (f64::INFINITY, products);
     while products < most {
         let mut z = deflation.smooth(&r);
         let left: Vec<f64> = apply(&z).iter().zip(&r).map(|(h, r)| r - h).collect();
         products += 1;
         z.iter_mut().zip(deflation.coarse(&left)).for_each(|(z, c)| *z += c);
         let next = dot(&r, &z);
-        if next <= inexact * inexact * fall {
+        if next < least {
+            (least, at_least) = (next, products);
+        }
+        let is_rounding = products > at_least + PRODUCTS_WITHOUT_PROGRESS;
+        if next <= inexact * inexact * fall || is_rounding {
             break;
         }
         let b = if rz > 0.0 { next / rz } else { 0.0 };

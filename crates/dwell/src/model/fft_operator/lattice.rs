@@ -119,15 +119,20 @@ pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
     .collect()
 }
 
-/// What is convolved with the spread dwell times, for the samples of R with ghost nodes.
+/// Zeros in place of the ghost nodes.
+pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
+    let (my, mx) = samples.dim();
+    samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
+    samples.slice_mut(s![.., ..;mx - 1]).fill(0.0);
+    samples
+}
+
+/// What is convolved with the spread dwell times, for samples of R.
 pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     let mut kernel = samples.clone();
     if spread == Spread::Keys {
         return kernel;
     }
-    let (my, mx) = kernel.dim();
-    kernel.slice_mut(s![..;my - 1, ..]).fill(0.0);
-    kernel.slice_mut(s![.., ..;mx - 1]).fill(0.0);
     // c_{j-1} / 6 + 4 c_j / 6 + c_{j+1} / 6 = R_j along one axis, then along the other
     for axis in [0, 1] {
         for mut line in kernel.lanes_mut(NdAxis(axis)) {

@@ -6,7 +6,7 @@ use ndarray::{Array2, s};
 use planish_numerics::fft::convolution::Convolution;
 use planish_types::{Grid, Tif};
 
-use super::lattice::{Lattice, Placed, Spread, kernel, placed, samples};
+use super::lattice::{Lattice, Placed, Spread, kernel, placed, samples, without_ghosts};
 use crate::model::columns::{Patch, Place};
 
 /// Sums of a few columns of `FftOperator::without_border`, on the pixels that they reach.
@@ -23,16 +23,23 @@ pub struct Sums {
 
 impl Sums {
     /// For columns whose places are within a square of `size_mm`.
-    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64) -> Self {
-        let x = Lattice::new(&grid.x, &tif.grid().x, Spread::Splines);
-        let y = Lattice::new(&grid.y, &tif.grid().y, Spread::Splines);
+    pub fn new(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        grid: &Grid,
+        size_mm: f64,
+        spread: Spread,
+    ) -> Self {
+        let x = Lattice::new(&grid.x, &tif.grid().x, spread);
+        let y = Lattice::new(&grid.y, &tif.grid().y, spread);
         // In the order of the columns.
         let placed = placed(places, &x, &y);
         let before = |j: usize| placed.partition_point(|p| (p.column as usize) < j) as u32;
         let first = (0..=places.len()).map(before).collect();
         let nodes = |l: &Lattice| (size_mm / l.step_mm).ceil() as usize + 5;
         let room = (nodes(&y), nodes(&x));
-        let correlation = full_correlation(&kernel(&samples(tif, &x, &y), Spread::Splines), room);
+        let correlation =
+            full_correlation(&kernel(&without_ghosts(samples(tif, &x, &y)), spread), room);
         Self { x, y, placed, first, room, correlation }
     }
 
