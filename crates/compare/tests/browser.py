@@ -313,7 +313,7 @@ def check_playback(browser, run, entry):
     browser.settle()
     hover = browser.js("planish.state.hoverTime")
     total = browser.js(f"planish.ENTRIES[{entry}].total")
-    check("the charts are linked with the path", hover is not None and 0.3 * total < hover < 0.7 * total and f"t {hover:.1f}"[:6] in read_text(browser, "path"), read_text(browser, "path"))
+    check("the charts are linked with the path", hover is not None and 0.3 * total < hover < 0.7 * total and f"t {int(hover)}." in read_text(browser, "path"), read_text(browser, "path"))
     browser.click(r[0] + 0.5 * r[2], r[1] + 0.5 * r[3])
     browser.key("+", "+")
     browser.settle()
