@@ -87,6 +87,33 @@ class Whole:
         return {"pixels": nx * ny, "points": points, "dwell": solved, "schedule": moved, "simulate": removed}
 
 
+def certified(whole):
+    """Bounded least squares with its certificate, by pitch and by size: the least time is 0.1 s per mm^2 on the flat, and 0.1 s a
+    point on the disks."""
+    rows = []
+    for name, pitch, runs in (
+        ("flat-92x16", 1.0, 3), ("flat-92x16", 0.5, 3), ("flat-92x16", 0.25, 3), ("disk-1641", 0.5, 3), ("disk-4096", 0.5, 1),
+    ):
+        at = whole.out / name
+        least_s = 0.1 * pitch**2 if name.startswith("flat") else 0.1
+        mirror = ["--surface", at / "fixture/surface", "--tif", at / "fixture/tif"]
+        path = at / f"path-{pitch}"
+        run([whole.stages / "planish-toolpath", "raster", *mirror, "--pitch-mm", pitch, "--step-mm", pitch, "--out", path])
+        flags = ["bounded-least-squares", "--min-dwell-s", least_s, *mirror, "--tool-path", path, "--out", at / f"certified-{pitch}"]
+        row = whole.measure(name, "", "dwell", *flags, runs=runs)
+        whole.rows.remove(row)
+        found = json.loads((at / f"certified-{pitch}/manifest.json").read_text())["outcome"]["report"]
+        points = len(np.load(path / "dwell_point_mm.npy", mmap_mode="r"))
+        gap = "none" if found["end"] != "optimal" else f"{found['relative_gap']:.0e}"
+        rows.append((
+            name, pitch, points, runs, figures(row["least_s"]), figures(row["median_s"]), figures(row["memory_mib"]),
+            f"{found['model_rms_nm']:.4f}", f"{found['total_time_s']:.1f}", gap,
+        ))
+    return table(
+        ["part", "pitch, mm", "points", "runs", "least, s", "median, s", "memory, MiB", "RMS, nm", "total, s", "relative gap"], rows
+    )
+
+
 def exponent(sizes, times):
     """Slope of log(time) against log(size), least squares."""
     return np.polyfit(np.log(sizes), np.log(times), 1)[0]
@@ -201,6 +228,7 @@ def main():
         ],
     ))
     put("growth", growth(disks))
+    put("certified", certified(whole))
     put("ratios", ratios(medians))
     put("residual", residuals(whole, stages))
     put("peers", table(head, in_ms(peers.measure())))

@@ -56,7 +56,9 @@
 //! | `settings` | how to solve, and the columns and bounds of a program |
 //! | `prepared` | (1) and (2) with everything that is computed once |
 //! | `minimise` | the steps, and the robust weights |
+//! | `weighted` | (1) itself, its gradient, and its least value along steps |
 //! | `certificate` | the bound on what is missing |
+//! | `unbounded` | how the two-level method comes to that bound |
 //! | `discrepancy` | the smoothness that the noise asks for |
 //! | `report` | what is told of the result |
 
@@ -66,6 +68,8 @@ mod minimise;
 mod prepared;
 mod report;
 mod settings;
+mod unbounded;
+mod weighted;
 
 use ndarray::Array2;
 use planish_types::{Invalid, Surface, Tif, ToolPath};

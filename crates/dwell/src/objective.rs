@@ -3,8 +3,9 @@
 //! Both are quadratic in the dwell times, and their matrices are cheap: a few outer products U U', and the
 //! tridiagonal matrix L of the penalty. The equations are those of [`crate::bounded_least_squares`].
 
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView1};
 use planish_types::{Axis, Grid, Tif, ToolPath};
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// A segment shorter than this fraction of the median is a rest, whose length says nothing about the dwell
@@ -103,15 +104,20 @@ impl Basis {
     /// `sum_i w_i m_i f(x_i)` for every function.
     pub fn coefficients(&self, weight: &Array2<f64>, map: &Array2<f64>) -> Vec<f64> {
         // By rows: sums of w m and of w m x.
-        let mut sums = vec![0.0; self.functions.len()];
-        for (r, (w, m)) in weight.outer_iter().zip(map.outer_iter()).enumerate() {
+        let of_row = |(w, m): (ArrayView1<f64>, ArrayView1<f64>)| {
             let (mut plain, mut along) = (0.0, 0.0);
             for ((w, m), x) in w.iter().zip(m).zip(&self.x_mm) {
                 plain += w * m;
                 along += w * m * x;
             }
+            (plain, along)
+        };
+        let rows = (weight.outer_iter().into_par_iter()).zip(map.outer_iter().into_par_iter());
+        let rows: Vec<(f64, f64)> = rows.map(of_row).collect();
+        let mut sums = vec![0.0; self.functions.len()];
+        for ((plain, along), y) in rows.into_iter().zip(&self.y_mm) {
             for (sum, f) in sums.iter_mut().zip(&self.functions) {
-                *sum += (f[0] + f[2] * self.y_mm[r]) * plain + f[1] * along;
+                *sum += (f[0] + f[2] * y) * plain + f[1] * along;
             }
         }
         sums
@@ -120,14 +126,14 @@ impl Basis {
     /// Takes the component in the functions out of the map.
     pub fn project(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
         let coefficients = self.coefficients(weight, map);
-        for (mut row, y) in map.outer_iter_mut().zip(&self.y_mm) {
+        map.outer_iter_mut().into_par_iter().zip(&self.y_mm).for_each(|(mut row, y)| {
             let (mut at_0, mut slope) = (0.0, 0.0);
             for (k, f) in coefficients.iter().zip(&self.functions) {
                 at_0 += k * (f[0] + f[2] * y);
                 slope += k * f[1];
             }
             row.iter_mut().zip(&self.x_mm).for_each(|(m, x)| *m -= at_0 + slope * x);
-        }
+        });
     }
 
     /// `U = B' W f` for every function, `adjoint` being B'.
@@ -143,6 +149,16 @@ impl Basis {
         };
         self.functions.iter().map(of).collect()
     }
+}
+
+/// `sum_i w_i a_i b_i`: a sum by rows, whatever the number of threads.
+pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    let of_row = |((w, a), b): ((ArrayView1<f64>, ArrayView1<f64>), ArrayView1<f64>)| {
+        w.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum::<f64>()
+    };
+    let rows = weight.outer_iter().into_par_iter().zip(a.outer_iter().into_par_iter());
+    let sums: Vec<f64> = rows.zip(b.outer_iter().into_par_iter()).map(of_row).collect();
+    sums.iter().sum()
 }
 
 /// What the terms of the penalty weigh.

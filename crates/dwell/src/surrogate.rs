@@ -26,14 +26,16 @@
 //! | `ordered` | skyline Cholesky factorisations on the active sets |
 //! | `convolved` | products with H~ by FFT: conjugate gradients on the active sets, or gradient steps |
 //! | `two_level` | what makes these conjugate gradients fast: a lattice of B-splines and a chain |
+//! | `stencils` | the matrix of that lattice |
 //! | `resolution` | how large the cells and how wide the splines are |
 
 mod convolved;
 mod ordered;
 mod resolution;
+mod stencils;
 mod two_level;
 
-pub use convolved::Convolved;
+pub use convolved::{Convolved, Unbounded};
 pub use ordered::Ordered;
 pub use resolution::{
     MAX_LOSS_FACTORISED, MAX_LOSS_GRADIENT, MAX_LOSS_TWO_LEVEL, cell_size, spline_pitch,

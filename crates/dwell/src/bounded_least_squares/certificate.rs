@@ -13,6 +13,8 @@
 /// curvature: the bounds are exact in it, and where they are finite a component adds at most
 /// `q_j (t_j - lo_j)` or `q_j (t_j - hi_j)`, whatever c_j.
 ///
+/// t may be anything: also beyond its bounds `f(t)` less this is a lower bound of the minimum.
+///
 /// `None` without alpha.
 pub fn gap(
     t: &[f64],
@@ -28,4 +30,51 @@ pub fn gap(
         p * (q[j] - 0.5 * c[j] * p)
     };
     c.iter().all(|c| *c > 0.0).then(|| (0..t.len()).filter(|j| reached[*j]).map(of).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_numerics::{
+        linear::skyline::{Skyline, dot},
+        qp::bounded::{Quadratic, active_set},
+    };
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn it_is_a_bound_anywhere_and_tight_at_the_minimum() {
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        for case in 0..200 {
+            let n = 1 + case % 11;
+            // f = t'Ht / 2 - g't,  H = B'B + C
+            let mut random = |low: f64, high: f64| -> Vec<f64> {
+                (0..n).map(|_| rng.random_range(low..high)).collect()
+            };
+            let c = random(0.05, 0.5);
+            let b: Vec<Vec<f64>> = (0..n).map(|_| random(-1.0, 1.0)).collect();
+            let g = random(-2.0, 2.0);
+            let mut k = Skyline::zeros(vec![0; n]);
+            k.fill(|i, row| {
+                for (j, v) in row.iter_mut().enumerate() {
+                    *v = dot(&b[i], &b[j]) + if i == j { c[i] } else { 0.0 };
+                }
+            });
+            let h = Quadratic { k, u: Vec::new() };
+            let (lo, hi) = (vec![-0.3; n], vec![0.6; n]);
+            let f = |t: &[f64]| 0.5 * dot(t, &h.product(t)) - dot(&g, t);
+            let of = |t: &[f64]| {
+                let q: Vec<f64> = h.product(t).iter().zip(&g).map(|(h, g)| h - g).collect();
+                gap(t, &q, &lo, &hi, &c, &vec![true; n]).unwrap()
+            };
+            // The rounding of a solution whose condition number is below 1e3, of order 1.
+            let least = active_set(&h, &g, &lo, &hi, &lo, 0.0, 200).unwrap().value;
+            assert!(of(&least).abs() < 1e-12, "case {case}: {}", of(&least));
+            for wide in [0.5, 5.0] {
+                let t = random(-wide, wide);
+                let bound = f(&t) - of(&t);
+                assert!(bound <= f(&least) + 1e-12, "case {case}: {bound} {}", f(&least));
+            }
+        }
+    }
 }

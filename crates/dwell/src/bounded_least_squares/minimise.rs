@@ -9,14 +9,15 @@ use planish_numerics::{
 use planish_types::{End, progress};
 
 use super::{
-    certificate::gap,
     prepared::BoundedProblem,
-    settings::{Product, Settings},
+    settings::Settings,
+    unbounded::clipped,
+    weighted::{Weighted, add_scaled, scaled},
 };
 use crate::{
     DwellError,
     objective::{Basis, Penalty},
-    surrogate::Surrogate,
+    surrogate::{Surrogate, Unbounded},
 };
 
 /// Corrections that a problem usually takes, for an estimate of the time, and the part after so many of them.
@@ -26,31 +27,22 @@ const BEFORE_LAST: f64 = 0.9;
 /// Most steps of H~; measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
 
-/// An easier problem than (1), see [`BoundedProblem::approach`].
-struct Rough {
-    /// Weights of the penalty over those of (1).
-    weight: f64,
-    /// Pitch of the splines over that for (1).
-    splines: f64,
-    /// Side of the cells over that for (1).
-    cells: usize,
-}
+/// Easier problems than (1), one after the other, see [`BoundedProblem::approach`]: the weights of the penalty and the
+/// pitch of the splines, both over those of (1). By the time that problems took: a third one, or smaller steps of the
+/// weights, cost what they save.
+const ROUGH_PROBLEMS: [(f64, f64); 2] = [(1e3, 2.0), (30.0, 1.5)];
 
-/// One after the other. By the time that problems took: a third one, or smaller steps of the weights, cost what they
-/// save.
-const ROUGH_PROBLEMS: [Rough; 2] = [
-    Rough { weight: 1e3, splines: 2.0, cells: 2 },
-    Rough { weight: 30.0, splines: 1.35, cells: 1 },
-];
+/// The side of their cells over that for (1).
+const ROUGH_CELLS: usize = 2;
 
 /// alpha from which on a problem is no way to another: the penalty decides all of it.
 const MAX_ROUGH_TIKHONOV: f64 = 1e-2;
 
-/// Relative gap that an easier problem may leave. The bound is by the penalty alone; what it finds is nearer.
-const ROUGH_GAP: f64 = 10.0;
+/// Steps of H~ for an easier problem.
+const ROUGH_CORRECTIONS: usize = 1;
 
-/// Most steps of H~ for an easier problem; measured ones take 1.
-const MAX_ROUGH_CORRECTIONS: usize = 3;
+/// The same with a Huber loss, whose weights come with the second one.
+const ROUGH_CORRECTIONS_HUBER: usize = 3;
 
 /// A step that leaves more than this fraction of the natural residual is a slow one ...
 const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
@@ -63,10 +55,13 @@ const SLOW_STEPS_BEFORE_SHARPENING: usize = 2;
 const STAGNATION: f64 = 2e-4;
 
 /// Fraction of the natural residual that a step of the two-level method may leave.
-const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.1;
+const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.15;
 
 /// The same for gradient steps, which are not restarted as cheaply.
 const RESIDUAL_FRACTION_GRADIENT: f64 = 0.01;
+
+/// Most times that it goes on without bounds before the surrogate finds other sets.
+const MAX_ROUNDS_WITHOUT_BOUNDS: usize = 3;
 
 /// A step that promises to lower (1) by less than this fraction of it is rounding.
 const STEP_ROUNDING: f64 = 1e-15;
@@ -74,10 +69,6 @@ const STEP_ROUNDING: f64 = 1e-15;
 /// A step from which on the best one is taken to be the whole: only that puts the components that the
 /// surrogate has at their bounds on them.
 const WHOLE_STEP_FROM: f64 = 0.6;
-
-/// Two directions are as good as parallel when the determinant of their products is below this fraction of
-/// that of orthogonal ones.
-const MIN_DETERMINANT_FRACTION: f64 = 1e-9;
 
 /// A dwell time nearer to its bound than this fraction of itself differs from it by rounding.
 const BOUND_ROUNDING: f64 = 1e-13;
@@ -106,6 +97,8 @@ impl BoundedProblem<'_> {
     ///         t += p
     /// ```
     ///
+    /// Where the two-level method finds d, the next one is by [`Self::without_bounds`].
+    ///
     /// d is a descent direction whatever H~ is, and vanishes only at the minimum of (1). With the
     /// step before, p, this is the conjugate gradient method preconditioned by H~ as soon as the
     /// components at their bounds are settled. With a Huber loss every q has the weights of its own
@@ -123,22 +116,24 @@ impl BoundedProblem<'_> {
     pub(super) fn approach(&mut self, smoothness: f64) -> Result<usize, DwellError> {
         let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
         let mut iterations = 0;
-        for (k, rough) in ROUGH_PROBLEMS.iter().enumerate() {
-            let tikhonov = rough.weight * self.settings.tikhonov;
-            if self.is_guessed || tikhonov > MAX_ROUGH_TIKHONOV {
+        if self.is_guessed {
+            return Ok(0);
+        }
+        for (k, (weight, splines)) in ROUGH_PROBLEMS.into_iter().enumerate() {
+            let tikhonov = weight * self.settings.tikhonov;
+            if tikhonov > MAX_ROUGH_TIKHONOV {
                 continue;
             }
-            let cells = (rough.cells * cell, Some(rough.splines * pitch_mm));
+            let cells = (ROUGH_CELLS * cell, Some(splines * pitch_mm));
             let surrogate = self.convolved(cells)?;
             let fine = std::mem::replace(&mut self.surrogate, surrogate);
-            let settings = Settings {
-                tikhonov,
-                smoothness: rough.weight * smoothness,
-                relative_gap: ROUGH_GAP,
-                ..*self.settings
+            let settings = Settings { tikhonov, smoothness: weight * smoothness, ..*self.settings };
+            let corrections = match settings.huber_nm {
+                Some(_) => ROUGH_CORRECTIONS_HUBER,
+                None => ROUGH_CORRECTIONS,
             };
             let found = progress::part(k, 2 * ROUGH_PROBLEMS.len(), || {
-                self.minimise_by(&settings, MAX_ROUGH_CORRECTIONS)
+                self.minimise_by(&settings, corrections)
             });
             self.surrogate = fine;
             let found = found?;
@@ -173,30 +168,30 @@ impl BoundedProblem<'_> {
         let mut residual_before = f64::INFINITY;
         let mut first_gap = None;
         let (mut before, mut settled): (Option<(Vec<f64>, Array2<f64>)>, _) = (None, None);
+        let (mut unbounded, mut rounds): (Option<Unbounded>, _) = (None, 0);
+        // Largest lower bound of (1).
+        let mut bound = f64::NEG_INFINITY;
         loop {
-            // r = z - B t without its free part,  q = -B' W r + penalty
-            let mut r = &self.z - &removal_nm;
-            basis.project(&weight, &mut r);
             if let Some(k) = settings.huber_nm.filter(|_| corrections > 0) {
+                // That of before is one of other weights.
+                bound = f64::NEG_INFINITY;
+                let mut r = &self.z - &removal_nm;
+                basis.project(&weight, &mut r);
                 weight = huber_weights(&self.weight, &r, k);
                 basis = Basis::new(&grid, &weight, settings.free);
-                basis.project(&weight, &mut r);
             }
-            let mut q = self.b.adjoint(&(&r * &weight));
-            q.iter_mut().for_each(|q| *q = -*q);
-            penalty.add_gradient(&t, &mut q);
-            let mut objective = 0.5
-                * Zip::from(&r).and(&weight).fold(0.0, |sum, r, w| sum + w * r * r)
-                + penalty.value(&t);
-            if let Some(product) = self.quadratic {
-                let more = product(&t);
-                objective += 0.5 * dot(&t, &more);
-                q.iter_mut().zip(&more).for_each(|(q, more)| *q += more);
-            }
-
+            let weighted = Weighted {
+                penalty: &penalty,
+                basis: &basis,
+                weight: &weight,
+                quadratic: self.quadratic,
+            };
+            let (objective, q) = weighted.at(self, &t, &removal_nm);
             let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);
-            let relative_gap = gap(&t, &q, self.lo, &self.hi, penalty.alpha(), &self.reached)
-                .map(|gap| gap / objective.max(f64::MIN_POSITIVE));
+            let relative_gap = self.gap(&penalty, &t, &q).map(|gap| {
+                bound = bound.max(objective - gap);
+                (objective - bound).max(0.0) / objective.max(f64::MIN_POSITIVE)
+            });
             let usual = (corrections as f64 / USUAL_CORRECTIONS).min(BEFORE_LAST);
             let proven = relative_gap.map_or(0.0, |gap| {
                 let first = *first_gap.get_or_insert(gap);
@@ -226,17 +221,28 @@ impl BoundedProblem<'_> {
                 slow = 0;
                 self.sharpen(&penalty);
             }
-            // d by H~; where that is singular, by smaller cells
-            let mut to = t.clone();
-            while end.is_none() {
+            // d by what is found without bounds, or by H~; where that is singular, by smaller cells
+            let (mut to, mut free) = (None, None);
+            if let Some(from) = unbounded.take().filter(|_| end.is_none()) {
+                let most = settings.max_iterations.saturating_sub(iterations);
+                let wanted = (settings.relative_gap, most);
+                let found = self.without_bounds(&weighted, from, objective, wanted);
+                iterations += found.products;
+                bound = bound.max(found.bound);
+                if let Some(found) = found.end {
+                    let found_to = clipped(&found.t, self.lo, &self.hi);
+                    if -slope(&q, &t, &found_to) > STEP_ROUNDING * objective {
+                        (to, free) = (Some(found_to), Some(found.free));
+                    }
+                }
+            }
+            while end.is_none() && to.is_none() {
                 match &mut self.surrogate {
                     Surrogate::Ordered(h) => {
                         let h = h.penalised(&penalty);
                         if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
-                            (to, iterations) = (found, iterations + count);
-                            break;
-                        }
-                        if !self.sharpen(&penalty) {
+                            (to, iterations) = (Some(found), iterations + count);
+                        } else if !self.sharpen(&penalty) {
                             return Err(DwellError::Singular { tikhonov: settings.tikhonov });
                         }
                     }
@@ -253,18 +259,18 @@ impl BoundedProblem<'_> {
                             offset: objective,
                         };
                         let bounds = (self.lo, self.hi.as_slice());
-                        let (found, count) =
-                            h.minimum(&penalty, &t, &q, &self.reached, bounds, &steps);
-                        (to, iterations) = (found, iterations + count);
+                        let found = h.minimum(&penalty, &t, &q, &self.reached, bounds, &steps);
+                        (to, iterations) = (Some(found.t), iterations + found.iterations);
+                        // With a Huber loss the next q has other weights.
+                        unbounded = found.unbounded.filter(|_| settings.huber_nm.is_none());
                         if iterations >= settings.max_iterations {
                             end = Some(End::IterationLimit);
                         }
-                        break;
                     }
                 }
             }
-            let d: Vec<f64> = to.iter().zip(&t).map(|(to, t)| to - t).collect();
-            let slope: f64 = q.iter().zip(&d).map(|(q, d)| q * d).sum();
+            let to = to.unwrap_or_else(|| t.clone());
+            let slope = slope(&q, &t, &to);
             if end.is_none() && -slope <= STEP_ROUNDING * objective {
                 end = Some(if is_still { End::Optimal } else { End::Stagnated });
             }
@@ -279,39 +285,34 @@ impl BoundedProblem<'_> {
                     end,
                 });
             }
-            let quadratic = Along {
-                penalty: &penalty,
-                basis: &basis,
-                weight: &weight,
-                quadratic: self.quadratic,
-            };
+            let d: Vec<f64> = to.iter().zip(&t).map(|(to, t)| to - t).collect();
             let d_nm = self.b.apply(&d);
-            let curvature = quadratic.value(&d, &d_nm);
+            let curvature = weighted.curvature(&d, &d_nm);
             // The whole step lands on the bounds: nearly whole is made whole.
             let s = -slope / curvature;
             let s = if s > WHOLE_STEP_FROM { 1.0 } else { s };
             let mut fall = -s * slope - 0.5 * s * s * curvature;
             let mut step: Vec<f64> = d.iter().map(|d| s * d).collect();
-            let mut step_nm = &d_nm * s;
+            let mut step_nm = scaled(&d_nm, s);
             if let Some((p, p_nm)) = &before {
-                let [a, b] = quadratic.plane_minimum(&q, (&d, &d_nm, curvature), (p, p_nm));
+                let [a, b] = weighted.plane_minimum(&q, (&d, &d_nm, curvature), (p, p_nm));
                 let wanted: Vec<f64> = d.iter().zip(p).map(|(d, p)| a * d + b * p).collect();
                 let e: Vec<f64> = (0..t.len())
                     .map(|j| (t[j] + wanted[j]).clamp(self.lo[j], self.hi[j]) - t[j])
                     .collect();
                 // B e = a B d + b B p + B (what was clipped: few columns)
-                let clipped: Vec<f64> = e.iter().zip(&wanted).map(|(e, w)| e - w).collect();
-                let mut e_nm = &d_nm * a;
-                e_nm.scaled_add(b, p_nm);
-                e_nm += &self.b.apply(&clipped);
-                let other = -dot(&q, &e) - 0.5 * quadratic.value(&e, &e_nm);
+                let left_out: Vec<f64> = e.iter().zip(&wanted).map(|(e, w)| e - w).collect();
+                let mut e_nm = self.b.apply(&left_out);
+                add_scaled(&mut e_nm, a, &d_nm);
+                add_scaled(&mut e_nm, b, p_nm);
+                let other = -dot(&q, &e) - 0.5 * weighted.curvature(&e, &e_nm);
                 if other > fall {
                     (fall, step, step_nm) = (other, e, e_nm);
                 }
             }
             // The exact step of a descent direction falls but for rounding.
             let enough = if by_gradient { STAGNATION * objective } else { 0.0 };
-            if fall <= enough {
+            if fall <= enough && free.is_none() {
                 settled = Some(End::Stagnated);
             }
             if fall <= 0.0 {
@@ -320,8 +321,17 @@ impl BoundedProblem<'_> {
             for j in 0..t.len() {
                 t[j] = snapped(t[j] + step[j], self.lo[j], self.hi[j]);
             }
-            removal_nm += &step_nm;
-            before = Some((step, step_nm));
+            add_scaled(&mut removal_nm, 1.0, &step_nm);
+            // Where it was without bounds it may be so again, with those dwell times at their bounds that were beyond them.
+            if let Some(mut free) = free.filter(|_| rounds < MAX_ROUNDS_WITHOUT_BOUNDS) {
+                (0..t.len()).for_each(|j| free[j] &= self.lo[j] < t[j] && t[j] < self.hi[j]);
+                unbounded = Some(Unbounded { t: t.clone(), free });
+                rounds += 1;
+            } else {
+                rounds = 0;
+            }
+            // What goes on without bounds does not need it.
+            before = unbounded.is_none().then_some((step, step_nm));
             corrections += 1;
         }
     }
@@ -333,52 +343,9 @@ fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
     Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))
 }
 
-/// H of (1) along directions e with their removal B e.
-struct Along<'a> {
-    penalty: &'a Penalty,
-    basis: &'a Basis,
-    weight: &'a Array2<f64>,
-    quadratic: Option<Product<'a>>,
-}
-
-impl Along<'_> {
-    /// `e' H e`.
-    fn value(&self, e: &[f64], e_nm: &Array2<f64>) -> f64 {
-        self.between((e, e_nm), (e, e_nm))
-    }
-
-    /// `d' H p`.
-    fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
-        let mut curved = vec![0.0; p.0.len()];
-        self.penalty.add_product(p.0, &mut curved);
-        if let Some(product) = self.quadratic {
-            curved.iter_mut().zip(product(p.0)).for_each(|(c, more)| *c += more);
-        }
-        let free = |nm: &Array2<f64>| self.basis.coefficients(self.weight, nm);
-        Zip::from(d.1).and(p.1).and(self.weight).fold(0.0, |s, d, p, w| s + w * d * p)
-            - dot(&free(d.1), &free(p.1))
-            + dot(&curved, d.0)
-    }
-
-    /// Where `q'e + e'He / 2` is least for `e = a d + b p`:
-    ///
-    /// ```text
-    /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
-    /// ```
-    fn plane_minimum(
-        &self,
-        q: &[f64],
-        (d, d_nm, dd): (&[f64], &Array2<f64>, f64),
-        (p, p_nm): (&[f64], &Array2<f64>),
-    ) -> [f64; 2] {
-        let (dp, pp) = (self.between((d, d_nm), (p, p_nm)), self.value(p, p_nm));
-        let (qd, qp) = (dot(q, d), dot(q, p));
-        let determinant = dd * pp - dp * dp;
-        if determinant <= MIN_DETERMINANT_FRACTION * dd * pp {
-            return [-qd / dd, 0.0];
-        }
-        [(dp * qp - pp * qd) / determinant, (dp * qd - dd * qp) / determinant]
-    }
+/// `q'd` of the step d to other dwell times.
+fn slope(q: &[f64], t: &[f64], to: &[f64]) -> f64 {
+    q.iter().zip(to.iter().zip(t)).map(|(q, (to, t))| q * (to - t)).sum()
 }
 
 /// `t` within its bounds, and on them where it differs by rounding.

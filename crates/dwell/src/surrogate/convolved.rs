@@ -2,8 +2,11 @@
 //! of the TIF, while a product by FFT grows with the number of cells.
 
 use ndarray::{Array2, Zip};
-use planish_numerics::qp::bounded::{self, DESCENT_STEPS, GradientSettings, ProductSettings};
+use planish_numerics::qp::bounded::{
+    self, DESCENT_STEPS, GradientSettings, ProductSettings, Solution,
+};
 use planish_types::{Axis, Grid, Invalid, Tif};
+use rayon::prelude::*;
 
 use super::{
     resolution::{are_short, length_mm},
@@ -21,15 +24,33 @@ use crate::{
 const MAX_ACTIVE_SETS: usize = 30;
 
 /// Conjugate gradients end when they would gain this fraction of what they have gained, in the norm of H~.
-const LINEAR_SOLVE_ERROR: f64 = 0.03;
+const LINEAR_SOLVE_ERROR: f64 = 0.1;
 
 /// H~ as an operator on the cells: the TIF and the weights of the pixels are sampled on these.
 pub struct Convolved {
+    h: Operator,
+    /// Diagonal of H~ without the penalty.
+    diagonal: Vec<f64>,
+    splines: Option<Splines>,
+}
+
+struct Operator {
     b: FftOperator,
     weight: Array2<f64>,
     u: Vec<Vec<f64>>,
-    diagonal: Vec<f64>,
-    splines: Option<Splines>,
+}
+
+impl Operator {
+    /// `H~ t`, with the penalty.
+    fn product(&self, penalty: &Penalty, t: &[f64]) -> Vec<f64> {
+        let mut h_t = self.b.adjoint(&(self.b.apply(t) * &self.weight));
+        for u in &self.u {
+            let c: f64 = u.iter().zip(t).map(|(u, t)| u * t).sum();
+            h_t.iter_mut().zip(u).for_each(|(h, u)| *h -= u * c);
+        }
+        penalty.add_product(t, &mut h_t);
+        h_t
+    }
 }
 
 /// What [`TwoLevel`] needs.
@@ -37,6 +58,24 @@ struct Splines {
     sums: Sums,
     nodes: Nodes,
     coarse: Coarse,
+}
+
+/// Dwell times of which some are free, without their bounds.
+pub struct Unbounded {
+    /// Dwell times, s.
+    pub t: Vec<f64>,
+    /// Which of them are free; the others are at their bounds.
+    pub free: Vec<bool>,
+}
+
+/// A minimum of H~.
+pub struct Minimum {
+    /// Within the bounds.
+    pub t: Vec<f64>,
+    /// The one over the last set of free dwell times, without their bounds; none after gradient steps.
+    pub unbounded: Option<Unbounded>,
+    /// Products, or gradient steps.
+    pub iterations: usize,
 }
 
 impl Convolved {
@@ -55,6 +94,14 @@ impl Convolved {
             Axis::new(a.start_mm(), size as f64 * a.step_mm(), (a.len() - 1).div_ceil(size) + 1)
         };
         let grid = Grid { x: axis(&map.x)?, y: axis(&map.y)? };
+        let simpler: Vec<Vec<Place>>;
+        let places = if size > 1 {
+            let longest_mm = MAX_CELLS_IN_TWO * grid.x.step_mm().min(grid.y.step_mm());
+            simpler = places.par_iter().map(|places| in_two(places, longest_mm)).collect();
+            &simpler
+        } else {
+            places
+        };
         let cells = on_cells(weight, grid.shape(), size);
         // On cells of one pixel H~ is H but for what spills over the border of R.
         let (tif, spread) = match size {
@@ -78,11 +125,10 @@ impl Convolved {
             let coarse = Coarse::new(&nodes, &sums, &short);
             Splines { sums, nodes, coarse }
         });
-        Ok(Self { b, weight: cells, u, diagonal, splines })
+        Ok(Self { h: Operator { b, weight: cells, u }, diagonal, splines })
     }
 
-    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the products or
-    /// gradient steps. Components that are not reached stay.
+    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`. Components that are not reached stay.
     pub fn minimum(
         &mut self,
         penalty: &Penalty,
@@ -91,18 +137,9 @@ impl Convolved {
         reached: &[bool],
         bounds: (&[f64], &[f64]),
         settings: &GradientSettings,
-    ) -> (Vec<f64>, usize) {
-        let Self { b, weight, u: free_part, diagonal: data, splines } = self;
-        let (weight, free_part) = (&*weight, &*free_part);
-        let apply = |t: &[f64]| {
-            let mut h_t = b.adjoint(&(b.apply(t) * weight));
-            for u in free_part {
-                let c: f64 = u.iter().zip(t).map(|(u, t)| u * t).sum();
-                h_t.iter_mut().zip(u).for_each(|(h, u)| *h -= u * c);
-            }
-            penalty.add_product(t, &mut h_t);
-            h_t
-        };
+    ) -> Minimum {
+        let Self { h, diagonal: data, splines } = self;
+        let apply = |t: &[f64]| h.product(penalty, t);
         let own = penalty.diagonal();
         let diagonal: Vec<f64> = (0..t.len())
             .map(|j| if reached[j] { data[j].max(0.0) + own[j] } else { 0.0 })
@@ -115,7 +152,7 @@ impl Convolved {
         let mut settings = *settings;
         if let Some(Splines { sums, nodes, coarse }) = splines {
             let deflation = |free: &[bool]| {
-                TwoLevel::new(nodes, coarse, (sums, weight), penalty, free_part, free)
+                TwoLevel::new(nodes, coarse, (sums, &h.weight), penalty, &h.u, free)
             };
             let products = ProductSettings {
                 enough: settings.tolerance,
@@ -127,8 +164,10 @@ impl Convolved {
             let found = bounded::active_set_by_products(
                 apply, deflation, &diagonal, &g, bounds, t, &products,
             );
-            if found.value != t {
-                return (found.value, found.iterations);
+            let Solution { value, iterations, .. } = found.solution;
+            if value != t {
+                let unbounded = Unbounded { t: found.unbounded, free: found.free };
+                return Minimum { t: value, unbounded: Some(unbounded), iterations };
             }
             // No set was better: gradient steps descend at least.
             settings =
@@ -138,8 +177,64 @@ impl Convolved {
         let own: f64 = (0..t.len()).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum();
         let settings = GradientSettings { offset: settings.offset - own, ..settings };
         let found = bounded::projected_gradient(apply, &diagonal, &g, &lo, bounds.1, t, &settings);
-        (found.value, found.iterations)
+        Minimum { t: found.value, unbounded: None, iterations: found.iterations }
     }
+
+    /// The minimum of `q'd + d'H~d / 2` over free components alone, without bounds, and the products, at most so many.
+    /// The factor at hand is used again where it is of some of these, which should be nearly all.
+    pub fn step(
+        &mut self,
+        penalty: &Penalty,
+        q: &[f64],
+        free: &[bool],
+        max_products: usize,
+    ) -> (Vec<f64>, usize) {
+        let Self { h, splines, .. } = self;
+        let mut d = vec![0.0; q.len()];
+        let Some(Splines { sums, nodes, coarse }) = splines else { return (d, 0) };
+        let deflation = if coarse.is_of(penalty, free) {
+            TwoLevel::again(nodes, coarse, penalty, free)
+        } else {
+            TwoLevel::new(nodes, coarse, (sums, &h.weight), penalty, &h.u, free)
+        };
+        let products = bounded::conjugate_gradients(
+            &|t: &[f64]| h.product(penalty, t),
+            &deflation,
+            free,
+            &mut d,
+            &mut q.to_vec(),
+            LINEAR_SOLVE_ERROR,
+            max_products,
+        );
+        (d, products)
+    }
+}
+
+/// Longest column in cells that two places stand for: half the width of the TIF.
+const MAX_CELLS_IN_TWO: f64 = 3.0;
+
+/// Two places in place of more, with their mean and with their spread along the line on which that is largest. For uniform
+/// motion along a line it is Gauss' rule: `k^4 l^4 / 4320` of a wave k is lost on a length l.
+fn in_two(places: &[Place], longest_mm: f64) -> Vec<Place> {
+    let total: f64 = places.iter().map(|p| p.fraction).sum();
+    if places.len() <= 2 || length_mm(places) > longest_mm || total <= 0.0 {
+        return places.to_vec();
+    }
+    let mean =
+        |of: &dyn Fn(&Place) -> f64| places.iter().map(|p| p.fraction * of(p)).sum::<f64>() / total;
+    let [x, y] = [0, 1].map(|k| mean(&|p| p.position_mm[k]));
+    let product = |a: usize, b: usize| {
+        mean(&|p| (p.position_mm[a] - [x, y][a]) * (p.position_mm[b] - [x, y][b]))
+    };
+    let (xx, xy, yy) = (product(0, 0), product(0, 1), product(1, 1));
+    // The larger eigenvalue of [xx xy; xy yy], and its direction.
+    let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+    let spread_mm = (0.5 * (xx + yy) + (0.25 * (xx - yy).powi(2) + xy * xy).sqrt()).sqrt();
+    let at = |sign: f64| Place {
+        position_mm: [x + sign * spread_mm * angle.cos(), y + sign * spread_mm * angle.sin()],
+        fraction: 0.5 * total,
+    };
+    vec![at(-1.0), at(1.0)]
 }
 
 /// The weights of the pixels on the first pixels of cells of `size`, by linear interpolation between these: so sums over
@@ -187,6 +282,37 @@ mod tests {
         let edge_mm = map.x.end_mm() + 0.3 * step_mm;
         let inside = |(r, c)| f64::from(u8::from(map.x.at(c).hypot(map.y.at(r)) <= edge_mm));
         (map, Array2::from_shape_fn(map.shape(), inside))
+    }
+
+    #[test]
+    fn two_places_keep_the_mean_and_the_spread_of_more() {
+        let along = |s: f64, fraction: f64| Place {
+            position_mm: [3.0 + 0.4 * s, -1.0 + 0.3 * s],
+            fraction,
+        };
+        // Gauss' rule of three on a line of 0.5 mm
+        let g = 0.6_f64.sqrt();
+        let three =
+            [along(-0.5 * g, 5.0 / 18.0), along(0.0, 8.0 / 18.0), along(0.5 * g, 5.0 / 18.0)];
+        let [a, b] = in_two(&three, 0.4).try_into().unwrap();
+        let two = 0.5 / 3.0_f64.sqrt();
+        for (found, expected) in [(a, along(-two, 0.5)), (b, along(two, 0.5))] {
+            let apart = (0..2).map(|k| (found.position_mm[k] - expected.position_mm[k]).abs());
+            assert!(apart.fold(0.0, f64::max) < 1e-14 && found.fraction == 0.5, "{found:?}");
+        }
+        // Farther apart than they may be, or two already.
+        assert_eq!(in_two(&three, 0.2), three);
+        assert_eq!(in_two(&three[..2], 9.0), three[..2]);
+        // Around a corner: the largest spread is across the bisector.
+        let at = |x: f64, y: f64| Place { position_mm: [x, y], fraction: 0.25 };
+        let corner = [at(-0.2, 0.0), at(-0.1, 0.0), at(0.0, 0.1), at(0.0, 0.2)];
+        let [a, b] = in_two(&corner, 1.0).try_into().unwrap();
+        let d = [0, 1].map(|k| b.position_mm[k] - a.position_mm[k]);
+        assert!((d[0] - d[1]).abs() < 1e-14 && d[0] > 0.0, "{d:?}");
+        let variance = corner.iter().map(|p| {
+            0.25 * ((p.position_mm[0] + 0.075) + (p.position_mm[1] - 0.075)).powi(2) / 2.0
+        });
+        assert!((d[0].hypot(d[1]) / 2.0 - variance.sum::<f64>().sqrt()).abs() < 1e-14);
     }
 
     #[test]
@@ -241,7 +367,7 @@ mod tests {
                 let b_t = b.apply(&t);
                 dot(&t, &b.adjoint(&(&b_t * w)))
             };
-            let (found, expected) = (energy(&h.b, &h.weight), energy(&exact, &weight));
+            let (found, expected) = (energy(&h.h.b, &h.h.weight), energy(&exact, &weight));
             // Nothing reaches the rim, and at 3 /mm the splines lose 1e-4. Means over cells lose 2 %.
             assert!((found / expected - 1.0).abs() < 1e-3, "{k_per_mm}: {found} {expected}");
         }

@@ -19,16 +19,13 @@ const MAX_CELL_PIXELS: usize = 16;
 
 /// Pitch of the splines over the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma of a Gaussian). By the
 /// time that problems took.
-const SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.7;
+const SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.8;
 
-/// The same, at most, for a matrix of less than [`QUICK_SPLINE_MATRIX_ELEMENTS`]: further on conjugate gradients, which
-/// have to find what wider splines cannot say, take longer than the factorisations that are saved.
-const QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.85;
-
-/// The same, at most: conjugate gradients take fifteen times as many steps as with the least pitch.
+/// The same, at most: further on conjugate gradients, which have to find what wider splines cannot say, take several times
+/// as many steps.
 const MAX_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 1.0;
 
-/// By what the pitch grows until the matrix is small enough.
+/// By what the pitch grows until the factor of the matrix is small enough.
 const WIDENED_BY: f64 = 1.05;
 
 /// Least pitch over the mean spacing of the columns: many more splines than columns are dependent, and
@@ -38,14 +35,11 @@ const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
 /// Longest column that a spline can be made of, over the pitch.
 const MAX_COLUMN_OVER_SPLINE_PITCH: f64 = 2.0;
 
-/// Elements of the matrix of the splines above which a wider pitch is quicker.
-const QUICK_SPLINE_MATRIX_ELEMENTS: f64 = 1.5e7;
+/// Most elements of the factor of the matrix of the splines (640 MB, twice that while it is made).
+const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 
-/// Most elements of the matrix of the splines (three copies of 800 MB).
-const MAX_SPLINE_MATRIX_ELEMENTS: f64 = 1e8;
-
-/// Most elements of the removal by all splines (1.2 GB).
-const MAX_SPLINE_PATCH_ELEMENTS: f64 = 1.5e8;
+/// Most elements of the removal by all splines (1.6 GB).
+const MAX_SPLINE_PATCH_ELEMENTS: f64 = 2e8;
 
 /// Pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
@@ -112,9 +106,9 @@ fn affordable_pitch(
         let reach_mm = tif_mm.map(|size| size + 4.0 * pitch_mm);
         let (nodes, row) = lattice_size(size_mm, reach_mm, pitch_mm);
         let cells = |k: usize| reach_mm[k] / cells_mm[k] + 4.0;
-        let is_wide = over_width > QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH;
-        let most = if is_wide { MAX_SPLINE_MATRIX_ELEMENTS } else { QUICK_SPLINE_MATRIX_ELEMENTS };
-        if nodes * row <= most && nodes * cells(0) * cells(1) <= MAX_SPLINE_PATCH_ELEMENTS {
+        if nodes * row <= MAX_SPLINE_FACTOR_ELEMENTS
+            && nodes * cells(0) * cells(1) <= MAX_SPLINE_PATCH_ELEMENTS
+        {
             return Some(pitch_mm);
         }
         over_width *= WIDENED_BY;
@@ -152,20 +146,14 @@ mod tests {
         let over_width = |size_mm: f64| {
             affordable_pitch(width_mm, [size_mm; 2], tif_mm, cells_mm).map(|pitch| pitch / width_mm)
         };
-        // The elements of the matrix are as the cube of the side of a square, which at 110 mm has 2.0e7 at the least
-        // pitch and 6.5e6 at the largest: a wider pitch makes it quick from 100 to 120 mm, and too many are those at the
-        // largest from 290 mm on.
-        let at_50_mm = over_width(50.0).unwrap();
-        assert!((at_50_mm / SPLINE_PITCH_OVER_TIF_WIDTH - 1.0).abs() < 1e-12);
-        let at_110_mm = over_width(110.0).unwrap();
+        // The elements of the factor are as the cube of the side of a square, those of the removal by all splines as its
+        // square.
+        let at_100_mm = over_width(100.0).unwrap();
+        assert!((at_100_mm / SPLINE_PITCH_OVER_TIF_WIDTH - 1.0).abs() < 1e-12);
+        let at_250_mm = over_width(250.0).unwrap();
         assert!(
-            at_110_mm > SPLINE_PITCH_OVER_TIF_WIDTH
-                && at_110_mm < QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH
-        );
-        let at_200_mm = over_width(200.0).unwrap();
-        assert!(
-            at_200_mm > QUICKEST_SPLINE_PITCH_OVER_TIF_WIDTH
-                && at_200_mm <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH
+            at_250_mm > SPLINE_PITCH_OVER_TIF_WIDTH && at_250_mm <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH,
+            "{at_250_mm}"
         );
         assert_eq!(over_width(400.0), None);
     }

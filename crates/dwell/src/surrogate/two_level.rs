@@ -17,9 +17,11 @@
 //!
 //! V' H V must be that of the H that is applied: an error of 1e-8 of its largest element is alpha. It
 //! is kept while the free dwell times change, and only the nodes over those that do are
-//! computed anew; where none does, its inverse is the one before.
+//! computed anew; where none does, its inverse is the one before. Of its factor single precision is kept: what that
+//! rounds is of the size of L, which conjugate gradients see to anyway (measured: the same number of products), and a
+//! solution takes as long as reading the factor.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use ndarray::{Array2, s};
 use planish_numerics::{
@@ -30,7 +32,7 @@ use planish_numerics::{
 };
 use rayon::prelude::*;
 
-use super::resolution::extent;
+use super::{resolution::extent, stencils::Stencils};
 use crate::{
     model::{
         columns::{Patch, Place},
@@ -121,9 +123,8 @@ impl Nodes {
 
     /// Whether a difference of near columns couples two rows.
     fn are_linked(&self, a: usize, b: usize) -> bool {
-        let reach = 3 + MAX_COUPLED_CELLS as usize;
         let ((ra, ca), (rb, cb)) = (self.node(a), self.node(b));
-        ra.abs_diff(rb) <= reach && ca.abs_diff(cb) <= reach
+        ra.abs_diff(rb) <= PENALTY_REACH && ca.abs_diff(cb) <= PENALTY_REACH
     }
 
     /// Rows of the nodes over a column, in the order of its weights.
@@ -170,35 +171,45 @@ impl Nodes {
         found
     }
 
-    /// Adds V' L V. A difference of columns that are not near is replaced by its bound
+    /// V' L V. A difference of columns that are not near is replaced by its bound
     /// `(v t_k - u t_{k-1})^2 <= 2 v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
-    fn add_penalty(&self, penalty: &Penalty, free: &[bool], h: &mut Skyline) {
+    fn penalty(&self, penalty: &Penalty, free: &[bool]) -> Stencils {
         let of = |j: usize| self.at[j].as_ref().filter(|_| free[j]);
-        for j in 0..free.len() {
-            if let Some(w) = of(j) {
-                self.add_square(&[(w, 1.0)], penalty.alpha()[j], h);
-            }
-        }
-        for &(k, u, v) in penalty.steps() {
-            match (of(k - 1), of(k)) {
-                (Some(a), Some(b)) if a.is_near(b) => {
-                    self.add_square(&[(b, v), (a, -u)], 1.0, h);
+        let steps = penalty.steps();
+        let part = |part: usize| {
+            let range = |len: usize| part * len / PENALTY_PARTS..(part + 1) * len / PENALTY_PARTS;
+            let mut sums = self.stencils([PENALTY_REACH; 2]);
+            for j in range(free.len()) {
+                if let Some(w) = of(j) {
+                    self.add_square(&[(w, 1.0)], penalty.alpha()[j], &mut sums);
                 }
-                (a, b) => {
-                    let factor = if a.is_some() && b.is_some() { 2.0 } else { 1.0 };
-                    for (w, f) in [(a, u), (b, v)] {
-                        if let Some(w) = w {
-                            self.add_square(&[(w, f)], factor, h);
+            }
+            for &(k, u, v) in &steps[range(steps.len())] {
+                match (of(k - 1), of(k)) {
+                    (Some(a), Some(b)) if a.is_near(b) => {
+                        self.add_square(&[(b, v), (a, -u)], 1.0, &mut sums);
+                    }
+                    (a, b) => {
+                        let factor = if a.is_some() && b.is_some() { 2.0 } else { 1.0 };
+                        for (w, f) in [(a, u), (b, v)] {
+                            if let Some(w) = w {
+                                self.add_square(&[(w, f)], factor, &mut sums);
+                            }
                         }
                     }
                 }
             }
-        }
+            sums
+        };
+        let parts: Vec<Stencils> = (0..PENALTY_PARTS).into_par_iter().map(part).collect();
+        let mut sums = self.stencils([PENALTY_REACH; 2]);
+        parts.iter().for_each(|part| sums.add_all(part));
+        sums
     }
 
     /// Adds `factor g g'`, g the sum of some columns of V' that are near.
-    fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, h: &mut Skyline) {
-        const SIDE: usize = 4 + MAX_COUPLED_CELLS as usize;
+    fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, sums: &mut Stencils) {
+        const SIDE: usize = 1 + PENALTY_REACH;
         let least = |of: fn(&Weights) -> u32| columns.iter().map(|c| of(c.0)).min().unwrap_or(0);
         let (r0, c0) = (least(|w| w.cell.0), least(|w| w.cell.1));
         let mut g = [[0.0; SIDE]; SIDE];
@@ -208,52 +219,105 @@ impl Nodes {
                 g[r + k / 4][c + k % 4] += f * v;
             }
         }
-        let mut rows = [(0, 0.0); SIDE * SIDE];
+        let is_tall = self.shape.0 > self.shape.1;
+        let mut nodes = [([0; 2], 0.0); SIDE * SIDE];
         let mut count = 0;
         for (r, g) in g.iter().enumerate() {
             for (c, g) in g.iter().enumerate().filter(|(_, g)| **g != 0.0) {
-                rows[count] = (self.row(r0 as usize + r, c0 as usize + c), *g);
+                let (r, c) = (r0 as usize + r, c0 as usize + c);
+                nodes[count] = (if is_tall { [r, c] } else { [c, r] }, *g);
                 count += 1;
             }
         }
-        for (a, (i, u)) in rows[..count].iter().enumerate() {
-            for (k, v) in &rows[..=a] {
-                h.add(*i.max(k), *i.min(k), factor * u * v);
+        for (a, (i, u)) in nodes[..count].iter().enumerate() {
+            for (k, v) in &nodes[..=a] {
+                sums.add(*i.max(k), *i.min(k), factor * u * v);
             }
         }
     }
+
+    /// Zero for all nodes.
+    fn stencils(&self, reach: [usize; 2]) -> Stencils {
+        Stencils::zeros(self.len(), self.shape.0.min(self.shape.1), reach)
+    }
 }
+
+/// Parts of the penalty that are summed each for itself: a number that does not depend on that of the threads.
+const PENALTY_PARTS: usize = 2;
+
+/// Most nodes from one to another with which the difference of near columns couples it.
+const PENALTY_REACH: usize = 3 + MAX_COUPLED_CELLS as usize;
 
 /// `V' B' W B V` of some free columns.
 pub struct Coarse {
     free: Vec<bool>,
     /// `W^1/2 B V` of every row.
     patches: Vec<Patch>,
-    matrix: Skyline,
+    matrix: Stencils,
+    /// First column of every row of the factor.
+    first: Vec<usize>,
     /// The inverse that was made of it last, for which penalty: of the same free columns.
-    last: Option<(Penalty, Arc<Woodbury>)>,
+    last: Option<(Penalty, Arc<Woodbury<f32>>)>,
+}
+
+/// Rows and columns of the map.
+type Extent = (Range<usize>, Range<usize>);
+
+fn meet(a: &Range<usize>, b: &Range<usize>) -> bool {
+    a.start < b.end && b.start < a.end
+}
+
+/// Most lines from one to another that it meets, for what nodes of each line reach.
+fn line_reach<'a>(lines: usize, nodes: impl Iterator<Item = (usize, &'a Range<usize>)>) -> usize {
+    let mut of_lines: Vec<Option<Range<usize>>> = vec![None; lines];
+    for (line, reach) in nodes.filter(|(_, reach)| !reach.is_empty()) {
+        let of = of_lines[line].get_or_insert_with(|| reach.clone());
+        *of = of.start.min(reach.start)..of.end.max(reach.end);
+    }
+    let meet = |a: &Option<Range<usize>>, b: &Option<Range<usize>>| match (a, b) {
+        (Some(a), Some(b)) => meet(a, b),
+        _ => false,
+    };
+    let reach = |(k, of): (usize, &Option<Range<usize>>)| {
+        k - of_lines[..k].iter().position(|before| meet(before, of)).unwrap_or(k)
+    };
+    of_lines.iter().enumerate().map(reach).max().unwrap_or(0)
 }
 
 impl Coarse {
     /// Zero, for no free column; with room for the reached ones.
     pub fn new(nodes: &Nodes, sums: &Sums, reached: &[bool]) -> Self {
-        let reach = |i: usize| sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j));
-        let reach: Vec<_> = (0..nodes.len()).into_par_iter().map(reach).collect();
-        let meet = |a: &(_, _), b: &(_, _)| {
-            let meet = |a: &std::ops::Range<usize>, b: &std::ops::Range<usize>| {
-                a.start < b.end && b.start < a.end
-            };
-            meet(&a.0, &b.0) && meet(&a.1, &b.1)
-        };
+        let extent = |i: usize| sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j));
+        let extents: Vec<Extent> = (0..nodes.len()).into_par_iter().map(extent).collect();
+        let (ny, nx) = nodes.shape;
+        let [of_rows, of_columns] = [
+            line_reach(ny, extents.iter().enumerate().map(|(i, e)| (nodes.node(i).0, &e.0))),
+            line_reach(nx, extents.iter().enumerate().map(|(i, e)| (nodes.node(i).1, &e.1))),
+        ]
+        .map(|reach| reach.max(PENALTY_REACH));
+        let reach = if ny > nx { [of_rows, of_columns] } else { [of_columns, of_rows] };
+        let shorter = ny.min(nx);
         let first = |i: usize| {
-            (0..i).find(|k| nodes.are_linked(*k, i) || meet(&reach[*k], &reach[i])).unwrap_or(i)
+            let mut near = (i / shorter).saturating_sub(reach[0]) * shorter..i;
+            let are_coupled = |k: &usize| {
+                let (a, b) = (&extents[*k], &extents[i]);
+                nodes.are_linked(*k, i) || meet(&a.0, &b.0) && meet(&a.1, &b.1)
+            };
+            near.find(are_coupled).unwrap_or(i)
         };
         Self {
             free: vec![false; reached.len()],
             patches: vec![Patch::default(); nodes.len()],
-            matrix: Skyline::zeros((0..nodes.len()).into_par_iter().map(first).collect()),
+            matrix: nodes.stencils(reach),
+            first: (0..nodes.len()).into_par_iter().map(first).collect(),
             last: None,
         }
+    }
+
+    /// Whether the last inverse is for this penalty, and of no column that is not free.
+    pub fn is_of(&self, penalty: &Penalty, free: &[bool]) -> bool {
+        let known = self.last.as_ref().is_some_and(|(of, _)| of == penalty);
+        known && self.free.iter().zip(free).all(|(own, free)| *free || !own)
     }
 
     /// The matrix for other free columns.
@@ -272,12 +336,9 @@ impl Coarse {
             patch.rate_nm_per_s.zip_mut_with(&weight, |v, w| *v *= w.sqrt());
         });
         let patches = &self.patches;
-        self.matrix.fill(|i, row| {
-            let first = i + 1 - row.len();
-            for (v, k) in row.iter_mut().zip(first..) {
-                if changed[i] || changed[k] {
-                    *v = patches[i].dot(&patches[k]);
-                }
+        self.matrix.fill(|i, k, v| {
+            if changed[i] || changed[k] {
+                *v = patches[i].dot(&patches[k]);
             }
         });
     }
@@ -289,9 +350,13 @@ impl Coarse {
         penalty: &Penalty,
         u: &[Vec<f64>],
         free: &[bool],
-    ) -> Option<Woodbury> {
-        let mut h = self.matrix.clone();
-        nodes.add_penalty(penalty, free, &mut h);
+    ) -> Option<Woodbury<f32>> {
+        let stencils = nodes.penalty(penalty, free);
+        let mut h = Skyline::zeros(self.first.clone());
+        h.fill(|i, row| {
+            self.matrix.add_row(i, self.first[i], row);
+            stencils.add_row(i, self.first[i], row);
+        });
         let mut squares = vec![0.0; nodes.len()];
         for ((w, alpha), _) in
             nodes.at.iter().zip(penalty.alpha()).zip(free).filter(|(_, free)| **free)
@@ -306,7 +371,7 @@ impl Coarse {
         }
         // V' H V = K - U U', with the K of `h` and U restricted to the lattice
         let u = u.iter().map(|u| nodes.restrict(u, free)).collect();
-        h.factorise().and_then(|factor| Woodbury::new(factor, u))
+        h.factorise_to_single().and_then(|factor| Woodbury::new(factor, u))
     }
 }
 
@@ -317,7 +382,7 @@ pub struct TwoLevel<'a> {
     /// Of L.
     chain: tridiagonal::Factor,
     /// `(V' H V)^-1`; none where that is singular to rounding.
-    inverse: Option<Arc<Woodbury>>,
+    inverse: Option<Arc<Woodbury<f32>>>,
 }
 
 impl<'a> TwoLevel<'a> {
@@ -340,6 +405,14 @@ impl<'a> TwoLevel<'a> {
         let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());
         let chain = chain(penalty, free);
         Self { nodes, free: free.to_vec(), chain, inverse }
+    }
+}
+
+impl<'a> TwoLevel<'a> {
+    /// For free columns that hold those which `coarse` is of: the others are not in V, but in L.
+    pub fn again(nodes: &'a Nodes, coarse: &Coarse, penalty: &Penalty, free: &[bool]) -> Self {
+        let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());
+        Self { nodes, free: coarse.free.clone(), chain: chain(penalty, free), inverse }
     }
 }
 

@@ -11,18 +11,18 @@ use crate::linear::skyline::{Factor, Skyline, axpy, dot};
 
 /// `(K - U U')^-1`.
 #[derive(Clone, Debug)]
-pub struct Woodbury {
+pub struct Woodbury<T = f64> {
     /// Of K.
-    factor: Factor,
+    factor: Factor<T>,
     u: Vec<Vec<f64>>,
     v: Vec<Vec<f64>>,
     /// Of S.
     small: Factor,
 }
 
-impl Woodbury {
+impl<T: Copy + Into<f64> + Sync> Woodbury<T> {
     /// From the factor of K and the columns of U; `None` when `K - U U'` is not positive definite.
-    pub fn new(factor: Factor, u: Vec<Vec<f64>>) -> Option<Self> {
+    pub fn new(factor: Factor<T>, u: Vec<Vec<f64>>) -> Option<Self> {
         // V = K^-1 U
         let mut v = u.clone();
         v.iter_mut().for_each(|v| factor.solve(v));

@@ -261,6 +261,17 @@ pub trait Deflation {
     fn smooth(&self, r: &[f64]) -> Vec<f64>;
 }
 
+/// What [`active_set_by_products`] found.
+#[derive(Clone, Debug)]
+pub struct ProductSolution {
+    /// Where (1) was least.
+    pub solution: Solution,
+    /// The least of (1) over the free components of the last set, without their bounds; the others are at theirs.
+    pub unbounded: Vec<f64>,
+    /// The free components of the last set.
+    pub free: Vec<bool>,
+}
+
 /// [`active_set`] for an H that can only be applied: the free components are found by conjugate gradients,
 /// which `deflation(free)` speeds up.
 ///
@@ -274,7 +285,7 @@ pub fn active_set_by_products<D: Deflation>(
     (lo, hi): (&[f64], &[f64]),
     start: &[f64],
     settings: &ProductSettings,
-) -> Solution {
+) -> ProductSolution {
     let n = g.len();
     let moves: Vec<bool> = (0..n).map(|j| diagonal[j] > 0.0 && lo[j] < hi[j]).collect();
     let mut sorted: Vec<f64> = (0..n).filter(|j| moves[*j]).map(|j| diagonal[j]).collect();
@@ -297,7 +308,7 @@ pub fn active_set_by_products<D: Deflation>(
         })
         .collect();
     let (mut products, mut end) = (0, End::IterationLimit);
-    let mut x = t.clone();
+    let (mut x, mut free) = (t.clone(), vec![false; n]);
     for _ in 0..settings.max_sets {
         if residual <= settings.enough {
             end = End::Optimal;
@@ -307,7 +318,7 @@ pub fn active_set_by_products<D: Deflation>(
             break;
         }
         let state = wanted;
-        let free: Vec<bool> = (0..n).map(|j| moves[j] && state[j] == Place::Free).collect();
+        free = (0..n).map(|j| moves[j] && state[j] == Place::Free).collect();
         // x: bound components at their bounds, the free ones where their gradient vanishes
         for j in (0..n).filter(|j| moves[*j]) {
             match state[j] {
@@ -349,7 +360,8 @@ pub fn active_set_by_products<D: Deflation>(
             break;
         }
     }
-    Solution { value: t, natural_residual: residual, iterations: products, end }
+    let solution = Solution { value: t, natural_residual: residual, iterations: products, end };
+    ProductSolution { solution, unbounded: x, free }
 }
 
 /// Deflated conjugate gradients for `q_I = 0` by the free components of t; q is the gradient at t, of
@@ -361,7 +373,7 @@ pub fn active_set_by_products<D: Deflation>(
 ///
 /// Source: J. M. Tang, R. Nabben, C. Vuik, Y. A. Erlangga, J. Sci. Comput. 39 (2009) 340, method A-DEF2.
 /// Ends where `r' z <= inexact^2 * (fall so far)`, or falls no more, with the number of products.
-fn conjugate_gradients(
+pub fn conjugate_gradients(
     apply: &impl Fn(&[f64]) -> Vec<f64>,
     deflation: &impl Deflation,
     free: &[bool],
@@ -660,7 +672,7 @@ mod tests {
                 let deflation = |free: &[bool]| OfSines::new(&h, free, coarse);
                 let d = active_set_by_products(
                     apply, deflation, &diagonal, &g, (&lo, &hi), &lo, &settings,
-                );
+                ).solution;
                 prop_assert_eq!(d.end, End::Optimal);
                 for j in 0..n {
                     // Natural residuals of 1e-9 with a condition number below about 1e3.

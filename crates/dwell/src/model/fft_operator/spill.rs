@@ -31,6 +31,25 @@ struct Group {
     places: Range<usize>,
 }
 
+/// Sources `start .. end` of a line, and how many of the four weights come before them.
+struct Under {
+    start: usize,
+    end: usize,
+    skipped: usize,
+}
+
+impl Under {
+    fn sum(&self, weights: &[f64; 4], line: &[f64]) -> f64 {
+        let on = line[self.start..self.end].iter().zip(&weights[self.skipped..]);
+        on.map(|(v, w)| w * v).sum()
+    }
+
+    fn add(&self, seconds: f64, weights: &[f64; 4], line: &mut [f64]) {
+        let on = line[self.start..self.end].iter_mut().zip(&weights[self.skipped..]);
+        on.for_each(|(v, w)| *v += w * seconds);
+    }
+}
+
 /// Lines that one thread takes at a time.
 pub const LINES_PER_TASK: usize = 32;
 
@@ -83,30 +102,48 @@ impl Across {
     /// S t.
     pub fn seconds(&self, t: &[f64]) -> Array2<f64> {
         let mut seconds = Array2::zeros((self.across.sources(), self.along.sources()));
-        seconds.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
-            let row = row.as_slice_mut().expect("in C order");
-            let node = r as isize - self.across.last;
-            for group in self.within(node - 2..node + 2) {
-                self.spread(group, node - group.cell, t, row);
+        let bands = seconds.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK).into_par_iter();
+        bands.enumerate().for_each(|(b, mut band)| {
+            // Nodes from -last on, and those that spread on one of them.
+            let first = (b * LINES_PER_TASK) as isize - self.across.last;
+            let count = band.nrows() as isize;
+            for group in self.within(first - 2..first + count + 1) {
+                let lines = (0..4).map(|i| (i, group.cell - 1 + i as isize - first));
+                let lines = lines.filter(|(_, line)| (0..count).contains(line));
+                for p in &self.places[group.places.clone()] {
+                    let (across, along) = self.weights(p);
+                    let at = self.sources_under(p);
+                    let second = t[p.column as usize] * p.fraction;
+                    for (i, line) in lines.clone() {
+                        let seconds = second * across[i];
+                        let mut line = band.row_mut(line as usize);
+                        let line = line.as_slice_mut().expect("in C order");
+                        at.add(seconds, &along, line);
+                    }
+                }
             }
         });
         seconds
     }
 
+    fn weights(&self, p: &Placed) -> ([f64; 4], [f64; 4]) {
+        (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]))
+    }
+
+    /// The sources of a line that a tool is spread on.
+    fn sources_under(&self, p: &Placed) -> Under {
+        let first = p.cell[1] as isize - 1 + self.along.last;
+        let sources = self.along.sources() as isize;
+        let (start, end) = (first.clamp(0, sources), (first + 4).clamp(0, sources));
+        Under { start: start as usize, end: end as usize, skipped: (start - first) as usize }
+    }
+
     /// Adds the seconds of the node d of a group, with the weights along.
     fn spread(&self, group: &Group, d: isize, t: &[f64], line: &mut [f64]) {
         for p in &self.places[group.places.clone()] {
-            let seconds = t[p.column as usize]
-                * p.fraction
-                * self.across.weights(p.offset[0])[(d + 1) as usize];
-            let w = self.along.weights(p.offset[1]);
-            let first = p.cell[1] as isize - 1 + self.along.last;
-            for (i, w) in w.iter().enumerate() {
-                let at = first + i as isize;
-                if at >= 0 && (at as usize) < self.along.sources() {
-                    line[at as usize] += w * seconds;
-                }
-            }
+            let (across, along) = self.weights(p);
+            let seconds = t[p.column as usize] * p.fraction * across[(d + 1) as usize];
+            self.sources_under(p).add(seconds, &along, line);
         }
     }
 
@@ -115,14 +152,14 @@ impl Across {
         let field = field.as_slice().expect("in C order");
         let (height, width) = (self.across.sources() as isize, self.along.sources());
         let of = |p: &Placed| {
-            let w = self.across.weights(p.offset[0]);
+            let (across, along) = self.weights(p);
+            let at = self.sources_under(p);
             let first = p.cell[0] as isize - 1 + self.across.last;
             let mut sum = 0.0;
-            for (i, w) in w.iter().enumerate() {
+            for (i, w) in across.iter().enumerate() {
                 let r = first + i as isize;
                 if r >= 0 && r < height {
-                    let r = r as usize * width;
-                    sum += w * self.along_sum(p, &field[r..r + width]);
+                    sum += w * at.sum(&along, &field[r as usize * width..]);
                 }
             }
             sum
@@ -133,16 +170,6 @@ impl Across {
             sums[p.column as usize] += p.fraction * v;
         }
         sums
-    }
-
-    /// A line of sources with the weights along.
-    fn along_sum(&self, p: &Placed, line: &[f64]) -> f64 {
-        let first = p.cell[1] as isize - 1 + self.along.last;
-        let of = |(i, w): (usize, &f64)| {
-            let at = usize::try_from(first + i as isize).ok();
-            at.and_then(|at| line.get(at)).map_or(0.0, |v| w * v)
-        };
-        self.along.weights(p.offset[1]).iter().enumerate().map(of).sum()
     }
 
     /// The pairs (k, d) at which a group spills, of its lower or its upper edge.
@@ -335,9 +362,10 @@ impl Across {
                         }
                     }
                     for p in &self.places[group.places.clone()] {
-                        let w = self.across.weights(p.offset[0]);
+                        let (across, along) = self.weights(p);
+                        let at = self.sources_under(p);
                         let of = |(d, field): &(isize, Vec<f64>)| {
-                            w[(d + 1) as usize] * self.along_sum(p, &field[..self.along.sources()])
+                            across[(d + 1) as usize] * at.sum(&along, field)
                         };
                         let mut spill: f64 = field.iter().map(of).sum();
                         if let Some(samples) = corners {

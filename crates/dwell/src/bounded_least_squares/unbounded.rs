@@ -1,0 +1,112 @@
+//! The certificate of the two-level method, without new factors: steps on the free dwell times alone.
+//!
+//! By its own gradient alone a result within the bounds is proven late. What the surrogate misses and what the bounds cut
+//! off leaves a gradient q on the free dwell times, and of that the bound of [`super::certificate`] counts
+//! `q^2 / (2 c)`, as if the map said nothing of them: with c a hundred millionth of what it says, a result that is 1e-6
+//! above the minimum seems to be 0.3 of it above. So the free dwell times are taken to where q is zero, whatever their
+//! bounds. That costs a few products with the factor that is at hand; beyond its bounds a dwell time costs the bound
+//! almost nothing; and within the bounds again the result is better than before, too.
+
+use ndarray::Array2;
+use planish_numerics::linear::skyline::dot;
+use planish_types::progress;
+
+use super::{
+    prepared::BoundedProblem,
+    weighted::{Weighted, add_scaled, scaled},
+};
+use crate::surrogate::{Surrogate, Unbounded};
+
+/// Fraction of (1) that the bounds may cost: where they cost more other dwell times should be free.
+const MAX_COST_OF_BOUNDS: f64 = 1e-3;
+
+/// Fraction of the wanted gap at which the steps end: the rest is for what the bounds cost.
+const GAP_FRACTION: f64 = 0.3;
+
+/// The steps end where one leaves more than this fraction of the gap.
+const SLOW_GAP_FRACTION: f64 = 0.5;
+
+/// Where [`BoundedProblem::without_bounds`] ended.
+pub struct Found {
+    /// Dwell times, some of the free ones beyond their bounds; none where the bounds cost too much.
+    pub end: Option<Unbounded>,
+    /// Largest lower bound of (1) that was proven.
+    pub bound: f64,
+    /// Products with H~.
+    pub products: usize,
+}
+
+impl BoundedProblem<'_> {
+    /// Goes on from the minimum of the surrogate over free dwell times without their bounds to that of (1):
+    ///
+    /// ```text
+    /// repeat  q = gradient of (1) at t                           exact
+    ///         e = argmin q'e + e'H~e / 2 over the free ones      by the factor of before
+    ///         p = argmin of (1) over t + a e + b p               exact
+    ///         t += p
+    /// ```
+    ///
+    /// Dwell times at a bound that (1) would take away from it become free. `objective` is (1) at the dwell times within
+    /// the bounds that were found with `from`. The steps end at a relative gap, or after so many products.
+    pub(super) fn without_bounds(
+        &mut self,
+        weighted: &Weighted,
+        from: Unbounded,
+        objective: f64,
+        (relative_gap, max_products): (f64, usize),
+    ) -> Found {
+        let Unbounded { mut t, mut free } = from;
+        let mut found = Found { end: None, bound: f64::NEG_INFINITY, products: 0 };
+        let mut removal_nm = self.b.apply(&t);
+        let mut before: Option<(Vec<f64>, Array2<f64>)> = None;
+        let mut gaps: Option<(f64, f64)> = None;
+        loop {
+            let (value, q) = weighted.at(self, &t, &removal_nm);
+            let Some(gap) = self.gap(weighted.penalty, &t, &q) else { return found };
+            found.bound = found.bound.max(value - gap);
+            if gaps.is_none() && (objective - value).abs() > MAX_COST_OF_BOUNDS * objective {
+                return found;
+            }
+            let enough = GAP_FRACTION * relative_gap * objective;
+            let (first, last) = gaps.unwrap_or((gap, f64::INFINITY));
+            progress::done(progress::of_convergence(first, gap, enough));
+            let is_slow = gap > SLOW_GAP_FRACTION * last;
+            if gap <= enough || is_slow || found.products >= max_products {
+                found.end = Some(Unbounded { t, free });
+                return found;
+            }
+            gaps = Some((first, gap));
+            for j in (0..t.len()).filter(|j| self.reached[*j] && self.lo[*j] < self.hi[*j]) {
+                let leaves = t[j] <= self.lo[j] && q[j] < 0.0 || t[j] >= self.hi[j] && q[j] > 0.0;
+                free[j] |= leaves;
+            }
+            let left = max_products - found.products;
+            let Surrogate::Convolved(h) = &mut self.surrogate else { return found };
+            let (e, products) = h.step(weighted.penalty, &q, &free, left);
+            found.products += products;
+            let mut p_nm = self.b.apply(&e);
+            let curvature = weighted.curvature(&e, &p_nm);
+            let p: Vec<f64> = match before {
+                Some((p, of_p)) => {
+                    let [a, b] = weighted.plane_minimum(&q, (&e, &p_nm, curvature), (&p, &of_p));
+                    p_nm = scaled(&p_nm, a);
+                    add_scaled(&mut p_nm, b, &of_p);
+                    e.iter().zip(&p).map(|(e, p)| a * e + b * p).collect()
+                }
+                None => {
+                    let a = -dot(&q, &e) / curvature;
+                    p_nm = scaled(&p_nm, a);
+                    e.iter().map(|e| a * e).collect()
+                }
+            };
+            t.iter_mut().zip(&p).for_each(|(t, p)| *t += p);
+            add_scaled(&mut removal_nm, 1.0, &p_nm);
+            before = Some((p, p_nm));
+        }
+    }
+}
+
+/// The nearest dwell times within the bounds.
+pub fn clipped(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
+    t.iter().zip(lo.iter().zip(hi)).map(|(t, (lo, hi))| t.clamp(*lo, *hi)).collect()
+}

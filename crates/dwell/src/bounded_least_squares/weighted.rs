@@ -1,0 +1,98 @@
+//! The objective (1) of [`crate::bounded_least_squares`], its gradient, and its least value along steps, all exact.
+
+use ndarray::{Array2, Zip};
+use planish_numerics::linear::skyline::dot;
+
+use super::{certificate::gap, prepared::BoundedProblem, settings::Product};
+use crate::objective::{Basis, Penalty, weighted_product};
+
+/// Two directions are as good as parallel when the determinant of their products is below this fraction of
+/// that of orthogonal ones.
+const MIN_DETERMINANT_FRACTION: f64 = 1e-9;
+
+/// (1) with the weights that pixels have now.
+pub struct Weighted<'a> {
+    pub penalty: &'a Penalty,
+    pub basis: &'a Basis,
+    pub weight: &'a Array2<f64>,
+    /// Q.
+    pub quadratic: Option<Product<'a>>,
+}
+
+impl Weighted<'_> {
+    /// (1) at dwell times with their removal B t, and its gradient q.
+    pub fn at(
+        &self,
+        problem: &BoundedProblem,
+        t: &[f64],
+        removal_nm: &Array2<f64>,
+    ) -> (f64, Vec<f64>) {
+        // r = z - B t without its free part,  q = -B' W r + penalty
+        let mut r = Zip::from(&problem.z).and(removal_nm).par_map_collect(|z, m| z - m);
+        self.basis.project(self.weight, &mut r);
+        let squares = weighted_product(self.weight, &r, &r);
+        Zip::from(&mut r).and(self.weight).par_for_each(|r, w| *r *= -w);
+        let mut q = problem.b.adjoint(&r);
+        self.penalty.add_gradient(t, &mut q);
+        let mut value = 0.5 * squares + self.penalty.value(t);
+        if let Some(product) = self.quadratic {
+            let more = product(t);
+            value += 0.5 * dot(t, &more);
+            q.iter_mut().zip(&more).for_each(|(q, more)| *q += more);
+        }
+        (value, q)
+    }
+
+    /// `e' H e` of a step with its removal B e.
+    pub fn curvature(&self, e: &[f64], e_nm: &Array2<f64>) -> f64 {
+        self.between((e, e_nm), (e, e_nm))
+    }
+
+    /// `d' H p`.
+    fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
+        let mut curved = vec![0.0; p.0.len()];
+        self.penalty.add_product(p.0, &mut curved);
+        if let Some(product) = self.quadratic {
+            curved.iter_mut().zip(product(p.0)).for_each(|(c, more)| *c += more);
+        }
+        let free = |nm: &Array2<f64>| self.basis.coefficients(self.weight, nm);
+        weighted_product(self.weight, d.1, p.1) - dot(&free(d.1), &free(p.1)) + dot(&curved, d.0)
+    }
+
+    /// Where `q'e + e'He / 2` is least for `e = a d + b p`:
+    ///
+    /// ```text
+    /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
+    /// ```
+    pub fn plane_minimum(
+        &self,
+        q: &[f64],
+        (d, d_nm, dd): (&[f64], &Array2<f64>, f64),
+        (p, p_nm): (&[f64], &Array2<f64>),
+    ) -> [f64; 2] {
+        let (dp, pp) = (self.between((d, d_nm), (p, p_nm)), self.curvature(p, p_nm));
+        let (qd, qp) = (dot(q, d), dot(q, p));
+        let determinant = dd * pp - dp * dp;
+        if determinant <= MIN_DETERMINANT_FRACTION * dd * pp {
+            return [-qd / dd, 0.0];
+        }
+        [(dp * qp - pp * qd) / determinant, (dp * qd - dd * qp) / determinant]
+    }
+}
+
+impl BoundedProblem<'_> {
+    /// By how much (1) can fall below its value at t with the gradient q, at most: [`gap`].
+    pub fn gap(&self, penalty: &Penalty, t: &[f64], q: &[f64]) -> Option<f64> {
+        gap(t, q, self.lo, &self.hi, penalty.alpha(), &self.reached)
+    }
+}
+
+/// `factor map`.
+pub fn scaled(map: &Array2<f64>, factor: f64) -> Array2<f64> {
+    Zip::from(map).par_map_collect(|v| factor * v)
+}
+
+/// `sum += factor map`.
+pub fn add_scaled(sum: &mut Array2<f64>, factor: f64, map: &Array2<f64>) {
+    Zip::from(sum).and(map).par_for_each(|s, v| *s += factor * v);
+}

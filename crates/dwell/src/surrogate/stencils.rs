@@ -1,0 +1,114 @@
+//! Symmetric matrices of the nodes of a lattice that couple only near ones: as they are made, an order of magnitude
+//! smaller than the skyline that their factor fills.
+
+use rayon::prelude::*;
+
+/// Nodes of a lattice, numbered along the shorter side first.
+pub struct Stencils {
+    /// Nodes along the shorter side.
+    shorter: usize,
+    /// Most nodes from one to another that is coupled with it, along the longer side and along the shorter one.
+    reach: [usize; 2],
+    /// For every row those that are coupled with it and do not come after it: by the distance along the longer side, then
+    /// along the shorter one.
+    values: Vec<f64>,
+}
+
+impl Stencils {
+    /// Zero, for so many nodes.
+    pub fn zeros(nodes: usize, shorter: usize, reach: [usize; 2]) -> Self {
+        Self { shorter, reach, values: vec![0.0; nodes * Self::len(reach)] }
+    }
+
+    /// Elements of a row.
+    fn len(reach: [usize; 2]) -> usize {
+        (reach[0] + 1) * (2 * reach[1] + 1)
+    }
+
+    /// Index in a row at s along the shorter side of the node at m there, so many before it along the longer side.
+    fn at(reach: [usize; 2], before: usize, s: usize, m: usize) -> usize {
+        before * (2 * reach[1] + 1) + m + reach[1] - s
+    }
+
+    /// The nodes that may be coupled with row i and do not come after it, and their indices in the row.
+    fn coupled(
+        i: usize,
+        shorter: usize,
+        reach: [usize; 2],
+    ) -> impl Iterator<Item = (usize, usize)> {
+        let (l, s) = (i / shorter, i % shorter);
+        (0..=reach[0].min(l)).flat_map(move |before| {
+            let last = if before == 0 { s } else { (s + reach[1]).min(shorter - 1) };
+            (s.saturating_sub(reach[1])..=last)
+                .map(move |m| ((l - before) * shorter + m, Self::at(reach, before, s, m)))
+        })
+    }
+
+    /// Writes every element (i, k), k <= i, of near nodes.
+    pub fn fill(&mut self, write: impl Fn(usize, usize, &mut f64) + Sync) {
+        let (shorter, reach) = (self.shorter, self.reach);
+        self.values.par_chunks_mut(Self::len(reach)).enumerate().for_each(|(i, row)| {
+            Self::coupled(i, shorter, reach).for_each(|(k, at)| write(i, k, &mut row[at]));
+        });
+    }
+
+    /// Adds to the element of two nodes, of which the second one does not come after the first: where they are along the
+    /// longer and the shorter side.
+    #[inline]
+    pub fn add(&mut self, [l, s]: [usize; 2], [k, m]: [usize; 2], value: f64) {
+        let row = (l * self.shorter + s) * Self::len(self.reach);
+        self.values[row + Self::at(self.reach, l - k, s, m)] += value;
+    }
+
+    /// Adds another of the same nodes and reach.
+    pub fn add_all(&mut self, other: &Self) {
+        self.values.iter_mut().zip(&other.values).for_each(|(v, other)| *v += other);
+    }
+
+    /// Adds row i to one that begins with column `first` and ends with the diagonal; what comes before must be zero.
+    pub fn add_row(&self, i: usize, first: usize, to: &mut [f64]) {
+        let len = Self::len(self.reach);
+        let row = &self.values[i * len..(i + 1) * len];
+        for (k, at) in Self::coupled(i, self.shorter, self.reach) {
+            if row[at] != 0.0 {
+                to[k - first] += row[at];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_those_of_the_full_matrix() {
+        // 7 x 4 nodes, coupled up to 2 along the longer side and 1 along the shorter one.
+        let (nodes, shorter, reach) = (28, 4, [2, 1]);
+        let value = |i: usize, k: usize| (1 + i * nodes + k) as f64;
+        let is_near = |i: usize, k: usize| {
+            i / shorter - k / shorter <= reach[0] && (i % shorter).abs_diff(k % shorter) <= reach[1]
+        };
+        let mut all = Stencils::zeros(nodes, shorter, reach);
+        all.fill(|i, k, v| *v = value(i, k));
+        let mut one = Stencils::zeros(nodes, shorter, reach);
+        one.add([2, 1], [1, 0], 0.25);
+        one.add([2, 1], [1, 2], 0.5);
+        all.add_all(&one);
+        for i in 0..nodes {
+            let mut row = vec![0.0; i + 1];
+            all.add_row(i, 0, &mut row);
+            for (k, found) in row.into_iter().enumerate() {
+                let more = if (i, k) == (9, 4) {
+                    0.25
+                } else if (i, k) == (9, 6) {
+                    0.5
+                } else {
+                    0.0
+                };
+                let expected = if is_near(i, k) { value(i, k) + more } else { 0.0 };
+                assert_eq!(found, expected, "({i}, {k})");
+            }
+        }
+    }
+}
