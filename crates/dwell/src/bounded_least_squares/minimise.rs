@@ -55,7 +55,7 @@ const SLOW_STEPS_BEFORE_SHARPENING: usize = 2;
 const STAGNATION: f64 = 2e-4;
 
 /// Fraction of the natural residual that a step of the two-level method may leave.
-const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.15;
+const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.1;
 
 /// The same for gradient steps, which are not restarted as cheaply.
 const RESIDUAL_FRACTION_GRADIENT: f64 = 0.01;
