@@ -11,7 +11,6 @@ use planish_types::{End, progress};
 use super::{
     prepared::BoundedProblem,
     settings::Settings,
-    unbounded::clipped,
     weighted::{Weighted, add_scaled, scaled},
 };
 use crate::{
@@ -115,10 +114,10 @@ impl BoundedProblem<'_> {
     /// Does nothing for other methods, or where a guess is given.
     pub(super) fn approach(&mut self, smoothness: f64) -> Result<usize, DwellError> {
         let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
-        let mut iterations = 0;
         if self.is_guessed {
             return Ok(0);
         }
+        let mut iterations = 0;
         for (k, (weight, splines)) in ROUGH_PROBLEMS.into_iter().enumerate() {
             let tikhonov = weight * self.settings.tikhonov;
             if tikhonov > MAX_ROUGH_TIKHONOV {
@@ -230,7 +229,7 @@ impl BoundedProblem<'_> {
                 iterations += found.products;
                 bound = bound.max(found.bound);
                 if let Some(found) = found.end {
-                    let found_to = clipped(&found.t, self.lo, &self.hi);
+                    let found_to = bounded::clip(&found.t, self.lo, &self.hi);
                     if -slope(&q, &t, &found_to) > STEP_ROUNDING * objective {
                         (to, free) = (Some(found_to), Some(found.free));
                     }

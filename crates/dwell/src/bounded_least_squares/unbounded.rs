@@ -105,8 +105,3 @@ impl BoundedProblem<'_> {
         }
     }
 }
-
-/// The nearest dwell times within the bounds.
-pub fn clipped(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
-    t.iter().zip(lo.iter().zip(hi)).map(|(t, (lo, hi))| t.clamp(*lo, *hi)).collect()
-}

@@ -402,13 +402,9 @@ impl<'a> TwoLevel<'a> {
             let inverse = coarse.inverse(nodes, penalty, u, free);
             coarse.last = inverse.map(|inverse| (penalty.clone(), Arc::new(inverse)));
         }
-        let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());
-        let chain = chain(penalty, free);
-        Self { nodes, free: free.to_vec(), chain, inverse }
+        Self::again(nodes, coarse, penalty, free)
     }
-}
 
-impl<'a> TwoLevel<'a> {
     /// For free columns that hold those which `coarse` is of: the others are not in V, but in L.
     pub fn again(nodes: &'a Nodes, coarse: &Coarse, penalty: &Penalty, free: &[bool]) -> Self {
         let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());

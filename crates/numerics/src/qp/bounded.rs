@@ -202,7 +202,8 @@ impl Place {
     }
 }
 
-fn clip(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
+/// The nearest point within the bounds.
+pub fn clip(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
     (0..t.len()).map(|j| t[j].clamp(lo[j], hi[j])).collect()
 }
 
