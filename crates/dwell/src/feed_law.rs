@@ -29,7 +29,7 @@
 
 use std::collections::BTreeMap;
 
-use planish_types::{Axis, DwellTime, End, Invalid, Surface, Tif, ToolPath};
+use planish_types::{Axis, DwellTime, End, Invalid, Surface, Tif, ToolPath, progress};
 use serde::Serialize;
 
 use crate::{
@@ -72,7 +72,9 @@ pub struct Report {
 /// Dwell times by (2), and what they do in the removal model of the solvers.
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
     let Problem { desired, tif, path, min_dwell, .. } = *problem;
-    let (dwell, report) = dwell(desired, tif, path, min_dwell, settings)?;
+    // What they remove takes as long.
+    let found = progress::part(0, 2, || dwell(desired, tif, path, min_dwell, settings));
+    let (dwell, report) = found?;
     Model::new(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
 }
 
@@ -96,7 +98,8 @@ pub fn dwell(
     let lifted_nm = (-desired.statistics().min).max(0.0);
     let vrr = tif.vrr_nm_mm2_per_s();
     let mut too_fast = 0;
-    for (line, pitch_mm) in lines.iter().zip(&pitches) {
+    for (k, (line, pitch_mm)) in lines.iter().zip(&pitches).enumerate() {
+        progress::done(k as f64 / lines.len() as f64);
         for i in line.segments.clone() {
             let length_mm = path.segment_length_mm(i);
             let side_mm = (length_mm * pitch_mm).sqrt();

@@ -97,9 +97,11 @@ impl Default for Settings {
                 // machine can execute; the pull to the lower bound buys machine time.
                 tikhonov: 2.78e-6,
                 smoothness: 7.72e-8,
+                // RMS within 5e-4 of the least, half of what counts as progress.
+                relative_gap: 1e-3,
                 ..dwell_solver::Settings::default()
             },
-            first_smoothness: 2.31e-6,
+            first_smoothness: 2.31e-7,
             max_rounds: 50,
             least_improvement: 1e-3,
         }

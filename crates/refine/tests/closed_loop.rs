@@ -49,6 +49,9 @@ fn meander() -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
+/// Smoothness of a first plan that is far from what the machine could execute, so that the loop has something to do.
+const FROM_A_SMOOTH_PLAN: f64 = 2.31e-6;
+
 fn settings(mode: pvt::Mode) -> Settings {
     let mut s = Settings { scheduler: Scheduler::Pvt(mode), ..Settings::default() };
     s.dwell.min_dwell = Bound::Seconds(0.05);
@@ -138,6 +141,7 @@ fn the_operator_of_constant_accelerations_is_their_own() {
     let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(250.0, 2000.0));
     let mut how = settings(pvt::Mode::Smooth);
     how.scheduler = Scheduler::ConstantAcceleration;
+    how.first_smoothness = FROM_A_SMOOTH_PLAN;
     let refined = refine(&desired, &tif, &path, &machine, None, &how).unwrap();
     let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
     println!("{rms:?}");
@@ -224,7 +228,8 @@ fn a_ring_shaped_tool_is_no_exception() {
         8.0 * (-((radius - 1.5) / 0.5).powi(2)).exp()
     });
     let ring = Tif::new(g, rate).unwrap();
-    let how = settings(pvt::Mode::Monotone);
+    let mut how = settings(pvt::Mode::Monotone);
+    how.first_smoothness = FROM_A_SMOOTH_PLAN;
     let refined = refine(&desired, &ring, &path, &machine, None, &how).unwrap();
     let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
     println!("{rms:?} {}", refined.end);
