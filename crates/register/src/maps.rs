@@ -49,7 +49,7 @@ mod search;
 use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_numerics::orthogonal::legendre;
-use planish_types::{Invalid, Surface, Transform, text::significant};
+use planish_types::{Invalid, Surface, Transform, progress, text::significant};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -151,8 +151,10 @@ pub fn register(
     let problem = Problem::new(&before, &after, settings.free_order)?;
     let limits = [settings.most_shift_mm, settings.most_rotation_deg.to_radians()];
     let start = search::best(&problem.detrended(), &after, &before, problem.centre_mm, limits);
-    match problem.settled(start, limits) {
-        Ok((pose, equations, steps)) => problem.result(pose, &equations, steps),
+    match progress::part(0, 2, || problem.settled(start, limits)) {
+        Ok((pose, equations, steps)) => {
+            progress::part(1, 2, || problem.result(pose, &equations, steps))
+        }
         // Where the features are too few, this is why.
         Err(e) => problem.check_features(start).and(Err(e)),
     }
@@ -232,13 +234,15 @@ impl<'a> Problem<'a> {
         mut pose: Pose,
         limits: [f64; 2],
     ) -> Result<(Pose, Equations, usize), Invalid> {
-        let mut pixels = f64::INFINITY;
+        let (mut first, mut pixels) = (None, f64::INFINITY);
         for steps in 1..=MOST_STEPS {
             let step = self.equations(pose)?.step(self)?;
             pose.iter_mut().zip(step).for_each(|(p, d)| *p += d);
             self.refuse_beyond(pose, limits)?;
             let turned_mm = self.half_diagonal_mm * step[2].abs();
             pixels = (step[0].hypot(step[1]) + turned_mm) / self.pixel_mm;
+            let first = *first.get_or_insert(pixels);
+            progress::done(progress::of_convergence(first, pixels, SETTLED_PIXELS));
             if pixels < SETTLED_PIXELS {
                 return Ok((pose, self.equations(pose)?, steps));
             }
@@ -478,12 +482,14 @@ impl<'a> Problem<'a> {
             .flat_map(|j| range.clone().map(move |i| [i, j]))
             .filter(|by| *by != [0, 0])
             .collect();
-        let elsewhere: Vec<[f64; 3]> = wrong
-            .par_iter()
-            .map(|by| {
-                fisher(self.common(pose, [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a])))
-            })
-            .collect();
+        let pieces = progress::Pieces::new(wrong.len());
+        let at = |by: &[i64; 2]| {
+            let by_mm = [0, 1].map(|a| by[a] as f64 * 0.2 * self.half_mm[a]);
+            let found = fisher(self.common(pose, by_mm));
+            progress::done(pieces.one_more());
+            found
+        };
+        let elsewhere: Vec<[f64; 3]> = wrong.par_iter().map(at).collect();
         [0, 1, 2].map(|k| {
             let squares = elsewhere.iter().map(|c| c[k] * c[k]).sum::<f64>() / wrong.len() as f64;
             // Without noise the derivatives elsewhere may be exactly zero; then here decides.

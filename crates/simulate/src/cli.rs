@@ -16,7 +16,7 @@ use planish_simulate::{
     frames::{Frames, frames},
     simulate,
 };
-use planish_types::{Removal, plausible};
+use planish_types::{Removal, plausible, progress};
 use serde_json::json;
 
 #[derive(Args)]
@@ -76,7 +76,8 @@ impl Simulate {
             return write_frames(&mut output, frames, &self.output);
         }
 
-        let prediction = simulate(&trajectory, &tif, &surface, settings)?;
+        // To write the maps takes about as long.
+        let prediction = progress::part(0, 2, || simulate(&trajectory, &tif, &surface, settings))?;
 
         let residual = prediction.removal.residual();
         let (statistics, detilted) = (residual.statistics(), residual.detilted_rms_nm());

@@ -7,10 +7,10 @@
 //! Order 2 in 1/m for a TIF that ends smoothly, order 1 where its samples end with a step.
 
 use ndarray::Array2;
-use planish_types::{Grid, Invalid, Tif, Trajectory};
+use planish_types::{Grid, Invalid, Tif, Trajectory, progress::Pieces};
 use rayon::prelude::*;
 
-use crate::Numerics;
+use crate::{Numerics, Tell};
 
 /// Most quadrature points (2.4 GB).
 const MAX_SAMPLES: usize = 100_000_000;
@@ -28,6 +28,17 @@ pub fn removal_nm(
     grid: &Grid,
     steps: usize,
 ) -> Result<(Array2<f64>, Numerics), Invalid> {
+    removal_told(trajectory, tif, grid, steps, &|_| ())
+}
+
+/// The same, while `tell` hears which fraction of it is done.
+pub(crate) fn removal_told(
+    trajectory: &Trajectory,
+    tif: &Tif,
+    grid: &Grid,
+    steps: usize,
+    tell: Tell<'_>,
+) -> Result<(Array2<f64>, Numerics), Invalid> {
     if steps == 0 {
         return Err(Invalid::whole("steps", "is 0", "give at least one time step per segment"));
     }
@@ -37,6 +48,7 @@ pub fn removal_nm(
     }
     let samples = samples(trajectory, steps);
     let mut removal_nm = Array2::zeros(grid.shape());
+    let pieces = Pieces::new(grid.y.len());
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
         let y = grid.y.at(r);
         let reach = |s: &&Sample| {
@@ -48,6 +60,7 @@ pub fn removal_nm(
         for (c, out) in row.iter_mut().enumerate() {
             *out = at(&near, tif, grid.x.at(c), y);
         }
+        tell(pieces.one_more());
     });
     let numerics = Numerics {
         quadrature_points: samples.len(),

@@ -51,11 +51,11 @@ use std::{ops::Range, sync::Mutex};
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
 use planish_numerics::fft::pair_convolution::{is_quick_size, quick_size};
-use planish_types::{Grid, Invalid, Tif, Trajectory, budget};
+use planish_types::{Grid, Invalid, Tif, Trajectory, budget, progress::Pieces};
 use rayon::prelude::*;
 
 use crate::{
-    Numerics,
+    Numerics, Tell,
     kernel::Kernel,
     lattice::{Lattice, has_border, interpolation_error, least_subdivision, sample_anew},
     quadrature::{Cutter, Reach},
@@ -116,13 +116,27 @@ impl Plan {
 
     /// Removal (ny, nx) of `trajectory`, nm.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
+        self.removal_told(trajectory, &|_| ())
+    }
+
+    /// The same, while `tell` hears which fraction of it is done.
+    pub(crate) fn removal_told(
+        &self,
+        trajectory: &Trajectory,
+        tell: Tell<'_>,
+    ) -> (Array2<f64>, Numerics) {
         let mut removal = Array2::zeros((self.kernel.y.pixels, self.kernel.x.pixels));
-        let numerics = self.add_to(removal.view_mut(), trajectory);
+        let numerics = self.add_to(removal.view_mut(), trajectory, tell);
         (removal, numerics)
     }
 
     /// Adds the removal of `trajectory` to that of an earlier motion (ny, nx), nm.
-    pub(crate) fn add_to(&self, removal: ArrayViewMut2<f64>, trajectory: &Trajectory) -> Numerics {
+    pub(crate) fn add_to(
+        &self,
+        removal: ArrayViewMut2<f64>,
+        trajectory: &Trajectory,
+        tell: Tell<'_>,
+    ) -> Numerics {
         let bands = self.bands();
         let reaching = self.reaching(&bands, trajectory);
         let mut jobs = vec![];
@@ -141,6 +155,7 @@ impl Plan {
             }
         }
         let alone = jobs.len() == 1;
+        let pieces = Pieces::new(jobs.len());
         let idle = || self.idle.lock().expect("no thread panics with the lock");
         let quadrature_points = jobs
             .into_par_iter()
@@ -150,6 +165,7 @@ impl Plan {
                 let mut work = work.unwrap_or_else(|| Workspace::new(&self.kernel));
                 let points = tile.run(trajectory, segments, part, &mut work, alone);
                 idle().push(work);
+                tell(pieces.one_more());
                 points
             })
             .sum();

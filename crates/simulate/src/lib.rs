@@ -45,6 +45,7 @@ use ndarray::Array2;
 use planish_types::{
     Grid, Invalid, Removal, Surface, Tif, Trajectory,
     plausible::{self, Rms},
+    progress,
 };
 use serde::Serialize;
 
@@ -116,16 +117,27 @@ impl<'a> Plan<'a> {
 
     /// Removal (ny, nx) of `trajectory`, nm.
     pub fn removal_nm(&self, trajectory: &Trajectory) -> Result<(Array2<f64>, Numerics), Invalid> {
+        self.removal_told(trajectory, &|_| ())
+    }
+
+    /// The same, while `tell` hears which fraction of it is done.
+    fn removal_told(
+        &self,
+        trajectory: &Trajectory,
+        tell: Tell<'_>,
+    ) -> Result<(Array2<f64>, Numerics), Invalid> {
         match self {
-            Self::Gridded(plan) => Ok(plan.removal_nm(trajectory)),
-            Self::Direct { tif, grid, steps } => direct::removal_nm(trajectory, tif, grid, *steps),
+            Self::Gridded(plan) => Ok(plan.removal_told(trajectory, tell)),
+            Self::Direct { tif, grid, steps } => {
+                direct::removal_told(trajectory, tif, grid, *steps, tell)
+            }
         }
     }
 
     /// Adds the removal of `trajectory` to that of an earlier motion (ny, nx), nm.
     fn add_to(&self, removal: &mut Array2<f64>, trajectory: &Trajectory) -> Result<(), Invalid> {
         match self {
-            Self::Gridded(plan) => drop(plan.add_to(removal.view_mut(), trajectory)),
+            Self::Gridded(plan) => drop(plan.add_to(removal.view_mut(), trajectory, &|_| ())),
             Self::Direct { .. } => *removal += &self.removal_nm(trajectory)?.0,
         }
         Ok(())
@@ -142,12 +154,19 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`.
+/// What hears the fraction of a removal that is done. A removal that is a step of other work has nothing to say: the
+/// work says how far it is.
+type Tell<'a> = &'a (dyn Fn(f64) + Sync);
+
+/// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and says how far it
+/// is ([`progress`]).
 pub fn simulate(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
     settings: Settings,
 ) -> Result<Prediction, Invalid> {
-    Plan::new(tif, desired.grid(), settings)?.predict(trajectory, desired)
+    let plan = Plan::new(tif, desired.grid(), settings)?;
+    let (removal_nm, numerics) = plan.removal_told(trajectory, &progress::done)?;
+    Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
 }

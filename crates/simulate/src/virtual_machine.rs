@@ -18,7 +18,7 @@
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
-use planish_types::{Invalid, Removal, Surface, Tif, Trajectory};
+use planish_types::{Invalid, Removal, Surface, Tif, Trajectory, progress};
 use rand::Rng;
 use serde::Serialize;
 
@@ -93,10 +93,10 @@ pub fn run(
 ) -> Result<Run, Invalid> {
     check_run(settings.run)?;
     let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, tif.width_mm())? };
-    let runs = Runs::new(trajectory, tif, &moved, before.grid())?;
+    let runs = progress::part(0, 2, || Runs::new(trajectory, tif, &moved, before.grid()))?;
     runs.check_sizes(process)?;
     let known = if settings.known { without_what_is_learnt(process) } else { process.clone() };
-    draw_run(&runs, before, &known, settings.seed, settings.run)
+    progress::part(1, 2, || draw_run(&runs, before, &known, settings.seed, settings.run))
 }
 
 fn check_run(run: u64) -> Result<(), Invalid> {

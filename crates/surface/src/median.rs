@@ -18,6 +18,7 @@
 //! | m | result | (ny, nx) | that of z |
 
 use ndarray::{Array2, ArrayView2, Axis};
+use planish_types::progress;
 use rayon::prelude::*;
 
 /// Rank of an invalid pixel.
@@ -31,6 +32,7 @@ pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> 
     let (ny, nx) = map.dim();
     let (sorted, rank) = ranks(map);
     let mut out = Array2::from_elem((ny, nx), f64::NAN);
+    let pieces = progress::Pieces::new(ny.div_ceil(BAND));
     out.axis_chunks_iter_mut(Axis(0), BAND).into_par_iter().enumerate().for_each(
         |(band, mut out)| {
             let mut window = Histogram::new(sorted.len());
@@ -53,6 +55,7 @@ pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> 
                 let end = nx as isize;
                 (end - reach..=end + reach).flat_map(column).for_each(|k| window.remove(k));
             }
+            progress::done(pieces.one_more());
         },
     );
     out

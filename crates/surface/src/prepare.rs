@@ -28,7 +28,7 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::statistics::{Plane, fit_plane, statistics, subtract_plane};
-use planish_types::{ClearAperture, Grid, Surface};
+use planish_types::{ClearAperture, Grid, Surface, progress};
 use serde::{Serialize, Serializer};
 use serde_json::json;
 
@@ -135,8 +135,11 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
         Some(aperture) => crop(measured, aperture).map(|(map, inside)| (map, Some(inside)))?,
         None => (measured.clone(), None),
     };
+    // What takes long on a large map: the mask first, the extension last.
+    let parts =
+        usize::from(settings.outliers.is_some()) + usize::from(settings.extension.is_some());
     let (masked, found) = match &settings.outliers {
-        Some(settings) => mask_outliers(&cropped, settings)?,
+        Some(settings) => progress::part(0, parts, || mask_outliers(&cropped, settings))?,
         None => (cropped.clone(), None),
     };
     let (mut surface, removed_plane, removed_low_order) = level(&masked, settings.level)?;
@@ -148,7 +151,7 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
     }
     let mut extended = None;
     if let Some(settings) = &settings.extension {
-        let (map, report) = extend(&surface, settings)?;
+        let (map, report) = progress::part(parts - 1, parts, || extend(&surface, settings))?;
         (surface, extended) = (map, Some(report));
     }
     let report = PrepareReport {

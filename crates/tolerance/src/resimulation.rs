@@ -1,7 +1,5 @@
 //! Runs with errors as they are, not to first order.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::Array2;
 use planish_numerics::quadrature::gauss_legendre;
@@ -108,7 +106,7 @@ impl Work<'_> {
         columns: Option<&Columns<'_>>,
         seed: u64,
     ) -> Result<Vec<Pair>, Invalid> {
-        let ended = AtomicUsize::new(0);
+        let pieces = progress::Pieces::new(count);
         let of = |k: u64| -> Result<Pair, Invalid> {
             let mut rng = stream(seed, RUN_STREAM + k);
             let mut run = Deviation::default();
@@ -152,7 +150,7 @@ impl Work<'_> {
             }
             run.map_nm = Some(map);
             let simulated = self.residual(&run)?;
-            progress::done((ended.fetch_add(1, Ordering::Relaxed) + 1) as f64 / count as f64);
+            progress::done(pieces.one_more());
             Ok(Pair {
                 simulated_rms_nm: self.rms(&simulated),
                 first_order_rms_nm: square.max(0.0).sqrt(),

@@ -32,7 +32,7 @@
 use std::f64::consts::PI;
 
 use ndarray::{ArrayView2, Axis};
-use planish_types::{Limits, Surface, Tif, ToolPath};
+use planish_types::{Limits, Surface, Tif, ToolPath, progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -219,6 +219,7 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let distance_of = |(r, c): (usize, usize)| cells.distance_mm([x.at(c), y.at(r)]);
     let outermost = if beside { outermost(surface) } else { Vec::new() };
     let seed = outermost.into_iter().map(distance_of).fold(0.0, f64::max);
+    let pieces = progress::Pieces::new(y.len().div_ceil(BAND));
     let farthest = |(band, rows): (usize, ArrayView2<f64>)| {
         let mut worst = seed;
         for (r, row) in rows.outer_iter().enumerate() {
@@ -233,6 +234,7 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
                 near = c + ((worst - distance) / x.step_mm()) as usize;
             }
         }
+        progress::done(pieces.one_more());
         worst
     };
     let bands = surface.height_nm().axis_chunks_iter(Axis(0), BAND).into_par_iter().enumerate();

@@ -10,7 +10,10 @@
 //! Fractions of iterations are estimates, see [`of_convergence`]; none decides anything. Like the
 //! [budget](crate::budget), this belongs to the process: two computations at once tell the watcher in turn.
 
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{
+    Mutex, MutexGuard, OnceLock, PoisonError,
+    atomic::{AtomicUsize, Ordering},
+};
 
 type Watcher = Box<dyn Fn(f64) + Send + Sync>;
 
@@ -49,6 +52,24 @@ pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     under_way().0 = whole;
     done((k + 1) as f64 / n as f64);
     result
+}
+
+/// Equal pieces of work, which threads end in any order.
+pub struct Pieces {
+    count: usize,
+    ended: AtomicUsize,
+}
+
+impl Pieces {
+    /// So many, none of which has ended.
+    pub fn new(count: usize) -> Self {
+        Self { count, ended: AtomicUsize::new(0) }
+    }
+
+    /// One more has ended: the fraction of those that have.
+    pub fn one_more(&self) -> f64 {
+        (self.ended.fetch_add(1, Ordering::Relaxed) + 1) as f64 / self.count as f64
+    }
 }
 
 /// Tells how far an iteration is that ends where its excess is 1 or less, from the excess after every step.
@@ -95,6 +116,13 @@ mod tests {
         });
         let expected = [0.25, 0.375, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0];
         assert_eq!(*told.lock().unwrap(), expected);
+    }
+
+    #[test]
+    fn pieces_count_up_to_the_whole() {
+        let pieces = Pieces::new(4);
+        let fractions = [0; 4].map(|_| pieces.one_more());
+        assert_eq!(fractions, [0.25, 0.5, 0.75, 1.0]);
     }
 
     #[test]

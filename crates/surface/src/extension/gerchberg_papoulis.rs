@@ -20,7 +20,7 @@
 
 use ndarray::{Array2, Zip, s};
 use planish_numerics::{fft::smooth_size, fft::transform};
-use planish_types::{Grid, Invalid};
+use planish_types::{Grid, Invalid, progress};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -83,6 +83,7 @@ pub(super) fn extend(
             }
         });
         iterations += 1;
+        progress::done(iterations as f64 / settings.max_iterations as f64);
         if change <= settings.tolerance_nm {
             break;
         }
