@@ -32,6 +32,8 @@ const BAR_PX: [f64; 2] = [14.0, 12.0];
 pub enum Scale {
     /// From the first value to the second, equal steps equally long.
     Linear([f64; 2]),
+    /// The same of what is counted: its numbers are whole.
+    Counts([f64; 2]),
     /// From the first value to the second, equal ratios equally long.
     Logarithmic([f64; 2]),
 }
@@ -62,14 +64,14 @@ impl Scale {
 
     /// The ends.
     pub fn ends(&self) -> [f64; 2] {
-        let (Self::Linear(ends) | Self::Logarithmic(ends)) = self;
+        let (Self::Linear(ends) | Self::Counts(ends) | Self::Logarithmic(ends)) = self;
         *ends
     }
 
     /// Fraction of the way from the low to the high end.
     fn fraction(&self, value: f64) -> f64 {
         match self {
-            Self::Linear([low, high]) => (value - low) / (high - low),
+            Self::Linear([low, high]) | Self::Counts([low, high]) => (value - low) / (high - low),
             Self::Logarithmic([low, high]) => (value / low).ln() / (high / low).ln(),
         }
     }
@@ -79,6 +81,11 @@ impl Scale {
         let most = (length_px / PX_PER_NUMBER).max(2.0);
         match self {
             Self::Linear([low, high]) => round_numbers(*low, *high, most),
+            Self::Counts([low, high]) => {
+                let mut numbers = round_numbers(*low, *high, most);
+                numbers.retain(|v| v.fract() == 0.0);
+                numbers
+            }
             Self::Logarithmic([low, high]) => round_logarithms(*low, *high, most),
         }
     }
@@ -303,6 +310,14 @@ mod tests {
         for number in [">0<", ">20<", ">80<", ">0.1<", ">1<", ">10<", ">a &lt; b<"] {
             assert_eq!(text.matches(number).count(), 1, "{number} {text}");
         }
+    }
+
+    #[test]
+    fn what_is_counted_has_whole_numbers() {
+        // 300 px have room for halves.
+        assert_eq!(Scale::linear([0.0, 2.0]).numbers(300.0), [0.0, 0.5, 1.0, 1.5, 2.0]);
+        assert_eq!(Scale::Counts([0.0, 2.0]).numbers(300.0), [0.0, 1.0, 2.0]);
+        assert_eq!(Scale::Counts([0.0, 20.0]).numbers(300.0), [0.0, 5.0, 10.0, 15.0, 20.0]);
     }
 
     #[test]

@@ -442,7 +442,7 @@ fn refinement(views: &[View], layout: &Layout) -> Option<String> {
         let Some(rounds) = m.rounds.as_ref().filter(|r| !r.rms_nm.is_empty()) else { continue };
         let last = (rounds.rms_nm.len() - 1).max(1) as f64;
         let [_, high] = range(rounds.rms_nm.iter().copied());
-        let scales = [Scale::linear([0.0, last]), Scale::linear([0.0, 1.05 * high.max(1e-12)])];
+        let scales = [Scale::Counts([0.0, last]), Scale::linear([0.0, 1.05 * high.max(1e-12)])];
         let frame = sheet.panel(scales);
         let svg = &mut sheet.svg;
         let points = rounds.rms_nm.iter().enumerate().map(|(i, v)| [i as f64, *v]);
