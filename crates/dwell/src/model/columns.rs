@@ -114,24 +114,17 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     let mut row = vec![0.0; samples.ncols()];
     // Interpolate along y once for all places of the same y, then along x.
     for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
-        let along_x: Vec<(f64, Vec<Run>)> = places
+        let along_x: Vec<Run> = places
             .iter()
-            .map(|p| (p.fraction, runs(p.position_mm[0], &grid.x, &tif.grid().x, x)))
+            .flat_map(|p| runs(p.position_mm[0], &grid.x, &tif.grid().x, x, p.fraction))
             .collect();
-        for run in runs(places[0].position_mm[1], &grid.y, &tif.grid().y, y) {
-            for k in 0..run.len {
-                combine(&samples.slice(s![run.node + k..run.node + k + 4, ..]), &run.w, &mut row);
+        for run in runs(places[0].position_mm[1], &grid.y, &tif.grid().y, y, 1.0) {
+            for k in 0..run.len() {
+                let w = [0, 1, 2, 3].map(|t| run.w[t][k]);
+                combine(&samples.slice(s![run.node + k..run.node + k + 4, ..]), &w, &mut row);
                 let mut out = rate_nm_per_s.row_mut(run.pixel + k);
                 let out = out.as_slice_mut().expect("in C order");
-                for (fraction, along_x) in &along_x {
-                    for Run { pixel, len, node, w } in along_x {
-                        let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[node + t..node + t + len]);
-                        let w = w.map(|w| w * fraction);
-                        for (i, out) in out[*pixel..pixel + len].iter_mut().enumerate() {
-                            *out += w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i];
-                        }
-                    }
-                }
+                along_x.iter().for_each(|run| run.add(&row, out));
             }
         }
     }
@@ -155,25 +148,44 @@ fn pixels(p: f64, map: &Axis, tif: &Axis) -> Option<(usize, usize)> {
     (first <= last).then_some((first as usize, last as usize))
 }
 
-/// Neighbouring pixels at neighbouring nodes of the TIF, all at the same offset from theirs.
+/// Neighbouring pixels at neighbouring nodes of the TIF.
 struct Run {
     /// First pixel, from the start of the range.
     pixel: usize,
-    len: usize,
     /// First node of the first pixel, in the samples with ghosts.
     node: usize,
-    /// Keys' weights.
-    w: [f64; 4],
+    /// Keys' weights of every pixel: where the TIF and the map have not quite the same pitch, no two are the same.
+    w: [Vec<f64>; 4],
+}
+
+impl Run {
+    fn len(&self) -> usize {
+        self.w[0].len()
+    }
+
+    fn push(&mut self, w: &[f64; 4]) {
+        self.w.iter_mut().zip(w).for_each(|(all, w)| all.push(*w));
+    }
+
+    /// Adds what the samples of a `row` of the TIF are at the pixels.
+    fn add(&self, row: &[f64], out: &mut [f64]) {
+        let n = self.len();
+        let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[self.node + t..self.node + t + n]);
+        let [wa, wb, wc, wd] = [0, 1, 2, 3].map(|t| &self.w[t][..n]);
+        for (i, out) in out[self.pixel..self.pixel + n].iter_mut().enumerate() {
+            *out += wa[i] * a[i] + wb[i] * b[i] + wc[i] * c[i] + wd[i] * d[i];
+        }
+    }
 }
 
 /// Offsets from a node that differ by less, in steps of the TIF, are the same: the rounding of
 /// coordinates.
 const SAME_OFFSET: f64 = 1e-11;
 
-/// Where the TIF of a tool at `p` is on the pixels in `range`.
-fn runs(p: f64, map: &Axis, tif: &Axis, range: (usize, usize)) -> Vec<Run> {
+/// Where the TIF of a tool at `p` is on the pixels in `range`; the weights are those of Keys times `fraction`.
+fn runs(p: f64, map: &Axis, tif: &Axis, range: (usize, usize), fraction: f64) -> Vec<Run> {
     let mut found: Vec<Run> = Vec::new();
-    let mut offset = f64::NAN;
+    let (mut offset, mut w) = (f64::NAN, [0.0; 4]);
     for i in range.0..=range.1 {
         let (node, mut f) = keys::split((map.at(i) - p - tif.start_mm()) / tif.step_mm());
         let last = tif.len() as isize - 1;
@@ -186,18 +198,17 @@ fn runs(p: f64, map: &Axis, tif: &Axis, range: (usize, usize)) -> Vec<Run> {
             _ => continue,
         };
         let pixel = i - range.0;
-        match found.last_mut() {
-            Some(run)
-                if run.pixel + run.len == pixel
-                    && run.node + run.len == node
-                    && (f - offset).abs() < SAME_OFFSET =>
-            {
-                run.len += 1;
-            }
-            _ => {
-                offset = f;
-                found.push(Run { pixel, len: 1, node, w: keys::weights(f) });
-            }
+        let follows = |run: &&mut Run| {
+            let n = run.len();
+            run.pixel + n == pixel && run.node + n == node
+        };
+        let last = found.last_mut().filter(follows);
+        if last.is_none() || (f - offset).abs() >= SAME_OFFSET {
+            (offset, w) = (f, keys::weights(f).map(|w| w * fraction));
+        }
+        match last {
+            Some(run) => run.push(&w),
+            None => found.push(Run { pixel, node, w: w.map(|w| vec![w]) }),
         }
     }
     found
@@ -374,9 +385,16 @@ mod tests {
 
     #[test]
     fn a_patch_is_the_tif_at_pixel_minus_tool() {
-        let (tif, map) = rough();
-        for p in [[1.7, 1.3], [-1.0, 0.2], [3.9, 2.32], [0.0, 0.0], [99.0, 0.0]] {
-            let patch = patch(&[Place { position_mm: p, fraction: 1.0 }], &tif, &map);
+        let (tif, coarse) = rough();
+        // Pixels of the pitch of the TIF, and of that pitch but for the digits that a file has lost.
+        let of_pitch = |x_mm: f64, y_mm: f64| Grid {
+            x: Axis::new(0.0, x_mm, 37).unwrap(),
+            y: Axis::new(0.0, y_mm, 29).unwrap(),
+        };
+        let maps = [coarse, of_pitch(0.11, 0.09), of_pitch(0.11 * (1.0 + 2.5e-8), 0.09 + 1e-9)];
+        let places = [[1.7, 1.3], [-1.0, 0.2], [3.9, 2.32], [0.0, 0.0], [99.0, 0.0]];
+        for (map, p) in maps.iter().flat_map(|map| places.map(|p| (map, p))) {
+            let patch = patch(&[Place { position_mm: p, fraction: 1.0 }], &tif, map);
             let mut full = Array2::zeros(map.shape());
             let (r, c) = patch.origin;
             let (ny, nx) = patch.rate_nm_per_s.dim();
