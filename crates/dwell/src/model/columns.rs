@@ -114,18 +114,17 @@ pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     let mut row = vec![0.0; samples.ncols()];
     // Interpolate along y once for all places of the same y, then along x.
     for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
-        let along_x: Vec<Run> = places
+        let along_x: Vec<Under> = places
             .iter()
-            .flat_map(|p| runs(p.position_mm[0], &grid.x, &tif.grid().x, x, p.fraction))
+            .map(|p| Under::new(p.position_mm[0], &grid.x, &tif.grid().x, x, p.fraction))
             .collect();
-        for run in runs(places[0].position_mm[1], &grid.y, &tif.grid().y, y, 1.0) {
-            for k in 0..run.len() {
-                let w = [0, 1, 2, 3].map(|t| run.w[t][k]);
-                combine(&samples.slice(s![run.node + k..run.node + k + 4, ..]), &w, &mut row);
-                let mut out = rate_nm_per_s.row_mut(run.pixel + k);
-                let out = out.as_slice_mut().expect("in C order");
-                along_x.iter().for_each(|run| run.add(&row, out));
-            }
+        let along_y = Under::new(places[0].position_mm[1], &grid.y, &tif.grid().y, y, 1.0);
+        for (k, node) in along_y.node.iter().enumerate() {
+            let w = [0, 1, 2, 3].map(|t| along_y.w[t][k]);
+            combine(&samples.slice(s![*node..node + 4, ..]), &w, &mut row);
+            let mut out = rate_nm_per_s.row_mut(along_y.pixel + k);
+            let out = out.as_slice_mut().expect("in C order");
+            along_x.iter().for_each(|under| under.add(&row, out));
         }
     }
     Patch { origin: (y.0, x.0), rate_nm_per_s }
@@ -148,70 +147,83 @@ fn pixels(p: f64, map: &Axis, tif: &Axis) -> Option<(usize, usize)> {
     (first <= last).then_some((first as usize, last as usize))
 }
 
-/// Neighbouring pixels at neighbouring nodes of the TIF.
-struct Run {
+/// Pixels along an axis and where the TIF of a tool is on them.
+struct Under {
     /// First pixel, from the start of the range.
     pixel: usize,
-    /// First node of the first pixel, in the samples with ghosts.
-    node: usize,
+    /// First of the four nodes of every pixel, in the samples with ghosts.
+    node: Vec<usize>,
     /// Keys' weights of every pixel: where the TIF and the map have not quite the same pitch, no two are the same.
     w: [Vec<f64>; 4],
-}
-
-impl Run {
-    fn len(&self) -> usize {
-        self.w[0].len()
-    }
-
-    fn push(&mut self, w: &[f64; 4]) {
-        self.w.iter_mut().zip(w).for_each(|(all, w)| all.push(*w));
-    }
-
-    /// Adds what the samples of a `row` of the TIF are at the pixels.
-    fn add(&self, row: &[f64], out: &mut [f64]) {
-        let n = self.len();
-        let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[self.node + t..self.node + t + n]);
-        let [wa, wb, wc, wd] = [0, 1, 2, 3].map(|t| &self.w[t][..n]);
-        for (i, out) in out[self.pixel..self.pixel + n].iter_mut().enumerate() {
-            *out += wa[i] * a[i] + wb[i] * b[i] + wc[i] * c[i] + wd[i] * d[i];
-        }
-    }
+    /// Runs of neighbouring pixels at neighbouring nodes.
+    runs: Vec<Range<usize>>,
 }
 
 /// Offsets from a node that differ by less, in steps of the TIF, are the same: the rounding of
 /// coordinates.
 const SAME_OFFSET: f64 = 1e-11;
 
-/// Where the TIF of a tool at `p` is on the pixels in `range`; the weights are those of Keys times `fraction`.
-fn runs(p: f64, map: &Axis, tif: &Axis, range: (usize, usize), fraction: f64) -> Vec<Run> {
-    let mut found: Vec<Run> = Vec::new();
-    let (mut offset, mut w) = (f64::NAN, [0.0; 4]);
-    for i in range.0..=range.1 {
-        let (node, mut f) = keys::split((map.at(i) - p - tif.start_mm()) / tif.step_mm());
-        let last = tif.len() as isize - 1;
-        let node = match node {
-            _ if node == last && f == 0.0 => {
-                f = 1.0;
-                tif.len() - 2
+/// A shorter run of pixels is faster one by one.
+const SHORTEST_RUN: usize = 8;
+
+impl Under {
+    /// The pixels in `range` under a tool at `p`; the weights are those of Keys times `fraction`.
+    fn new(p: f64, map: &Axis, tif: &Axis, range: (usize, usize), fraction: f64) -> Self {
+        let count = range.1 + 1 - range.0;
+        let w = [(); 4].map(|()| Vec::with_capacity(count));
+        let mut under = Self { pixel: 0, node: Vec::with_capacity(count), w, runs: Vec::new() };
+        let (mut offset, mut w) = (f64::NAN, [0.0; 4]);
+        for i in range.0..=range.1 {
+            let (node, mut f) = keys::split((map.at(i) - p - tif.start_mm()) / tif.step_mm());
+            let last = tif.len() as isize - 1;
+            let node = match node {
+                _ if node == last && f == 0.0 => {
+                    f = 1.0;
+                    tif.len() - 2
+                }
+                _ if (0..last).contains(&node) => node as usize,
+                _ => continue,
+            };
+            let n = under.node.len();
+            if n == 0 {
+                under.pixel = i - range.0;
             }
-            _ if (0..last).contains(&node) => node as usize,
-            _ => continue,
-        };
-        let pixel = i - range.0;
-        let follows = |run: &&mut Run| {
-            let n = run.len();
-            run.pixel + n == pixel && run.node + n == node
-        };
-        let last = found.last_mut().filter(follows);
-        if last.is_none() || (f - offset).abs() >= SAME_OFFSET {
-            (offset, w) = (f, keys::weights(f).map(|w| w * fraction));
+            let follows = under.node.last().is_some_and(|before| before + 1 == node);
+            if !follows || (f - offset).abs() >= SAME_OFFSET {
+                (offset, w) = (f, keys::weights(f).map(|w| w * fraction));
+            }
+            match under.runs.last_mut().filter(|_| follows) {
+                Some(run) => run.end += 1,
+                None => under.runs.push(n..n + 1),
+            }
+            under.node.push(node);
+            under.w.iter_mut().zip(w).for_each(|(all, w)| all.push(w));
         }
-        match last {
-            Some(run) => run.push(&w),
-            None => found.push(Run { pixel, node, w: w.map(|w| vec![w]) }),
+        under
+    }
+
+    /// Adds `sum_t w_t g[node + t]` to the pixels, g the samples of a `row` of the TIF.
+    fn add(&self, row: &[f64], out: &mut [f64]) {
+        let out = &mut out[self.pixel..self.pixel + self.node.len()];
+        for run in &self.runs {
+            let [wa, wb, wc, wd] = [0, 1, 2, 3].map(|t| &self.w[t][run.clone()]);
+            if run.len() < SHORTEST_RUN {
+                for (k, i) in run.clone().enumerate() {
+                    let samples = &row[self.node[i]..self.node[i] + 4];
+                    out[i] += wa[k] * samples[0]
+                        + wb[k] * samples[1]
+                        + wc[k] * samples[2]
+                        + wd[k] * samples[3];
+                }
+                continue;
+            }
+            let (from, n) = (self.node[run.start], run.len());
+            let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[from + t..from + t + n]);
+            for (i, out) in out[run.clone()].iter_mut().enumerate() {
+                *out += wa[i] * a[i] + wb[i] * b[i] + wc[i] * c[i] + wd[i] * d[i];
+            }
         }
     }
-    found
 }
 
 impl Patch {
