@@ -87,6 +87,14 @@ impl<'a> Residual<'a> {
         Evaluation { half_mean_square_nm2: 0.5 * square, gradient_nm2_per_s: gradient }
     }
 
+    /// The curvature of f times some times at the places (n), s: what the gradient changes by with them, nm^2/s.
+    pub fn curvature(&self, time_s: &[f64]) -> Vec<f64> {
+        let mut r = self.operator.apply(time_s);
+        r.zip_mut_with(&self.weight, |b, w| *b = if *w > 0.0 { *b } else { 0.0 });
+        self.basis.project(&self.weight, &mut r);
+        self.operator.adjoint(&(&r * &self.weight))
+    }
+
     /// Mean removal for the times at the places (n), s, over the weighted pixels, nm.
     pub fn mean_removal_nm(&self, time_s: &[f64]) -> f64 {
         (&self.operator.apply(time_s) * &self.weight).sum()
@@ -134,6 +142,17 @@ pub struct Normal {
     pub order: Vec<usize>,
     /// The matrix, nm^2 by the unit of the columns squared.
     pub matrix: Quadratic,
+}
+
+impl Normal {
+    /// The matrix times a vector, both in the order of the columns.
+    pub fn product(&self, x: &[f64]) -> Vec<f64> {
+        let by_rows: Vec<f64> = self.order.iter().map(|j| x[*j]).collect();
+        let mut product = vec![0.0; x.len()];
+        let rows = self.order.iter().zip(self.matrix.product(&by_rows));
+        rows.for_each(|(j, v)| product[*j] = v);
+        product
+    }
 }
 
 /// The columns by their position along one axis of the map.

@@ -18,6 +18,9 @@
 //! of what it has left, measured on c itself: every iterate can be executed. The matrix keeps the skyline of H, because
 //! a row couples neighbours only.
 //!
+//! f and f' are those of [`crate::merit`]: with the removal itself where the complementarity has fallen to a tenth, and at
+//! every iterate of which something is to be proven; between them H says what has changed.
+//!
 //! That the objective has stopped to fall does not prove that it is least: z fits rows that bend from step to step, and
 //! is always a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and its
 //! tangents are kept: the steps go on for the convex program that they make of (1), whose slacks may first be larger
@@ -38,6 +41,7 @@ use planish_types::{End, progress};
 use crate::{
     certificate,
     limits::{Constraint, Rows},
+    merit::{Merit, Objective},
 };
 
 /// Fraction of a slack or dual variable that a step may take.
@@ -91,13 +95,8 @@ const RAISED_PRODUCT: f64 = 100.0;
 /// See [`RAISED_PRODUCT`].
 const ACTIVE_SLACK: f64 = 0.1;
 
-/// f and f' at densities.
-pub struct Objective {
-    /// nm^2.
-    pub value: f64,
-    /// By the densities (n).
-    pub gradient: Vec<f64>,
-}
+/// Fall of the complementarity after which f is referred to the iterate, so that it is exact there.
+const REFERRED_AGAIN: f64 = 0.1;
 
 /// (1).
 pub struct Program<'a> {
@@ -105,8 +104,6 @@ pub struct Program<'a> {
     pub normal: &'a Normal,
     /// Curvature of f beside it: diagonal (n), and element (j, j - 1) for every j (n; the first unused).
     pub chain: (&'a [f64], &'a [f64]),
-    /// A lower bound of the curvature of f, > 0.
-    pub alpha: f64,
     /// lo (n).
     pub lo: &'a [f64],
     /// c.
@@ -235,18 +232,18 @@ pub struct Start {
     pub duals: Option<[Vec<f64>; 2]>,
 }
 
-/// Minimises (1) from densities strictly inside; `objective` may change from step to step (a price that is still
-/// being found) as long as it says so: the first value that it returns with `true` is the first that counts.
+/// Minimises (1) from densities strictly inside. The objective may change from step to step, while its price is still
+/// being found: only then it counts.
 pub fn solve(
     program: &Program<'_>,
     start: Start,
     stop: &Stop,
-    mut objective: impl FnMut(Progress, &[f64]) -> (Objective, bool),
+    merit: &mut Merit<'_>,
 ) -> Option<Solution> {
     let mut row_of = vec![0; start.density.len()];
     program.normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
     let first = Progress { iteration: 0, complementarity: f64::INFINITY };
-    let (f, mut settled) = objective(first, &start.density);
+    let (f, mut settled) = merit.evaluate(first, &start.density);
     let mut at = Iterate::new(program, start, f);
     let (mut best, mut best_is_settled): (Option<Executable>, bool) = (None, false);
     // Of f alone, made when the certificate asks for it.
@@ -254,6 +251,7 @@ pub fn solve(
     let (mut values, mut iteration) = (Vec::new(), 0);
     let (mut value_before, mut kept_below) = (f64::INFINITY, 1.0);
     let first_complementarity = at.complementarity();
+    let mut referred_at = first_complementarity;
     let end = loop {
         let complementarity = at.complementarity();
         let there = Progress { iteration, complementarity };
@@ -264,42 +262,48 @@ pub fn solve(
         let near = settled
             && complementarity <= enough
             && (at.kept.is_some() || complementarity <= kept_below * enough && !falls);
+        let last = iteration >= stop.max_iterations;
+        if near || last || complementarity <= REFERRED_AGAIN * referred_at {
+            merit.refer_to(&at.density);
+            at.f = merit.evaluate(there, &at.density).0;
+            referred_at = complementarity;
+        }
         value_before = at.f.value;
-        if near && of_curvature.is_none() {
-            of_curvature = Some(program.inverse(&row_of, program.chain, Vec::new())?);
-        }
-        let closely = of_curvature.as_ref().filter(|_| near);
-        let gap = at.gap(closely, stop.relative_gap, |to| objective(there, to).0);
-        let executable = at.executable(gap);
-        let relative_gap = executable.relative_gap;
         if at.kept.is_none() {
-            values.push(executable.value);
+            values.push(at.f.value);
         }
-        let optimal = settled && relative_gap <= stop.relative_gap;
-        // Values at a price that is still being found cannot be compared.
-        let comparable = settled && best_is_settled && !optimal;
-        if !comparable || best.as_ref().is_none_or(|b| executable.value <= b.value) {
-            (best, best_is_settled) = (Some(executable), settled);
-        }
-        if optimal {
-            break End::Optimal;
-        }
-        if iteration >= stop.max_iterations {
-            break End::IterationLimit;
-        }
-        if at.kept.is_some() && gap <= PROGRAM_SOLVED * enough {
-            at.move_towards_solution();
-            kept_below *= KEPT_AGAIN;
-            (at.f, settled) = objective(there, &at.density);
-            continue;
-        }
-        if near && at.kept.is_none() {
-            at.keep_tangents(gap);
+        if near || last {
+            if near && of_curvature.is_none() {
+                of_curvature = Some(program.inverse(&row_of, program.chain, Vec::new())?);
+            }
+            let gap = at.gap(of_curvature.as_ref().filter(|_| near), stop.relative_gap, merit);
+            let executable = at.executable(gap);
+            let optimal = settled && executable.relative_gap <= stop.relative_gap;
+            // Values at a price that is still being found cannot be compared.
+            let comparable = settled && best_is_settled && !optimal;
+            if !comparable || best.as_ref().is_none_or(|b| executable.value <= b.value) {
+                (best, best_is_settled) = (Some(executable), settled);
+            }
+            if optimal {
+                break End::Optimal;
+            }
+            if last {
+                break End::IterationLimit;
+            }
+            if at.kept.is_some() && gap <= PROGRAM_SOLVED * enough {
+                at.move_towards_solution();
+                kept_below *= KEPT_AGAIN;
+                (at.f, settled) = merit.evaluate(there, &at.density);
+                continue;
+            }
+            if at.kept.is_none() {
+                at.keep_tangents(gap);
+            }
         }
         let step = at.step(&row_of)?;
         let complementarity = at.advance(&step);
         iteration += 1;
-        (at.f, settled) = objective(Progress { iteration, complementarity }, &at.density);
+        (at.f, settled) = merit.evaluate(Progress { iteration, complementarity }, &at.density);
     };
     let Executable { density, relative_gap, .. } = best?;
     let duals = [at.z, at.y];
@@ -414,13 +418,8 @@ impl<'a> Iterate<'a> {
 
     /// How far f is at most above its least value under the tangents, nm^2; with the inverse of its curvature
     /// a closer bound is tried, as far as it matters for the relative gap that is wanted.
-    fn gap(
-        &self,
-        inverse: Option<&Inverse<'_>>,
-        relative_gap: f64,
-        mut objective: impl FnMut(&[f64]) -> Objective,
-    ) -> f64 {
-        let alpha = self.program.alpha;
+    fn gap(&self, inverse: Option<&Inverse<'_>>, relative_gap: f64, merit: &Merit<'_>) -> f64 {
+        let alpha = merit.alpha;
         // f' - J' z
         let mut r = self.f.gradient.clone();
         add_adjoint(&self.here, |i| -self.z[i], &mut r);
@@ -439,7 +438,7 @@ impl<'a> Iterate<'a> {
             return simple;
         }
         let of_use = wanted - products;
-        let product = |d: &[f64]| self.curvature(d, &mut objective);
+        let product = |d: &[f64]| merit.curvature(d);
         let square = certificate::by_curvature(&r, alpha, of_use, product, |e| inverse.solve(e));
         simple.min(products + square)
     }
@@ -560,15 +559,6 @@ impl<'a> Iterate<'a> {
         self.program.inverse(row_of, (&diagonal, &below), u)
     }
 
-    /// F d: f is quadratic, so the difference of its gradients is exact for every length; at the length of the densities
-    /// it has the least rounding.
-    fn curvature(&self, d: &[f64], objective: &mut impl FnMut(&[f64]) -> Objective) -> Vec<f64> {
-        let largest = |v: &[f64]| v.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let scale = largest(&self.density) / largest(d);
-        let there = objective(&moved(&self.density, d, scale)).gradient;
-        there.iter().zip(&self.f.gradient).map(|(a, b)| (a - b) / scale).collect()
-    }
-
     /// (2) with `target` in place of mu.
     fn direction(&self, inverse: &Inverse<'_>, target: &Products) -> Step {
         let Self { f, here, c, room, z, y, excess, .. } = self;
@@ -636,6 +626,7 @@ mod tests {
     use super::*;
     use crate::{
         curve::{Rounding, curves},
+        merit::Price,
         mesh::Mesh,
     };
     use clarabel::{
@@ -705,6 +696,7 @@ mod tests {
         for (acceleration, price, alpha) in [(400.0, 1e-4, 1e-4), (4000.0, 1e-3, 1e-3)] {
             let rows = Rows::new(&curves, &mesh, &machine(60.0, acceleration), 0.1);
             let lo = rows.least_density().to_vec();
+            let tikhonov = alpha;
             let alpha = alpha * strongest;
             let objective = |d: &[f64]| {
                 let at = residual.evaluate(&mesh.times_s(d));
@@ -714,35 +706,47 @@ mod tests {
                     value += price * lengths[j] * d[j] + 0.5 * alpha * (d[j] - lo[j]).powi(2);
                     gradient[j] += price * lengths[j] + alpha * (d[j] - lo[j]);
                 }
-                Objective { value, gradient }
-            };
-            let (diagonal, below) = (vec![alpha; mesh.nodes], vec![0.0; mesh.nodes]);
-            let program = Program {
-                normal: &normal,
-                chain: (&diagonal, &below),
-                alpha,
-                lo: &lo,
-                rows: &rows,
+                (value, gradient)
             };
             let least = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
             let stop = Stop { relative_gap: 1e-3, max_iterations: 100 };
             let density = vec![(1.05 * least).max(0.3); mesh.nodes];
-            let start = Start { density, duals: None };
-            let solution = solve(&program, start, &stop, |_, d| (objective(d), true)).unwrap();
+            let wanted = Price::Nm2PerS(price);
+            let weights = (tikhonov, 0.0);
+            let mut merit = Merit::new(&residual, &normal, &mesh, &lo, weights, wanted, &density);
+            let chain = merit.chain();
+            let chain = (&chain.0[..], &chain.1[..]);
+            let program = Program { normal: &normal, chain, lo: &lo, rows: &rows };
+            let start = Start { density: density.clone(), duals: None };
+            let solution = solve(&program, start, &stop, &mut merit).unwrap();
             assert_eq!(solution.end, End::Optimal);
             let d = &solution.density;
+            // Where it ended f is that of the removal itself; far from there what the cells lose is missing, some percent
+            // of what the difference of the densities removes.
+            let there = Progress { iteration: 0, complementarity: 0.0 };
+            let (value, gradient) = objective(d);
+            assert!((solution.objective.last().unwrap() / value - 1.0).abs() < 1e-9);
+            let (far, before) = (merit.evaluate(there, &density).0, objective(&density));
+            let x: Vec<f64> = density.iter().zip(d).map(|(a, b)| a - b).collect();
+            let linear = value + dot(&gradient, &x);
+            assert!((far.value - before.0).abs() < 0.02 * (before.0 - linear), "{}", far.value);
+            // Its curvature is that of the removal, exactly: f is quadratic.
+            let product = merit.curvature(&x);
+            let largest = product.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            for ((found, a), b) in product.iter().zip(&before.1).zip(&gradient) {
+                assert!((found - (a - b)).abs() < 1e-9 * largest, "{found} {}", a - b);
+            }
             assert!(rows.slacks(d).iter().all(|c| *c > 0.0));
             assert!(d.iter().zip(&lo).all(|(d, lo)| d > lo));
 
             // f(D + x) = f + f' x + x' H x / 2, H column by column from differences, exact for a quadratic
-            let at = objective(d);
             let mut h = vec![Vec::new(); mesh.nodes];
             for j in 0..mesh.nodes {
                 let mut moved = d.clone();
                 moved[j] += 1.0;
-                let column = objective(&moved).gradient;
+                let column = objective(&moved).1;
                 for i in 0..=j {
-                    h[i].push((j, column[i] - at.gradient[i]));
+                    h[i].push((j, column[i] - gradient[i]));
                 }
             }
             // -J x <= c, -x <= D - lo
@@ -757,12 +761,12 @@ mod tests {
             let settings = DefaultSettingsBuilder::default().verbose(false).build().unwrap();
             let cones = [SupportedConeT::NonnegativeConeT(b.len())];
             let (h, a) = (sparse(&h, mesh.nodes), sparse(&a, mesh.nodes));
-            let mut other = DefaultSolver::new(&h, &at.gradient, &a, &b, &cones, settings).unwrap();
+            let mut other = DefaultSolver::new(&h, &gradient, &a, &b, &cones, settings).unwrap();
             other.solve();
             let could_fall = -other.solution.obj_val;
             // What is left to gain is real, and within the certificate; clarabel's tolerance is 1e-8.
-            assert!(could_fall > -1e-7 * at.value, "{could_fall} of {}", at.value);
-            assert!(could_fall <= solution.relative_gap * at.value * (1.0 + 1e-6));
+            assert!(could_fall > -1e-7 * value, "{could_fall} of {value}");
+            assert!(could_fall <= solution.relative_gap * value * (1.0 + 1e-6));
             assert!(solution.relative_gap <= 1e-3);
             // Rows decide: without them the objective would be lower.
             let active = constraints.iter().filter(|row| row.slack < 1e-3).count();

@@ -20,10 +20,7 @@ use planish_dwell::residual::{Normal, Residual};
 use planish_numerics::linear::skyline::dot;
 use serde::Serialize;
 
-use crate::{
-    interior_point::{Objective, Progress},
-    mesh::Mesh,
-};
+use crate::{interior_point::Progress, mesh::Mesh};
 
 /// The price is found when it changes by less than this fraction in a step,
 const PRICE_FOUND: f64 = 0.01;
@@ -44,9 +41,21 @@ pub enum Price {
     Elasticity(f64),
 }
 
+/// (1) at densities.
+pub struct Objective {
+    /// nm^2.
+    pub value: f64,
+    /// By the densities (nodes).
+    pub gradient: Vec<f64>,
+}
+
 /// (1).
 pub struct Merit<'a> {
     residual: &'a Residual<'a>,
+    mesh: &'a Mesh,
+    normal: &'a Normal,
+    /// Length of the path for which every node stands (nodes), mm.
+    lengths_mm: Vec<f64>,
     /// lo (nodes), s/mm.
     lo: &'a [f64],
     /// alpha K, nm^2 mm^2/s^2.
@@ -59,17 +68,44 @@ pub struct Merit<'a> {
     /// nm^2/s.
     pub price: f64,
     price_is_found: bool,
+    reference: Reference,
+}
+
+/// Where the mean square f was last computed with the removal itself. Elsewhere it is, with the normal matrix H, which is on
+/// cells of pixels, and the difference x of the densities
+///
+/// ```text
+/// f + f' x + x' H x / 2
+/// ```
+///
+/// at the cost of one product with H in the place of two convolutions of the map.
+struct Reference {
+    density: Vec<f64>,
+    half_mean_square_nm2: f64,
+    gradient: Vec<f64>,
+}
+
+impl Reference {
+    fn new(residual: &Residual<'_>, mesh: &Mesh, density: &[f64]) -> Self {
+        let at = residual.evaluate(&mesh.times_s(density));
+        Self {
+            density: density.to_vec(),
+            half_mean_square_nm2: at.half_mean_square_nm2,
+            gradient: mesh.collect(&at.gradient_nm2_per_s),
+        }
+    }
 }
 
 impl<'a> Merit<'a> {
-    /// With K from the normal matrix of the nodes.
+    /// With K of the normal matrix, referred to some densities.
     pub fn new(
         residual: &'a Residual<'a>,
-        normal: &Normal,
-        mesh: &Mesh,
+        normal: &'a Normal,
+        mesh: &'a Mesh,
         lo: &'a [f64],
         (tikhonov, smoothness): (f64, f64),
         wanted: Price,
+        density: &[f64],
     ) -> Self {
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
         let neighbours = mesh.spans.iter().filter_map(|s| match s.nodes {
@@ -82,6 +118,9 @@ impl<'a> Merit<'a> {
         };
         Self {
             residual,
+            mesh,
+            normal,
+            lengths_mm: mesh.lengths_mm(),
             lo,
             alpha: tikhonov * strongest,
             beta: smoothness * strongest,
@@ -89,6 +128,7 @@ impl<'a> Merit<'a> {
             wanted,
             price,
             price_is_found,
+            reference: Reference::new(residual, mesh, density),
         }
     }
 
@@ -104,21 +144,31 @@ impl<'a> Merit<'a> {
         (diagonal, below)
     }
 
+    /// Computes the mean square and its gradient at densities with the removal itself.
+    pub fn refer_to(&mut self, density: &[f64]) {
+        self.reference = Reference::new(self.residual, self.mesh, density);
+    }
+
     /// (1) and its gradient, and whether the price is found: while it is looked for it changes from step to step.
-    pub fn evaluate(&mut self, mesh: &Mesh, at: Progress, density: &[f64]) -> (Objective, bool) {
-        let residual = self.residual.evaluate(&mesh.times_s(density));
-        let mut gradient = mesh.collect(&residual.gradient_nm2_per_s);
-        let lengths_mm = mesh.lengths_mm();
-        let total_s = dot(&lengths_mm, density);
+    pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
+        let reference = &self.reference;
+        let off: Vec<f64> = density.iter().zip(&reference.density).map(|(d, r)| d - r).collect();
+        let curved = self.normal.product(&off);
+        let half_mean_square_nm2 = reference.half_mean_square_nm2
+            + dot(&reference.gradient, &off)
+            + 0.5 * dot(&curved, &off);
+        let mut gradient: Vec<f64> =
+            reference.gradient.iter().zip(&curved).map(|(g, c)| g + c).collect();
+        let total_s = dot(&self.lengths_mm, density);
         if let (Price::Elasticity(x), false) = (self.wanted, self.price_is_found) {
-            let next = x * residual.half_mean_square_nm2 / total_s;
+            let next = x * half_mean_square_nm2 / total_s;
             let change = (next - self.price).abs();
-            let near = at.complementarity <= NEARLY_SOLVED * residual.half_mean_square_nm2;
+            let near = at.complementarity <= NEARLY_SOLVED * half_mean_square_nm2;
             self.price_is_found =
                 near && change <= PRICE_FOUND * next || at.iteration >= PRICE_STEPS;
             self.price = next;
         }
-        gradient.iter_mut().zip(&lengths_mm).for_each(|(g, l)| *g += self.price * l);
+        gradient.iter_mut().zip(&self.lengths_mm).for_each(|(g, l)| *g += self.price * l);
         let mut penalty = 0.0;
         for ((g, d), lo) in gradient.iter_mut().zip(density).zip(self.lo) {
             penalty += 0.5 * self.alpha * (d - lo).powi(2);
@@ -130,7 +180,20 @@ impl<'a> Merit<'a> {
             gradient[*b] += self.beta * d;
             gradient[*a] -= self.beta * d;
         }
-        let value = residual.half_mean_square_nm2 + self.price * total_s + penalty;
+        let value = half_mean_square_nm2 + self.price * total_s + penalty;
         (Objective { value, gradient }, self.price_is_found)
+    }
+
+    /// The curvature of (1) times densities, with the removal itself.
+    pub fn curvature(&self, d: &[f64]) -> Vec<f64> {
+        let by_time = self.residual.curvature(&self.mesh.times_s(d));
+        let mut product = self.mesh.collect(&by_time);
+        product.iter_mut().zip(d).for_each(|(p, d)| *p += self.alpha * d);
+        for [a, b] in &self.neighbours {
+            let difference = self.beta * (d[*b] - d[*a]);
+            product[*b] += difference;
+            product[*a] -= difference;
+        }
+        product
     }
 }

@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::{
     FeedError,
     curve::{self, Curve, Rounding, Smooth},
-    interior_point::{self, Program, Progress, Solution, Start, Stop},
+    interior_point::{self, Program, Solution, Start, Stop},
     jerk::Average,
     limits::Rows,
     merit::{Merit, Price},
@@ -413,21 +413,20 @@ fn solve(
     let mut rows = Rows::new(curves, mesh, limits, reference);
     let lo: Vec<f64> =
         rows.least_density().iter().map(|d| d.max(settings.min_dwell_s_per_mm)).collect();
-    let weights = (settings.tikhonov, settings.smoothness);
-    let mut merit = Merit::new(residual, &normal, mesh, &lo, weights, settings.price);
-    let (chain, alpha) = (merit.chain(), merit.alpha);
-    let stop =
-        Stop { relative_gap: settings.relative_gap, max_iterations: settings.max_iterations };
     let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
     let uniform = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); mesh.nodes];
+    let weights = (settings.tikhonov, settings.smoothness);
+    let mut merit = Merit::new(residual, &normal, mesh, &lo, weights, settings.price, &uniform);
+    let chain = merit.chain();
+    let stop =
+        Stop { relative_gap: settings.relative_gap, max_iterations: settings.max_iterations };
     let mut start = Start { density: uniform, duals: None };
     let (mut iterations, mut rounds) = (0, 0);
     let (solution, motion, refused) = loop {
         rounds += 1;
         let program =
-            Program { normal: &normal, chain: (&chain.0, &chain.1), alpha, lo: &lo, rows: &rows };
-        let objective = |at: Progress, density: &[f64]| merit.evaluate(mesh, at, density);
-        let solution = interior_point::solve(&program, start, &stop, objective)
+            Program { normal: &normal, chain: (&chain.0, &chain.1), lo: &lo, rows: &rows };
+        let solution = interior_point::solve(&program, start, &stop, &mut merit)
             .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
         iterations += solution.iterations;
         let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
