@@ -183,7 +183,7 @@ pub struct Stop {
 pub struct Solution {
     /// D (n).
     pub density: Vec<f64>,
-    /// f at every iterate, nm^2.
+    /// f at every iterate, nm^2; see [`crate::merit`] for where it is exact.
     pub objective: Vec<f64>,
     /// Steps.
     pub iterations: usize,
@@ -232,8 +232,8 @@ pub struct Start {
     pub duals: Option<[Vec<f64>; 2]>,
 }
 
-/// Minimises (1) from densities strictly inside. The objective may change from step to step, while its price is still
-/// being found: only then it counts.
+/// Minimises (1) from densities strictly inside. The objective may change from step to step while its price is still
+/// being found; nothing is proven, or compared, before it is.
 pub fn solve(
     program: &Program<'_>,
     start: Start,

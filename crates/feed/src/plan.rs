@@ -140,7 +140,8 @@ pub struct Report {
     pub relative_gap: f64,
     /// Steps of the solver, of all its rounds.
     pub iterations: usize,
-    /// Objective of the last round at its start and after every step, nm^2.
+    /// Objective of the last round at its start and after every step, nm^2: the last one, and some before it, with the
+    /// removal itself, and those between them by the normal matrix.
     pub objective_nm2: Vec<f64>,
     /// RMS (without what is free) of the residual in the removal model of the solver, nm.
     pub model_rms_nm: f64,
