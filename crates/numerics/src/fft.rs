@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`transform`] | a map of any size, for its spectrum |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
+//! | [`tiles`] | the same, where the map is too large for the cache |
 //! | [`pair_convolution`] | two real maps or lines at a time, as one complex one |
 //! | [`mod@line`] | lines whose products with several kernels are summed before the inverse |
 //!
@@ -13,6 +14,7 @@
 pub mod convolution;
 pub mod line;
 pub mod pair_convolution;
+pub mod tiles;
 pub mod transform;
 
 pub use rustfft::num_complex::Complex64;

@@ -143,6 +143,7 @@ impl Lattice {
     /// The nodes k that may be beyond an edge and still get something from (1).
     pub fn border(&self) -> Vec<BorderNode> {
         let samples = self.border_samples();
+        let mut bit = 1;
         let may_be = |k: &isize| self.is_beyond(*k, 0.0) || self.is_beyond(*k, 1.0 - keys::SNAP);
         (-2..=self.last + 2)
             .filter(may_be)
@@ -150,9 +151,11 @@ impl Lattice {
                 let weight = |j: isize| usize::try_from(k - j + 1).ok().filter(|d| *d < 4);
                 let with = |(slot, j): (usize, &isize)| weight(*j).map(|w| (slot, w));
                 let always = self.is_beyond(k, 0.0) && self.is_beyond(k, 1.0 - keys::SNAP);
+                let at_times = if always { 0 } else { bit };
+                bit <<= u8::from(!always);
                 BorderNode {
                     k,
-                    always,
+                    at_times,
                     terms: samples.iter().enumerate().filter_map(with).collect(),
                 }
             })
@@ -165,18 +168,25 @@ impl Lattice {
 pub struct BorderNode {
     /// Steps from the tool's cell.
     pub k: isize,
-    /// Whether it is beyond wherever in its cell the tool is.
-    pub always: bool,
+    /// 0 where it is beyond wherever in its cell the tool is; else its bit of [`BorderNode::kind`].
+    at_times: u8,
     /// What it gets by (1): position in [`Lattice::border_samples`] of the sample j, and the index
     /// d + 1 of the weight with d = k - j.
     pub terms: Vec<(usize, usize)>,
 }
 
 impl BorderNode {
-    /// Whether it is beyond with the tool at the offset `f` in its cell.
+    /// Which of the `nodes` that are beyond only at times are so with the tool at the offset `f` in its cell.
     #[inline]
-    pub fn is_beyond(&self, lattice: &Lattice, f: f64) -> bool {
-        self.always || lattice.is_beyond(self.k, f)
+    pub fn kind(nodes: &[Self], lattice: &Lattice, f: f64) -> u8 {
+        let is_beyond = |n: &&Self| n.at_times != 0 && lattice.is_beyond(n.k, f);
+        nodes.iter().filter(is_beyond).map(|n| n.at_times).sum()
+    }
+
+    /// Whether it is beyond with the tool at offsets of this kind.
+    #[inline]
+    pub fn is_beyond(&self, kind: u8) -> bool {
+        self.at_times == 0 || self.at_times & kind != 0
     }
 }
 

@@ -37,6 +37,7 @@ pub mod quadrature;
 pub mod runs;
 pub mod sample;
 pub mod servo;
+mod spill;
 mod tile;
 pub mod tool;
 pub mod virtual_machine;

@@ -6,13 +6,15 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft::{Complex64, pair_convolution::LineWorkspace};
+use planish_numerics::fft::Complex64;
 use planish_types::Trajectory;
 use rayon::prelude::*;
 
 use crate::{
-    kernel::{Border, Edge, Kernel, MAX_BORDER},
-    quadrature::{Cutter, Piece, Reach, Window},
+    kernel::{Border, Kernel, MAX_BORDER},
+    lattice::BorderNode,
+    quadrature::{Cutter, Reach, Window},
+    spill::{BLOCKS, Blocks, Lines, Pieces, WEIGHTS},
 };
 
 /// Columns of the map that are written together: a cache line.
@@ -22,9 +24,22 @@ const COLUMNS: usize = 8;
 pub struct Workspace {
     field: Array2<Complex64>,
     cutter: Cutter,
-    pieces: Vec<Piece>,
-    /// Their cells, to be sorted by.
-    cells: Vec<[i64; 2]>,
+    kept: Kept,
+    /// Spectra of what is subtracted from the columns.
+    columns: Vec<Complex64>,
+    /// Of [`Lines::subtract`].
+    sources: [Vec<Complex64>; BLOCKS],
+}
+
+/// The pieces of a tile, kept for the border.
+#[derive(Default)]
+struct Kept {
+    /// [`crate::quadrature::Piece::seconds`].
+    seconds: Vec<[[f64; 4]; 4]>,
+    /// Their cells [x, y].
+    cells: Vec<[i32; 2]>,
+    /// Their kind [x, y]: [`BorderNode::kind`].
+    kinds: Vec<[u8; 2]>,
 }
 
 impl Workspace {
@@ -33,9 +48,16 @@ impl Workspace {
         Self {
             field: Array2::zeros(kernel.convolution.size()),
             cutter: Cutter::new([kernel.x.cells(), kernel.y.cells()]),
-            pieces: Vec::new(),
-            cells: Vec::new(),
+            kept: Kept::default(),
+            columns: Vec::new(),
+            sources: Default::default(),
         }
+    }
+}
+
+impl Kept {
+    fn blocks(&self, axis: usize, window: Range<i64>) -> Blocks<'_> {
+        Blocks::new(&self.cells, &self.kinds, axis, window)
     }
 }
 
@@ -80,22 +102,33 @@ impl<'a> Tile<'a> {
             return points;
         }
         // R = E - E ly - E lx + E ly lx                                              (2)
-        let y = &self.kernel.y;
+        let Workspace { field, kept, columns, sources, .. } = work;
+        let (x, y) = (&self.kernel.x, &self.kernel.y);
+        let border = self.kernel.border.as_ref();
         let rows = y.nodes_of(&self.rows);
-        self.kernel.convolution.convolve(work.field.view_mut(), rows, alone);
-        let valid = work.field.outer_iter().skip(y.samples() - 1).step_by(y.subdivision);
+        self.kernel.convolution.convolve(field.view_mut(), rows, alone, |spectra| {
+            let Some(Border { rows: edge, .. }) = border else { return };
+            let blocks = kept.blocks(1, y.window(&self.rows));
+            let lines = Lines { edge, across: y, parallel: alone };
+            let pieces = Rows { tile: self, kept, blocks };
+            let stride = y.subdivision * edge.convolution.size();
+            lines.subtract(&pieces, self.rows.len(), (spectra, stride), sources);
+        });
+        let valid = field.outer_iter().skip(y.samples() - 1).step_by(y.subdivision);
         for (mut row, line) in out.outer_iter_mut().zip(valid) {
-            self.add_row(
-                row.as_slice_mut().expect("in C order"),
-                line.as_slice().expect("too"),
-                1.0,
-            );
+            self.add_row(row.as_slice_mut().expect("in C order"), line.as_slice().expect("too"));
         }
-        if let Some(border) = &self.kernel.border {
-            self.subtract_rows(&border.rows, work, out.view_mut(), alone);
-            self.subtract_columns(&border.columns, work, out.view_mut(), alone);
-            if let Some(corners) = &border.corners {
-                self.add_corners(border, corners, &work.pieces, out);
+        if let Some(Border { columns: edge, corners, .. }) = border {
+            let blocks = [0, 1].map(|s| kept.blocks(0, x.window(&self.strips[s])));
+            let lines = Lines { edge, across: x, parallel: alone };
+            let pieces = Columns { tile: self, kept, blocks };
+            let size = edge.convolution.size();
+            columns.clear();
+            columns.resize(self.strips[0].len() * size, Complex64::default());
+            lines.subtract(&pieces, self.strips[0].len(), (columns, size), sources);
+            self.add_columns(&lines, columns, out.view_mut());
+            if let Some(corners) = corners {
+                self.add_corners(border.expect("it has corners"), corners, kept, out);
             }
         }
         points
@@ -109,12 +142,13 @@ impl<'a> Tile<'a> {
         segments: &[Reach],
         work: &mut Workspace,
     ) -> (usize, bool) {
-        let Workspace { field, cutter, pieces, cells } = work;
-        let keep = self.kernel.border.is_some();
+        let Workspace { field, cutter, kept: Kept { seconds: kept, cells, kinds }, .. } = work;
+        let border = self.kernel.border.as_ref();
         let width = field.ncols();
         field.fill(Complex64::default());
-        pieces.clear();
+        kept.clear();
         cells.clear();
+        kinds.clear();
         let nodes = field.as_slice_mut().expect("in C order");
         let x = self.window.low[0]..self.window.high[0];
         let (mut points, mut reached) = (0, false);
@@ -123,9 +157,9 @@ impl<'a> Tile<'a> {
                 reached = true;
                 points += if self.owns(piece.cell) { piece.points } else { 0 };
                 for part in 0..2 {
-                    let Some(cx) = self.column(piece, part) else { continue };
+                    let Some(cx) = self.column(piece.cell[0], part) else { continue };
                     for (b, seconds) in piece.seconds.iter().enumerate() {
-                        let r = self.row(piece) + b as i64 - 1;
+                        let r = self.row(piece.cell[1]) + b as i64 - 1;
                         if r < 0 || r >= (nodes.len() / width) as i64 {
                             continue;
                         }
@@ -133,9 +167,13 @@ impl<'a> Tile<'a> {
                         add(line, part, cx, *seconds);
                     }
                 }
-                if keep {
-                    pieces.push(*piece);
-                    cells.push(piece.cell);
+                if let Some(Border { rows, columns, .. }) = border {
+                    kept.push(piece.seconds);
+                    cells.push(piece.cell.map(|c| c as i32));
+                    kinds.push([
+                        BorderNode::kind(&columns.nodes, &self.kernel.x, piece.offset[0]),
+                        BorderNode::kind(&rows.nodes, &self.kernel.y, piece.offset[1]),
+                    ]);
                 }
             });
         }
@@ -149,148 +187,62 @@ impl<'a> Tile<'a> {
         (0..2).all(|a| first[a] == 0 || cell[a] >= self.window.low[a] + overlap[a])
     }
 
-    /// Node of the piece's cell along y.
-    fn row(&self, piece: &Piece) -> i64 {
-        piece.cell[1] - self.first_y
+    /// Node of a cell along y.
+    fn row(&self, cell_y: i64) -> i64 {
+        cell_y - self.first_y
     }
 
-    /// Node of the piece's cell in a strip, if it spreads seconds there.
-    fn column(&self, piece: &Piece, part: usize) -> Option<i64> {
-        let c = piece.cell[0] - self.first_x[part];
+    /// Node of a cell in a strip along x, if it spreads seconds there.
+    fn column(&self, cell_x: i64, part: usize) -> Option<i64> {
+        let c = cell_x - self.first_x[part];
         let nodes = self.kernel.x.nodes_of(&self.strips[part]) as i64;
         (nodes > 0 && c >= -2 && c <= nodes).then_some(c)
     }
 
-    /// Adds `sign` times the valid part of a convolved line to a row of the tile.
-    fn add_row(&self, row: &mut [f64], line: &[Complex64], sign: f64) {
+    /// Adds the valid part of a convolved line to a row of the tile.
+    fn add_row(&self, row: &mut [f64], line: &[Complex64]) {
         let x = &self.kernel.x;
         let (left, right) = row.split_at_mut(self.strips[0].len());
         let valid = &line[x.samples() - 1..];
         if x.subdivision == 1 {
-            left.iter_mut().zip(valid).for_each(|(o, v)| *o += sign * v.re);
-            right.iter_mut().zip(valid).for_each(|(o, v)| *o += sign * v.im);
+            left.iter_mut().zip(valid).for_each(|(o, v)| *o += v.re);
+            right.iter_mut().zip(valid).for_each(|(o, v)| *o += v.im);
         } else {
             let valid = valid.iter().step_by(x.subdivision);
-            left.iter_mut().zip(valid.clone()).for_each(|(o, v)| *o += sign * v.re);
-            right.iter_mut().zip(valid).for_each(|(o, v)| *o += sign * v.im);
+            left.iter_mut().zip(valid.clone()).for_each(|(o, v)| *o += v.re);
+            right.iter_mut().zip(valid).for_each(|(o, v)| *o += v.im);
         }
     }
 
-    /// Subtracts `E ly`: for each sample row j next to the border, the seconds w_{k-j}(f_y) go to
-    /// the pixel row C + k that spills; the row is then convolved with g[j, :].
-    fn subtract_rows(
-        &self,
-        edge: &Edge,
-        Workspace { pieces, cells, .. }: &Workspace,
-        mut out: ArrayViewMut2<f64>,
-        alone: bool,
-    ) {
+    /// Adds the valid parts of the `columns` of both strips, given by their spectra.
+    fn add_columns(&self, lines: &Lines, columns: &mut [Complex64], out: ArrayViewMut2<f64>) {
+        let convolution = &lines.edge.convolution;
+        let size = convolution.size();
         let y = &self.kernel.y;
-        let cells = ByCell::new(cells, 1, self.window.low[1]..self.window.high[1]);
-        let first = self.rows.start;
-        out.axis_iter_mut(NdAxis(0))
-            .into_par_iter()
-            .enumerate()
-            .with_min_len(if alone { 1 } else { usize::MAX })
-            .for_each_init(
-                || edge.convolution.workspace(),
-                |work, (r, mut row)| {
-                    let node = ((first + r) * y.subdivision) as i64;
-                    for border in &edge.nodes {
-                        for piece in cells.at(node - border.k as i64, pieces) {
-                            if !border.is_beyond(y, piece.offset[1]) {
-                                continue;
-                            }
-                            for part in 0..2 {
-                                let Some(cx) = self.column(piece, part) else { continue };
-                                for &(j, b) in &border.terms {
-                                    add(work.source(j), part, cx, piece.seconds[b]);
-                                }
-                            }
-                        }
-                    }
-                    if let Some(line) = edge.convolution.sum(work) {
-                        self.add_row(row.as_slice_mut().expect("in C order"), line, -1.0);
-                    }
-                },
-            );
-    }
-
-    /// Subtracts `E lx`, a column of both strips at a time.
-    fn subtract_columns(
-        &self,
-        edge: &Edge,
-        Workspace { pieces, cells, .. }: &Workspace,
-        out: ArrayViewMut2<f64>,
-        alone: bool,
-    ) {
-        let cells = ByCell::new(cells, 0, self.window.low[0]..self.window.high[0]);
-        let rows = self.rows.len();
         let (mut left, mut right) = out.split_at(NdAxis(1), self.strips[0].len());
         let mut right = right.axis_chunks_iter_mut(NdAxis(1), COLUMNS);
         let left = left.axis_chunks_iter_mut(NdAxis(1), COLUMNS);
         let groups: Vec<_> = left.map(|l| (l, right.next())).collect();
-        groups
-            .into_par_iter()
-            .enumerate()
-            .with_min_len(if alone { 1 } else { usize::MAX })
+        columns
+            .par_chunks_mut(COLUMNS * size)
+            .zip(groups)
+            .with_min_len(if lines.parallel { 1 } else { usize::MAX })
             .for_each_init(
-                || (edge.convolution.workspace(), vec![Complex64::default(); COLUMNS * rows]),
-                |(work, spill), (group, (mut left, right))| {
-                    for i in 0..left.ncols() {
-                        self.column_spill(
-                            edge,
-                            &cells,
-                            pieces,
-                            group * COLUMNS + i,
-                            work,
-                            &mut spill[i * rows..],
-                        );
-                    }
+                || convolution.scratch(),
+                |scratch, (columns, (mut left, right))| {
+                    convolution.inverse(columns, scratch);
+                    let node = |r: usize| y.samples() - 1 + r * y.subdivision;
                     for (r, mut row) in left.outer_iter_mut().enumerate() {
-                        row.iter_mut().enumerate().for_each(|(i, o)| *o -= spill[i * rows + r].re);
+                        let value = |i: usize| columns[i * size + node(r)].re;
+                        row.iter_mut().enumerate().for_each(|(i, o)| *o += value(i));
                     }
                     let Some(mut right) = right else { return };
                     for (r, mut row) in right.outer_iter_mut().enumerate() {
-                        row.iter_mut().enumerate().for_each(|(i, o)| *o -= spill[i * rows + r].im);
+                        let value = |i: usize| columns[i * size + node(r)].im;
+                        row.iter_mut().enumerate().for_each(|(i, o)| *o += value(i));
                     }
                 },
             );
-    }
-
-    /// `E lx` of column `c` of both strips.
-    fn column_spill(
-        &self,
-        edge: &Edge,
-        cells: &ByCell,
-        pieces: &[Piece],
-        c: usize,
-        work: &mut LineWorkspace,
-        spill: &mut [Complex64],
-    ) {
-        let (x, y) = (&self.kernel.x, &self.kernel.y);
-        for (part, strip) in self.strips.iter().enumerate().filter(|(_, s)| c < s.len()) {
-            let node = ((strip.start + c) * x.subdivision) as i64;
-            for border in &edge.nodes {
-                for piece in cells.at(node - border.k as i64, pieces) {
-                    if border.is_beyond(x, piece.offset[0]) {
-                        for &(i, a) in &border.terms {
-                            let [s0, s1, s2, s3] = &piece.seconds;
-                            let seconds = [s0[a], s1[a], s2[a], s3[a]];
-                            add(work.source(i), part, self.row(piece), seconds);
-                        }
-                    }
-                }
-            }
-        }
-        let spill = &mut spill[..self.rows.len()];
-        match edge.convolution.sum(work) {
-            Some(line) => {
-                let valid = line[y.samples() - 1..].iter().step_by(y.subdivision);
-                spill.iter_mut().zip(valid).for_each(|(l, v)| *l = *v);
-            }
-            None => spill.fill(Complex64::default()),
-        }
     }
 
     /// Adds `E ly lx`: the pixels diagonally beyond the corners of the TIF.
@@ -298,31 +250,33 @@ impl<'a> Tile<'a> {
         &self,
         border: &Border,
         corners: &[[[f64; MAX_BORDER]; 4]],
-        pieces: &[Piece],
+        kept: &Kept,
         mut out: ArrayViewMut2<f64>,
     ) {
         let (x, y) = (&self.kernel.x, &self.kernel.y);
         let [left, right] = &self.strips;
         let columns = left.start..left.end.max(right.end);
-        for piece in pieces {
+        for ((seconds, cell), kind) in kept.seconds.iter().zip(&kept.cells).zip(&kept.kinds) {
             let mut beyond = [None; MAX_BORDER];
             for (beyond, node) in beyond.iter_mut().zip(&border.columns.nodes) {
-                if node.is_beyond(x, piece.offset[0]) {
-                    *beyond = x.pixel(piece.cell[0] + node.k as i64, &columns);
+                if node.is_beyond(kind[0]) {
+                    *beyond = x.pixel(i64::from(cell[0]) + node.k as i64, &columns);
                 }
             }
             if beyond == [None; MAX_BORDER] {
                 continue;
             }
             for node in &border.rows.nodes {
-                let Some(r) = y.pixel(piece.cell[1] + node.k as i64, &self.rows) else { continue };
-                if !node.is_beyond(y, piece.offset[1]) {
+                let Some(r) = y.pixel(i64::from(cell[1]) + node.k as i64, &self.rows) else {
+                    continue;
+                };
+                if !node.is_beyond(kind[1]) {
                     continue;
                 }
                 // (1) in two dimensions
                 let mut nm = [0.0; MAX_BORDER];
                 for &(j, b) in &node.terms {
-                    for (seconds, rates) in piece.seconds[b].iter().zip(&corners[j]) {
+                    for (seconds, rates) in seconds[b].iter().zip(&corners[j]) {
                         nm.iter_mut().zip(rates).for_each(|(n, rate)| *n += seconds * rate);
                     }
                 }
@@ -334,6 +288,50 @@ impl<'a> Tile<'a> {
                     }
                 }
             }
+        }
+    }
+}
+
+/// The pieces by rows of cells, for `E ly`.
+struct Rows<'a> {
+    tile: &'a Tile<'a>,
+    kept: &'a Kept,
+    blocks: Blocks<'a>,
+}
+
+impl Pieces for Rows<'_> {
+    fn of(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2] {
+        [0, 1].map(|_strip| self.blocks.of(block))
+    }
+
+    fn add(&self, piece: u32, strip: usize, lines: [&mut [Complex64]; WEIGHTS]) {
+        let [x, _] = self.kept.cells[piece as usize];
+        if let Some(c) = self.tile.column(x.into(), strip) {
+            for (line, seconds) in lines.into_iter().zip(self.kept.seconds[piece as usize]) {
+                add(line, strip, c, seconds);
+            }
+        }
+    }
+}
+
+/// The pieces by columns of cells, for `E lx`.
+struct Columns<'a> {
+    tile: &'a Tile<'a>,
+    kept: &'a Kept,
+    /// Of each strip.
+    blocks: [Blocks<'a>; 2],
+}
+
+impl Pieces for Columns<'_> {
+    fn of(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2] {
+        [0, 1].map(|strip| self.blocks[strip].of(block))
+    }
+
+    fn add(&self, piece: u32, strip: usize, lines: [&mut [Complex64]; WEIGHTS]) {
+        let [_, y] = self.kept.cells[piece as usize];
+        let [s0, s1, s2, s3] = &self.kept.seconds[piece as usize];
+        for (a, line) in lines.into_iter().enumerate() {
+            add(line, strip, self.tile.row(y.into()), [s0[a], s1[a], s2[a], s3[a]]);
         }
     }
 }
@@ -367,43 +365,5 @@ fn add_to(
         if let Some(v) = usize::try_from(c).ok().and_then(|i| line.get_mut(i)) {
             *part(v) += s;
         }
-    }
-}
-
-/// Pieces by their cell along one axis; in the order of time within one.
-struct ByCell {
-    lowest: i64,
-    /// Where in `order` the pieces of the cell `lowest + i` start; one more at the end.
-    start: Vec<u32>,
-    order: Vec<u32>,
-}
-
-impl ByCell {
-    /// For the cells of the pieces, which are within `window` along the axis.
-    fn new(cells: &[[i64; 2]], axis: usize, window: Range<i64>) -> Self {
-        let lowest = window.start;
-        let of = |cell: &[i64; 2]| (cell[axis] - lowest) as usize;
-        let mut start = vec![0; (window.end - lowest) as usize + 2];
-        cells.iter().for_each(|c| start[of(c) + 2] += 1);
-        (2..start.len()).for_each(|i| start[i] += start[i - 1]);
-        // start[i + 1] is now where cell i starts, and moves to where it ends.
-        let mut order = vec![0; cells.len()];
-        for (index, c) in cells.iter().enumerate() {
-            let next = &mut start[of(c) + 1];
-            order[*next as usize] = index as u32;
-            *next += 1;
-        }
-        start.pop();
-        Self { lowest, start, order }
-    }
-
-    /// The pieces of one cell.
-    fn at<'p>(&'p self, cell: i64, pieces: &'p [Piece]) -> impl Iterator<Item = &'p Piece> {
-        let i = usize::try_from(cell - self.lowest).unwrap_or(usize::MAX - 2);
-        let order = match self.start.get(i..i + 2) {
-            Some(&[from, to]) => &self.order[from as usize..to as usize],
-            _ => &[],
-        };
-        order.iter().map(|i| &pieces[*i as usize])
     }
 }
