@@ -41,7 +41,7 @@ use planish_types::{End, progress};
 use crate::{
     certificate,
     limits::{Constraint, Rows},
-    merit::{Merit, Objective},
+    merit::{Merit, Objective, Progress},
 };
 
 /// Fraction of a slack or dual variable that a step may take.
@@ -212,15 +212,6 @@ fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &mut [f64]) {
             }
         }
     }
-}
-
-/// How the method came to an iterate.
-#[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    /// 0 at the start.
-    pub iteration: usize,
-    /// c z + (D - lo) y, summed: about how far the objective is above its least value, nm^2.
-    pub complementarity: f64,
 }
 
 /// Where to begin.

@@ -20,7 +20,7 @@ use planish_dwell::residual::{Normal, Residual};
 use planish_numerics::linear::skyline::dot;
 use serde::Serialize;
 
-use crate::{interior_point::Progress, mesh::Mesh};
+use crate::mesh::Mesh;
 
 /// The price is found when it changes by less than this fraction in a step,
 const PRICE_FOUND: f64 = 0.01;
@@ -39,6 +39,15 @@ pub enum Price {
     Nm2PerS(f64),
     /// (2): by how many percent one percent more time lowers the mean square, where the plan ends.
     Elasticity(f64),
+}
+
+/// How a method came to densities.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// 0 at the start.
+    pub iteration: usize,
+    /// c z + (D - lo) y, summed: about how far the objective is above its least value, nm^2.
+    pub complementarity: f64,
 }
 
 /// (1) at densities.
