@@ -90,7 +90,6 @@ impl<'a> Residual<'a> {
     /// The curvature of f times some times at the places (n), s: what the gradient changes by with them, nm^2/s.
     pub fn curvature(&self, time_s: &[f64]) -> Vec<f64> {
         let mut r = self.operator.apply(time_s);
-        r.zip_mut_with(&self.weight, |b, w| *b = if *w > 0.0 { *b } else { 0.0 });
         self.basis.project(&self.weight, &mut r);
         self.operator.adjoint(&(&r * &self.weight))
     }

@@ -168,7 +168,8 @@ impl Lattice {
 pub struct BorderNode {
     /// Steps from the tool's cell.
     pub k: isize,
-    /// 0 where it is beyond wherever in its cell the tool is; else its bit of [`BorderNode::kind`].
+    /// 0 where it is beyond wherever in its cell the tool is; else its bit of [`BorderNode::kind`]: there are at most two,
+    /// the node whose step an edge crosses at either end.
     at_times: u8,
     /// What it gets by (1): position in [`Lattice::border_samples`] of the sample j, and the index
     /// d + 1 of the weight with d = k - j.

@@ -118,7 +118,8 @@ impl<'a> Tile<'a> {
         for (mut row, line) in out.outer_iter_mut().zip(valid) {
             self.add_row(row.as_slice_mut().expect("in C order"), line.as_slice().expect("too"));
         }
-        if let Some(Border { columns: edge, corners, .. }) = border {
+        if let Some(border) = border {
+            let edge = &border.columns;
             let blocks = [0, 1].map(|s| kept.blocks(0, x.window(&self.strips[s])));
             let lines = Lines { edge, across: x, parallel: alone };
             let pieces = Columns { tile: self, kept, blocks };
@@ -127,8 +128,8 @@ impl<'a> Tile<'a> {
             columns.resize(self.strips[0].len() * size, Complex64::default());
             lines.subtract(&pieces, self.strips[0].len(), (columns, size), sources);
             self.add_columns(&lines, columns, out.view_mut());
-            if let Some(corners) = corners {
-                self.add_corners(border.expect("it has corners"), corners, kept, out);
+            if let Some(corners) = &border.corners {
+                self.add_corners(border, corners, kept, out);
             }
         }
         points

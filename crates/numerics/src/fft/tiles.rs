@@ -39,12 +39,12 @@ pub struct Tiles {
 impl Tiles {
     /// Plans for valid parts of this `shape`; `None` where one real transform of `whole` elements is less work.
     pub fn new(kernel: ArrayView2<f64>, shape: (usize, usize), whole: usize) -> Option<Self> {
-        let (gy, gx) = kernel.dim();
-        let work = |n: usize| n as f64 * (n as f64).log2();
-        let mut least = 0.5 * UNCACHED_COST * work(whole) / CORES as f64;
         if whole <= CACHED {
             return None;
         }
+        let (gy, gx) = kernel.dim();
+        let work = |n: usize| n as f64 * (n as f64).log2();
+        let mut least = 0.5 * UNCACHED_COST * work(whole) / CORES as f64;
         let mut best = None;
         for nx in (gx..=CACHED / gy).filter(|n| is_quick_size(*n)) {
             let strips = shape.1.div_ceil(nx - gx + 1);
