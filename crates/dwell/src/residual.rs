@@ -101,16 +101,21 @@ impl<'a> Residual<'a> {
 
     /// The normal matrix of columns (m), each a sum of some places by their indices, with a time at each; it has room
     /// for the coupling of every column with the next one. Refuses one beyond the memory budget.
-    pub fn normal(&self, columns: &[Vec<(usize, f64)>]) -> Result<Normal, Invalid> {
-        let grid = self.desired.grid();
+    ///
+    /// What is `known` of them from another matrix of the same map and tool is not computed again.
+    pub fn normal(
+        &self,
+        columns: &[Vec<(usize, f64)>],
+        known: Option<Known>,
+    ) -> Result<Normal, Invalid> {
         let place = |(index, time): &(usize, f64)| Place {
             position_mm: self.places_mm[*index],
             fraction: *time,
         };
         let places: Vec<Vec<Place>> =
             columns.iter().map(|column| column.iter().map(place).collect()).collect();
-        let size = cell_size(self.tif, grid, MAX_LOSS_FACTORISED);
-        let (cells, _) = columns::on_cells(&places, self.tif, grid, &self.weight, size);
+        let mut known = known.unwrap_or_else(|| Known::nothing(columns.len()));
+        let cells = self.on_cells(&places, &mut known);
         let (x, y) = (Order::along(0, &places, &cells), Order::along(1, &places, &cells));
         let Order { order, first, elements } = if x.elements <= y.elements { x } else { y };
         budget::affordable(
@@ -123,14 +128,52 @@ impl<'a> Residual<'a> {
         let mut k = Skyline::zeros(first.clone());
         k.fill(|i, row| {
             for (v, l) in row.iter_mut().zip(&order[first[i]..]) {
-                *v = cells[order[i]].dot(&cells[*l]);
+                let before = known.coupling(order[i], *l);
+                *v = before.unwrap_or_else(|| cells[order[i]].dot(&cells[*l]));
             }
         });
         // U = B' w f of the free functions
         let of_places = self.basis.columns(&self.weight, |m| self.operator.adjoint(m));
         let sum = |u: &[f64], j: &usize| columns[*j].iter().map(|(i, time)| u[*i] * time).sum();
         let u = of_places.iter().map(|u| order.iter().map(|j| sum(u, j)).collect()).collect();
-        Ok(Normal { order, matrix: Quadratic { k, u } })
+        Ok(Normal { order, matrix: Quadratic { k, u }, cells })
+    }
+
+    /// What every column removes, on cells of pixels; those that are known are taken from there.
+    fn on_cells(&self, places: &[Vec<Place>], known: &mut Known) -> Vec<Patch> {
+        let grid = self.desired.grid();
+        let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
+        let new: Vec<Vec<Place>> = new.map(|(places, _)| places.clone()).collect();
+        let size = cell_size(self.tif, grid, MAX_LOSS_FACTORISED);
+        let mut made = columns::on_cells(&new, self.tif, grid, &self.weight, size).0.into_iter();
+        let of = |before: &Option<usize>| match before {
+            Some(j) => std::mem::take(&mut known.cells[*j]),
+            None => made.next().expect("one for every new column"),
+        };
+        known.column.iter().map(of).collect()
+    }
+}
+
+/// What is known of some columns from the normal matrix of others, see [`Normal::for_next`].
+pub struct Known {
+    /// Column there of every column, if it is one.
+    column: Vec<Option<usize>>,
+    /// Row of every column there.
+    row_of: Vec<usize>,
+    k: Skyline,
+    cells: Vec<Patch>,
+}
+
+impl Known {
+    fn nothing(columns: usize) -> Self {
+        let k = Skyline::zeros(Vec::new());
+        Self { column: vec![None; columns], row_of: Vec::new(), k, cells: Vec::new() }
+    }
+
+    /// The element of the normal matrix of two columns that are both known.
+    fn coupling(&self, a: usize, b: usize) -> Option<f64> {
+        let [a, b] = [self.column[a]?, self.column[b]?].map(|j| self.row_of[j]);
+        Some(self.k.at(a.max(b), a.min(b)))
     }
 }
 
@@ -141,9 +184,24 @@ pub struct Normal {
     pub order: Vec<usize>,
     /// The matrix, nm^2 by the unit of the columns squared.
     pub matrix: Quadratic,
+    /// What every column removes, on cells of pixels.
+    cells: Vec<Patch>,
 }
 
 impl Normal {
+    /// What the matrix of other columns can take from here: `column` has the column here of every one there, if
+    /// it is one.
+    pub fn for_next(self, column: Vec<Option<usize>>) -> Known {
+        let mut row_of = vec![0; self.order.len()];
+        self.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
+        Known { column, row_of, k: self.matrix.k, cells: self.cells }
+    }
+
+    /// Without what only [`Normal::for_next`] needs.
+    pub fn as_last(self) -> Self {
+        Self { cells: Vec::new(), ..self }
+    }
+
     /// The matrix times a vector, both in the order of the columns.
     pub fn product(&self, x: &[f64]) -> Vec<f64> {
         let by_rows: Vec<f64> = self.order.iter().map(|j| x[*j]).collect();
@@ -175,9 +233,20 @@ impl Order {
         order.sort_by(|a, b| keys[*a].total_cmp(&keys[*b]).then(a.cmp(b)));
         let mut row = vec![0; order.len()];
         order.iter().enumerate().for_each(|(i, j)| row[*j] = i);
+        // Columns up to the first one that reaches so far cannot meet it.
+        let range = |j: usize| cells[j].range(1 - axis);
+        let mut reached = 0;
+        let so_far: Vec<usize> = order
+            .iter()
+            .map(|j| {
+                reached = range(*j).end.max(reached);
+                reached
+            })
+            .collect();
         let meets = |i: usize| {
             let own = &cells[order[i]];
-            (0..i).find(|l| cells[order[*l]].overlaps(own)).unwrap_or(i)
+            let from = so_far[..i].partition_point(|end| *end <= range(order[i]).start);
+            (from..i).find(|l| cells[order[*l]].overlaps(own)).unwrap_or(i)
         };
         let mut first: Vec<usize> = (0..order.len()).map(meets).collect();
         for j in 1..order.len() {
@@ -244,7 +313,7 @@ mod tests {
         let residual = Residual::new(&desired, &tif, &places, None, Free::Piston).unwrap();
         let columns: Vec<Vec<(usize, f64)>> =
             (0..8).map(|k| vec![(k, 0.5), (k + 1, 0.5)]).collect();
-        let normal = residual.normal(&columns).unwrap();
+        let normal = residual.normal(&columns, None).unwrap();
         let d: Vec<f64> = (0..8).map(|k| f64::from(k % 3) - 0.7).collect();
         let mut t = vec![0.0; 9];
         for (k, d) in d.iter().enumerate() {
@@ -259,5 +328,55 @@ mod tests {
         let found = dot(&normal.matrix.product(&ordered), &ordered);
         // The cells lose at most the stated fraction of the energy.
         assert!((found / curvature - 1.0).abs() < 2.0 * MAX_LOSS_FACTORISED, "{found} {curvature}");
+    }
+
+    #[test]
+    fn what_is_known_of_columns_is_what_would_be_computed() {
+        let (tif, desired) = (bell(), mirror());
+        let places: Vec<[f64; 2]> =
+            (0..15).map(|k| [0.55 * f64::from(k) - 0.3, 2.0 + f64::from(k % 4)]).collect();
+        let residual = Residual::new(&desired, &tif, &places, None, Free::Plane).unwrap();
+        let column = |k: usize| vec![(k, 0.3), (k + 1, 0.7)];
+        let before: Vec<_> = (0..14).step_by(2).map(column).collect();
+        // Every column between two others is new.
+        let after: Vec<_> = (0..14).map(column).collect();
+        let same = (0..14).map(|k| (k % 2 == 0).then_some(k / 2)).collect();
+        let known = residual.normal(&before, None).unwrap().for_next(same);
+        let found = residual.normal(&after, Some(known)).unwrap();
+        let expected = residual.normal(&after, None).unwrap();
+        assert_eq!(found.order, expected.order);
+        for j in 0..14 {
+            let mut unit = vec![0.0; 14];
+            unit[j] = 1.0;
+            assert_eq!(found.product(&unit), expected.product(&unit));
+        }
+    }
+
+    #[test]
+    fn a_row_begins_where_the_first_column_meets_it() {
+        let tif = bell();
+        let axis = |n: usize| Axis::new(0.0, 0.25, n).unwrap();
+        let grid = Grid { x: axis(121), y: axis(41) };
+        // Lines of different lengths: some columns reach much further than their neighbours.
+        let columns: Vec<Vec<Place>> = (0..25u32)
+            .map(|k| {
+                let at = |along: f64| [f64::from(k * 7 % 25) + along, 2.0 * f64::from(k % 5)];
+                let length = if k % 6 == 0 { 3.0 } else { 0.2 };
+                [0.0, length].map(|s| Place { position_mm: at(s), fraction: 0.5 }).to_vec()
+            })
+            .collect();
+        let weight = Array2::ones(grid.shape());
+        let (cells, _) = columns::on_cells(&columns, &tif, &grid, &weight, 2);
+        for axis in [0, 1] {
+            let order = Order::along(axis, &columns, &cells);
+            for (i, first) in order.first.iter().enumerate() {
+                let meets = |l: &usize| cells[order.order[*l]].overlaps(&cells[order.order[i]]);
+                let found = (0..i).find(meets).unwrap_or(i);
+                // Room for the coupling with the next column may begin earlier.
+                assert!(*first <= found, "{i} along {axis}");
+            }
+            assert!(order.first.iter().enumerate().any(|(i, first)| first + 3 < i));
+            assert!(order.first.iter().any(|first| *first > 3));
+        }
     }
 }

@@ -46,6 +46,10 @@ pub struct Feed {
     /// so many would take minutes]
     #[arg(long, value_name = "L")]
     node_spacing_mm: Option<f64>,
+    /// How often nodes are added where they are worth most, in the middle between two others; where so many would take
+    /// minutes, fewer are
+    #[arg(long, value_name = "K", default_value_t = Settings::default().refinements)]
+    refinements: usize,
     /// End where the objective is proven to be within this fraction of the least one
     #[arg(long, value_name = "G", default_value_t = Settings::default().relative_gap)]
     relative_gap: f64,
@@ -84,6 +88,7 @@ impl Feed {
             corner_deviation_mm: self.corner_deviation_mm,
             corner_radius_mm: self.corner_radius_mm,
             node_spacing_mm: self.node_spacing_mm,
+            refinements: self.refinements,
             relative_gap: self.relative_gap,
             max_iterations: self.max_iterations,
         };

@@ -98,6 +98,16 @@ const ACTIVE_SLACK: f64 = 0.1;
 /// Fall of the complementarity after which f is referred to the iterate, so that it is exact there.
 const REFERRED_AGAIN: f64 = 0.1;
 
+/// Complementarity over f below which an [`approach`] ends: by then the dual variables of the rows that decide are far
+/// above the others.
+const NEAR: f64 = 0.3;
+
+/// Least steps of an [`approach`], in which dual variables that were those of other rows become those of these.
+const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
+
+/// Before any step.
+const FIRST: Progress = Progress { iteration: 0, complementarity: f64::INFINITY };
+
 /// (1).
 pub struct Program<'a> {
     /// Curvature of f without its chain, in an order of its own.
@@ -130,6 +140,13 @@ impl<'a> Program<'a> {
         }
         let woodbury = Woodbury::new(k.factorise()?, u)?;
         Some(Inverse { order: &self.normal.order, woodbury })
+    }
+
+    /// Row of every node in the order of the normal matrix.
+    fn row_of(&self) -> Vec<usize> {
+        let mut row_of = vec![0; self.lo.len()];
+        self.normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
+        row_of
     }
 
     /// The longest part of `length d` from densities at which the rows leave `c` that leaves of every row more than a
@@ -231,10 +248,8 @@ pub fn solve(
     stop: &Stop,
     merit: &mut Merit<'_>,
 ) -> Option<Solution> {
-    let mut row_of = vec![0; start.density.len()];
-    program.normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
-    let first = Progress { iteration: 0, complementarity: f64::INFINITY };
-    let (f, mut settled) = merit.evaluate(first, &start.density);
+    let row_of = program.row_of();
+    let (f, mut settled) = merit.evaluate(FIRST, &start.density);
     let mut at = Iterate::new(program, start, f);
     let (mut best, mut best_is_settled): (Option<Executable>, bool) = (None, false);
     // Of f alone, made when the certificate asks for it.
@@ -299,6 +314,53 @@ pub fn solve(
     let Executable { density, relative_gap, .. } = best?;
     let duals = [at.z, at.y];
     Some(Solution { density, objective: values, duals, iterations: iteration, relative_gap, end })
+}
+
+/// Where the method is when it has come near the minimum.
+#[derive(Clone, Debug)]
+pub struct Approach {
+    /// D (n).
+    pub density: Vec<f64>,
+    /// z (rows) and y (n).
+    pub duals: [Vec<f64>; 2],
+    /// f, nm^2.
+    pub value: f64,
+    /// Mean product of a slack and its dual variable, nm^2.
+    pub mean_product: f64,
+    /// Steps.
+    pub iterations: usize,
+}
+
+/// Goes towards the minimum of (1) without proving anything: to where the mesh of the densities can be judged.
+pub fn approach(
+    program: &Program<'_>,
+    start: Start,
+    max_iterations: usize,
+    merit: &mut Merit<'_>,
+) -> Option<Approach> {
+    let row_of = program.row_of();
+    let f = merit.evaluate(FIRST, &start.density).0;
+    let mut at = Iterate::new(program, start, f);
+    let mut iterations = 0;
+    let mut complementarity = at.complementarity();
+    let mut referred_at = complementarity;
+    while iterations < max_iterations
+        && (iterations < LEAST_STEPS_OF_AN_APPROACH || complementarity > NEAR * at.f.value)
+    {
+        let step = at.step(&row_of)?;
+        let by_tangents = at.advance(&step);
+        iterations += 1;
+        let there = Progress { iteration: iterations, complementarity: by_tangents };
+        complementarity = at.complementarity();
+        if complementarity <= REFERRED_AGAIN * referred_at {
+            merit.refer_to(&at.density);
+            referred_at = complementarity;
+        }
+        at.f = merit.evaluate(there, &at.density).0;
+    }
+    let mean_product = complementarity / (at.c.len() + at.room.len()) as f64;
+    let Iterate { density, z, y, f, .. } = at;
+    Some(Approach { density, duals: [z, y], value: f.value, mean_product, iterations })
 }
 
 /// An iterate that keeps the rows themselves.
@@ -681,7 +743,7 @@ mod tests {
         let curves = curves(&path, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
         let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
-        let normal = residual.normal(&mesh.columns()).unwrap();
+        let normal = residual.normal(&mesh.columns(), None).unwrap();
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
         let lengths = mesh.lengths_mm();
         for (acceleration, price, alpha) in [(400.0, 1e-4, 1e-4), (4000.0, 1e-3, 1e-3)] {

@@ -13,8 +13,11 @@
 //! | [`merit`] | what is minimised: residual and price of time |
 //! | [`interior_point`] | the least objective under the rows |
 //! | [`certificate`] | how far it is above the least, proven |
+//! | `refinement` | more nodes where they are worth most |
+//! | `problem` | the densities on one mesh after another, until their motion keeps the limits |
 //! | [`mod@motion`] | the cubic pieces in time |
 //! | [`jerk`] | its average in time, where the machine limits jerk |
+//! | `settings` | how to plan |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
 pub mod certificate;
@@ -26,9 +29,13 @@ pub mod merit;
 pub mod mesh;
 pub mod motion;
 pub mod plan;
+mod problem;
+mod refinement;
+mod settings;
 
 pub use merit::Price;
-pub use plan::{Plan, Report, Settings, plan};
+pub use plan::{Plan, Report, plan};
+pub use settings::Settings;
 
 use planish_dwell::DwellError;
 use planish_types::Invalid;

@@ -14,6 +14,8 @@
 //! (4) keeps the cubic of a span monotone: its feeds at both ends are at most three times its mean feed where r is
 //! at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
 
+use std::ops::Range;
+
 use planish_types::Limits;
 use rayon::prelude::*;
 
@@ -36,6 +38,10 @@ const CURVED_MARGIN: f64 = 2e-2;
 /// Fraction of the velocity that is kept on a clothoid: between two places 0.1 rad apart a component is larger by up to
 /// 1.3e-3.
 const TURNED_MARGIN: f64 = 2e-3;
+
+/// Fraction of the acceleration along a clothoid that is kept: between two places 0.1 rad apart the tangent may have a
+/// component that is larger by 1.3e-3, and the cubic pieces differ by 2e-3 of the limit.
+const ALONG_CURVE_MARGIN: f64 = 4e-3;
 
 /// Fraction of a limit that is kept for rounding: half of what the judge allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
@@ -94,9 +100,10 @@ impl<'a> Rows<'a> {
         let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
         for (i, span) in mesh.spans.iter().enumerate() {
             let samples = samples(&curves[span.curve], span);
-            let mut line = f64::INFINITY;
+            let (mut line, mut curved) = (f64::INFINITY, false);
             for Sample { s_mm, tangent: [tx, ty], curvature_per_mm } in samples {
                 let straight = curvature_per_mm == 0.0;
+                curved |= !straight;
                 let margin = if straight { ROUNDING_MARGIN } else { TURNED_MARGIN };
                 for (axis, t) in limits.axes().iter().zip([tx, ty]) {
                     let needed = t.abs() / (axis.max_velocity_mm_per_s() * (1.0 - margin));
@@ -115,7 +122,8 @@ impl<'a> Rows<'a> {
                     rows.push(Row { span: i, on: On::Place { s_mm, across, along } });
                 }
             }
-            let along = 1.0 / (line * (1.0 - ROUNDING_MARGIN));
+            let margin = if curved { ALONG_CURVE_MARGIN } else { ROUNDING_MARGIN };
+            let along = 1.0 / (line * (1.0 - margin));
             let inner = span.nodes.iter().all(Option::is_some);
             // At rest the acceleration is constant.
             for tau in if inner { &[0.0, 1.0][..] } else { &[0.0] } {
@@ -195,6 +203,50 @@ impl<'a> Rows<'a> {
         all.collect()
     }
 
+    /// Which rows are those of every span (spans).
+    pub fn of_spans(&self) -> Vec<Range<usize>> {
+        let mut all = Vec::with_capacity(self.mesh.spans.len());
+        let mut end = 0;
+        for span in 0..self.mesh.spans.len() {
+            let from = end;
+            end += self.rows[from..].iter().take_while(|row| row.span == span).count();
+            all.push(from..end);
+        }
+        all
+    }
+
+    /// What the rows of a span would leave more if it were halved, times their dual variables `z`: by that much the
+    /// objective would fall in the first order (spans), nm^2.
+    ///
+    /// The node in the middle has the feed of a constant acceleration, which leaves most. Where a row asks about the
+    /// whole of a span, the half decides that leaves less.
+    pub fn worth_of_halving(&self, density: &[f64], z: &[f64]) -> Vec<f64> {
+        let mut worth = vec![0.0; self.mesh.spans.len()];
+        for (row, z) in self.rows.iter().zip(z) {
+            let span = &self.mesh.spans[row.span];
+            let [Some(a), Some(b)] = span.densities(density) else { continue };
+            let slack = |on: On, span: &Span, d: [f64; 2]| {
+                let d = d.map(Some);
+                on.derivatives(&on.motion(span, d), d).0
+            };
+            let middle = constant_acceleration(a, b);
+            let [first, second] = span.halves();
+            let (before, after) = ([a, middle], [middle, b]);
+            let half_mm = first.length_mm();
+            let halved = match row.on {
+                On::Place { s_mm, across, along } if s_mm > half_mm => {
+                    slack(On::Place { s_mm: s_mm - half_mm, across, along }, &second, after)
+                }
+                On::Place { .. } => slack(row.on, &first, before),
+                On::Line { .. } | On::Ratio { .. } => {
+                    slack(row.on, &first, before).min(slack(row.on, &second, after))
+                }
+            };
+            worth[row.span] += z * (halved - slack(row.on, span, [a, b])).max(0.0);
+        }
+        worth
+    }
+
     /// Asks less of the spans whose motion uses more than all of a limit: by so much less.
     pub fn tighten(&mut self, use_of_limit: &[f64]) {
         for row in &mut self.rows {
@@ -224,6 +276,11 @@ impl<'a> Rows<'a> {
             self.rows.iter().zip(at_one).filter(|(row, _)| !matches!(row.on, On::Ratio { .. }));
         limits.map(|(_, c)| 1.0 - c).fold(0.0, f64::max).sqrt()
     }
+}
+
+/// Density in the middle between two others where the acceleration is constant: the mean of the squared feeds.
+pub fn constant_acceleration(a: f64, b: f64) -> f64 {
+    (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
 
 impl Row {
@@ -390,6 +447,48 @@ mod tests {
             // On a line the rows take the stricter axis, whichever the motion uses.
             assert!(*used >= 0.5 * known, "span {span}: {used} of {known}");
         }
+    }
+
+    #[test]
+    fn what_halving_a_span_is_worth_is_what_its_rows_leave_more() {
+        let points = vec![[0.0, 0.0], [5.0, 0.0], [5.5, 0.0], [9.0, 0.0]];
+        let path = ToolPath::through(points, vec![true; 3], vec![0; 3]).unwrap();
+        let limits = machine();
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
+        let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
+        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let density: Vec<f64> =
+            (0..mesh.nodes).map(|j| 0.09 + 0.03 * (2.1 * j as f64).sin()).collect();
+        let slacks = rows.slacks(&density);
+        let z: Vec<f64> = (0..rows.len()).map(|i| 1.0 + (i % 7) as f64).collect();
+        let worth = rows.worth_of_halving(&density, &z);
+        for (i, span) in mesh.spans.iter().enumerate() {
+            let [Some(a), Some(b)] = span.densities(&density) else {
+                assert_eq!(worth[i], 0.0);
+                continue;
+            };
+            // The mesh in which this span alone is halved, with the mean of the squared feeds in the middle.
+            let halved: Vec<bool> = (0..mesh.spans.len()).map(|k| k == i).collect();
+            let finer = mesh.refined(&curves, &path, &halved);
+            assert_eq!(finer.nodes, mesh.nodes + 1);
+            let [v, w] = [1.0 / a, 1.0 / b];
+            let middle = 1.0 / ((v * v + w * w) / 2.0).sqrt();
+            let mut of_finer = density.clone();
+            of_finer.insert(span.nodes[1].unwrap(), middle);
+            let finer_rows = Rows::new(&curves, &finer, &limits, 0.1);
+            let of_halves = finer_rows.slacks(&of_finer);
+            let (whole, halves) = (rows.of_spans()[i].clone(), finer_rows.of_spans());
+            let mut expected = 0.0;
+            for (k, row) in whole.enumerate() {
+                let least = of_halves[halves[i].start + k].min(of_halves[halves[i + 1].start + k]);
+                expected += z[row] * (least - slacks[row]).max(0.0);
+            }
+            assert!((worth[i] - expected).abs() < 1e-12, "{} {expected}", worth[i]);
+            assert!(worth[i] > 0.0);
+        }
+        // A uniform feed uses no more of the limits between two nodes than at them.
+        let uniform = rows.worth_of_halving(&vec![0.1; mesh.nodes], &z);
+        assert!(uniform.iter().all(|w| w.abs() < 1e-12), "{uniform:?}");
     }
 
     #[test]

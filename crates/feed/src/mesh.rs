@@ -21,7 +21,7 @@ use planish_types::{Axis, Invalid, Tif, ToolPath, budget};
 use crate::curve::Curve;
 
 /// Gauss points of a span, (1).
-const GAUSS_POINTS: usize = 4;
+const GAUSS_POINTS: usize = 3;
 
 /// A corner of a smaller turn gets no node of its own, rad: the feed need not fall there.
 const GENTLE_TURN_RAD: f64 = 0.1;
@@ -74,6 +74,17 @@ impl Span {
     /// l, mm.
     pub fn length_mm(&self) -> f64 {
         self.to_mm - self.from_mm
+    }
+
+    /// Arc length of its middle, mm.
+    pub fn middle_mm(&self) -> f64 {
+        0.5 * (self.from_mm + self.to_mm)
+    }
+
+    /// Both halves, with the same nodes as the whole.
+    pub fn halves(&self) -> [Self; 2] {
+        let middle_mm = self.middle_mm();
+        [Self { to_mm: middle_mm, ..*self }, Self { from_mm: middle_mm, ..*self }]
     }
 
     /// The densities of its nodes; `None` at rest.
@@ -237,9 +248,26 @@ impl Mesh {
             GAUSS_POINTS * 8 * size_of::<f64>(),
             "give a larger spacing of the nodes; is the path in mm?",
         )?;
+        let breaks: Vec<Vec<f64>> =
+            curves.iter().map(|curve| breaks(curve, path, spacing_mm)).collect();
+        Ok(Self::through(curves, path, &breaks))
+    }
+
+    /// With a node more in the middle of every span that is to be `halved` (spans), none of which may end at rest.
+    pub fn refined(&self, curves: &[Curve], path: &ToolPath, halved: &[bool]) -> Self {
+        let mut breaks = vec![vec![0.0]; curves.len()];
+        for (span, halved) in self.spans.iter().zip(halved) {
+            let at = &mut breaks[span.curve];
+            at.extend(halved.then(|| span.middle_mm()));
+            at.push(span.to_mm);
+        }
+        Self::through(curves, path, &breaks)
+    }
+
+    /// Nodes at all `breaks` (curves) but the first and last one, which are rests.
+    fn through(curves: &[Curve], path: &ToolPath, breaks: &[Vec<f64>]) -> Self {
         let (mut spans, mut nodes) = (Vec::new(), 0);
-        for (c, curve) in curves.iter().enumerate() {
-            let at = breaks(curve, path, spacing_mm);
+        for (c, at) in breaks.iter().enumerate() {
             for (i, w) in at.windows(2).enumerate() {
                 let before = (i > 0).then(|| nodes - 1);
                 let after = (i + 2 < at.len()).then(|| {
@@ -266,7 +294,7 @@ impl Mesh {
                 }
             }
         }
-        Ok(Self { spans, nodes, points_mm, points })
+        Self { spans, nodes, points_mm, points }
     }
 
     /// (1): the time at every Gauss point for the densities of the nodes, s.
@@ -488,7 +516,7 @@ mod tests {
             assert!(((plus.1 - minus.1) / 2e-3 - mesh.lengths_mm()[j]).abs() < 1e-10);
         }
         // The normal matrix is the curvature, but for the energy that the cells lose (0.5 %).
-        let normal = residual.normal(&mesh.columns()).unwrap();
+        let normal = residual.normal(&mesh.columns(), None).unwrap();
         let d: Vec<f64> = (0..mesh.nodes).map(|j| (0.2 * j as f64).sin()).collect();
         let moved: Vec<f64> = density.iter().zip(&d).map(|(u, d)| u + d).collect();
         let exact: f64 =

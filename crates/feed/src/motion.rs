@@ -7,6 +7,7 @@
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use rayon::prelude::*;
 
 use crate::{
     curve::{Curve, Piece},
@@ -45,32 +46,20 @@ pub fn motion(
     density: &[f64],
 ) -> Result<Motion, Invalid> {
     let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
+    let of_span = |span: &Span| {
+        let on_span = OnSpan { span, densities: span.densities(density) };
+        on_span.cubics(&curves[span.curve], span.duration_s(density), most)
+    };
+    let pieces: Vec<Vec<Timed>> = mesh.spans.par_iter().map(of_span).collect();
     let mut builder = TrajectoryBuilder::default();
     let mut fit_error_mm = 0.0f64;
     let mut span_of_piece = Vec::new();
-    for (i, span) in mesh.spans.iter().enumerate() {
-        let curve = &curves[span.curve];
-        let on_span = OnSpan { span, densities: span.densities(density) };
-        let duration_s = span.duration_s(density);
-        for (piece, from, to) in on_span.parts(curve) {
-            // From the last time on: those of the pieces that are still to be made.
-            let mut ends = vec![to];
-            let mut start = from;
-            while let Some(end) = ends.pop() {
-                let h = (end - start) * duration_s;
-                let cubic = on_span.cubic(piece, [start, end], h, most);
-                let follows = cubic.acceleration_error <= MAX_ACCELERATION_ERROR
-                    && cubic.fit_error_mm <= MAX_FIT_ERROR_MM;
-                if !follows && cubic.length_mm > SHORTEST_PARTED_MM {
-                    ends.extend([end, 0.5 * (start + end)]);
-                    continue;
-                }
-                fit_error_mm = fit_error_mm.max(cubic.fit_error_mm);
-                let on = path.tool_on()[piece.segment];
-                span_of_piece.push(i);
-                builder.push(h, cubic.coefficient_mm, on, Some(piece.segment));
-                start = end;
-            }
+    for (i, pieces) in pieces.into_iter().enumerate() {
+        for Timed { duration_s, cubic, segment } in pieces {
+            fit_error_mm = fit_error_mm.max(cubic.fit_error_mm);
+            span_of_piece.push(i);
+            let on = path.tool_on()[segment];
+            builder.push(duration_s, cubic.coefficient_mm, on, Some(segment));
         }
     }
     Ok(Motion { trajectory: builder.build()?, span: span_of_piece, fit_error_mm })
@@ -109,7 +98,37 @@ struct Cubic {
     acceleration_error: f64,
 }
 
+/// A piece of the motion with its time, s, and the segment of the path that it follows.
+struct Timed {
+    duration_s: f64,
+    cubic: Cubic,
+    segment: usize,
+}
+
 impl OnSpan<'_> {
+    /// The motion on the span, which takes `duration_s`, with the limits `most` on acceleration, mm/s^2.
+    fn cubics(&self, curve: &Curve, duration_s: f64, most: [f64; 2]) -> Vec<Timed> {
+        let mut cubics = Vec::new();
+        for (piece, from, to) in self.parts(curve) {
+            // From the last time on: those of the pieces that are still to be made.
+            let mut ends = vec![to];
+            let mut start = from;
+            while let Some(end) = ends.pop() {
+                let h = (end - start) * duration_s;
+                let cubic = self.cubic(piece, [start, end], h, most);
+                let follows = cubic.acceleration_error <= MAX_ACCELERATION_ERROR
+                    && cubic.fit_error_mm <= MAX_FIT_ERROR_MM;
+                if !follows && cubic.length_mm > SHORTEST_PARTED_MM {
+                    ends.extend([end, 0.5 * (start + end)]);
+                    continue;
+                }
+                cubics.push(Timed { duration_s: h, cubic, segment: piece.segment });
+                start = end;
+            }
+        }
+        cubics
+    }
+
     /// The pieces of the curve on the span, and between which fractions of its time.
     fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c Piece, f64, f64)> {
         let span = self.span;

@@ -5,7 +5,7 @@
 //! -> motion -> its removal (simulated) and its limits (proven)
 //! ```
 
-use planish_dwell::residual::{Free, Residual};
+use planish_dwell::residual::Free;
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
@@ -17,12 +17,11 @@ use serde::Serialize;
 use crate::{
     FeedError,
     curve::{self, Curve, Rounding, Smooth},
-    interior_point::{self, Program, Solution, Start, Stop},
     jerk::Average,
-    limits::Rows,
-    merit::{Merit, Price},
+    merit::Price,
     mesh::Mesh,
-    motion::{self, Motion},
+    problem::{Asked, Found, Meshes, Solved, solve},
+    settings::Settings,
 };
 
 /// Spacing of the nodes over the width of the TIF: a closer density removes nothing that a TIF could.
@@ -55,60 +54,6 @@ const WIDENED_BY: f64 = 1.1;
 /// could no longer follow what the TIF removes.
 const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 
-/// By what the first densities are above every bound.
-const FIRST_ABOVE_BOUNDS: f64 = 1.05;
-
-/// Rounds in which corners whose motion exceeds a limit are asked for less, and the program is solved again.
-const MAX_ROUNDS: usize = 8;
-
-/// By what the densities of a round are above those that just keep the limits, so that the next one can begin there.
-const ABOVE_LIMITS: f64 = 1.01;
-
-/// What is asked for beyond the excess.
-const TIGHTENED_FURTHER: f64 = 1.002;
-
-/// How to plan.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
-    /// Least dwell-time density, s/mm; >= 0.
-    pub min_dwell_s_per_mm: f64,
-    /// What a second costs.
-    pub price: Price,
-    /// alpha > 0.
-    pub tikhonov: f64,
-    /// beta >= 0.
-    pub smoothness: f64,
-    /// What need not be removed.
-    pub free: Free,
-    /// Largest distance of the curve from a corner of the path, mm; a fifth of the TIF's width when absent.
-    pub corner_deviation_mm: Option<f64>,
-    /// Largest radius to which corners are rounded, mm; the TIF's width when absent.
-    pub corner_radius_mm: Option<f64>,
-    /// Largest distance of the nodes, mm; 0.6 of the TIF's width when absent.
-    pub node_spacing_mm: Option<f64>,
-    /// Proven distance of the objective from its least value, over it, at which the solver ends.
-    pub relative_gap: f64,
-    /// Most steps of the solver.
-    pub max_iterations: usize,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            min_dwell_s_per_mm: 0.0,
-            price: Price::Elasticity(0.5),
-            tikhonov: 1e-5,
-            smoothness: 0.0,
-            free: Free::Piston,
-            corner_deviation_mm: None,
-            corner_radius_mm: None,
-            node_spacing_mm: None,
-            relative_gap: 1e-3,
-            max_iterations: 100,
-        }
-    }
-}
-
 /// What was done.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -127,6 +72,8 @@ pub struct Report {
     pub length_mm: f64,
     /// Unknowns.
     pub nodes: usize,
+    /// Nodes of every mesh, from that of equal distances to the last one.
+    pub nodes_of_meshes: Vec<usize>,
     /// Largest distance of neighbouring nodes, mm.
     pub node_spacing_mm: f64,
     /// Where the nodes are further apart than they are elsewhere by default, because the solver would take too long.
@@ -217,7 +164,7 @@ pub fn plan(
     limits: &Limits,
     settings: &Settings,
 ) -> Result<Plan, FeedError> {
-    check(settings)?;
+    settings.check()?;
     let tif_width_mm = tif.width_mm();
     let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;
     let average = Average::new(limits, JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm);
@@ -237,14 +184,24 @@ pub fn plan(
         }
     };
     let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
-    let case = Case { desired, tif, path, curves: &curves, mesh: &mesh, limits, average };
-    let mut best = case.executed(desired, &simulation, settings)?;
+    let case = Case { desired, tif, path, curves: &curves, limits, average };
+    // Where the first nodes are as many as can be afforded there is none to add.
+    let refinements = if widened.is_some() { 0 } else { settings.refinements };
+    let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
+    let mut best = case.executed(
+        desired,
+        Meshes { first: mesh, refinements, most_work },
+        &simulation,
+        settings,
+    )?;
     if average.is_some() {
         // At the same price, so that the objectives can be compared.
-        let fixed = Settings { price: Price::Nm2PerS(best.solved.price), ..*settings };
+        let fixed = Settings { price: Price::Nm2PerS(best.solved.found.price), ..*settings };
         for _ in 0..MAX_CORRECTIONS {
             let asked = best.corrected(desired, &simulation)?;
-            let next = case.executed(&asked, &simulation, &fixed)?;
+            let first = best.solved.mesh.clone();
+            let same = Meshes { first, refinements: 0, most_work };
+            let next = case.executed(&asked, same, &simulation, &fixed)?;
             if next.refused.is_some()
                 || next.objective_nm2(settings) >= best.objective_nm2(settings)
             {
@@ -253,8 +210,9 @@ pub fn plan(
             best = next;
         }
     }
-    let Executed { solved, trajectory, refused, removal, model_rms_nm } = best;
-    let Solved { solution, motion, price, iterations, rounds, .. } = solved;
+    let Executed { solved, trajectory, refused, removal } = best;
+    let Solved { mesh, nodes_of_meshes, found } = solved;
+    let Found { solution, motion, model_rms_nm, price, iterations, rounds, .. } = found;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let corners = || curves.iter().flat_map(Curve::corners);
     let report = Report {
@@ -265,6 +223,7 @@ pub fn plan(
         least_radius_mm: corners().map(|c| c.radius_mm).reduce(f64::min),
         length_mm: curves.iter().map(Curve::length_mm).sum(),
         nodes: mesh.nodes,
+        nodes_of_meshes,
         node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
         widened,
         price_nm2_per_s: price,
@@ -290,7 +249,6 @@ struct Case<'a> {
     tif: &'a Tif,
     path: &'a ToolPath,
     curves: &'a [Curve],
-    mesh: &'a Mesh,
     limits: &'a Limits,
     average: Option<Average>,
 }
@@ -302,7 +260,6 @@ struct Executed {
     /// Why the judge refuses it.
     refused: Option<String>,
     removal: Removal,
-    model_rms_nm: f64,
 }
 
 impl Case<'_> {
@@ -310,26 +267,24 @@ impl Case<'_> {
     fn executed(
         &self,
         asked: &Surface,
+        meshes: Meshes,
         simulation: &Simulation,
         settings: &Settings,
     ) -> Result<Executed, FeedError> {
-        let Self { desired, tif, path, curves, mesh, limits, average } = *self;
+        let Self { desired, tif, path, curves, limits, average } = *self;
         let planned_with = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
-        let residual = Residual::new(asked, tif, &mesh.points_mm, None, settings.free)?;
-        let level = level_s_per_mm(mesh, &residual, asked);
-        let solved = solve(curves, mesh, path, &residual, level, &planned_with, settings)?;
+        let asked = Asked { desired: asked, tif, path, curves, limits: &planned_with };
+        let solved = solve(&asked, meshes, settings)?;
         let (trajectory, refused) = match average {
-            None => (solved.motion.trajectory.clone(), solved.refused.clone()),
+            None => (solved.found.motion.trajectory.clone(), solved.found.refused.clone()),
             Some(average) => {
-                let trajectory = average.of(&solved.motion.trajectory)?;
+                let trajectory = average.of(&solved.found.motion.trajectory)?;
                 let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
                 (trajectory, verdict.reason())
             }
         };
-        let times_s = mesh.times_s(&solved.solution.density);
-        let model_rms_nm = (2.0 * residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
         let removal = simulation.predict(&trajectory, desired)?.removal;
-        Ok(Executed { solved, trajectory, refused, removal, model_rms_nm })
+        Ok(Executed { solved, trajectory, refused, removal })
     }
 }
 
@@ -341,12 +296,12 @@ impl Executed {
             Free::Piston => rms.rms_nm,
             Free::Plane => rms.detilted_nm,
         };
-        0.5 * left_nm * left_nm + self.solved.price * self.trajectory.total_time_s()
+        0.5 * left_nm * left_nm + self.solved.found.price * self.trajectory.total_time_s()
     }
 
     /// The removal to ask for so that the averaged motion removes what is desired: less what averaging adds.
     fn corrected(&self, desired: &Surface, simulation: &Simulation) -> Result<Surface, FeedError> {
-        let planned = simulation.predict(&self.solved.motion.trajectory, desired)?.removal;
+        let planned = simulation.predict(&self.solved.found.motion.trajectory, desired)?.removal;
         let added = self.removal.removal_nm() - planned.removal_nm();
         Ok(Surface::new(*desired.grid(), desired.height_nm() - &added)?)
     }
@@ -384,107 +339,6 @@ fn affordable(
         }
         spacing_mm = (WIDENED_BY * spacing_mm).min(widest_mm);
     }
-}
-
-/// The densities, and the motion that they are.
-struct Solved {
-    solution: Solution,
-    motion: Motion,
-    /// Why the judge refuses the motion.
-    refused: Option<String>,
-    price: f64,
-    iterations: usize,
-    rounds: usize,
-}
-
-/// Rounds of the solver until the judge finds the limits of the motion kept.
-fn solve(
-    curves: &[Curve],
-    mesh: &Mesh,
-    path: &ToolPath,
-    residual: &Residual<'_>,
-    level_s_per_mm: f64,
-    limits: &Limits,
-    settings: &Settings,
-) -> Result<Solved, FeedError> {
-    // Nothing to remove is no reference: the density at the largest feed is one.
-    let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
-    let reference = level_s_per_mm.max(1.0 / fastest);
-    let normal = residual.normal(&mesh.columns())?;
-    let mut rows = Rows::new(curves, mesh, limits, reference);
-    let lo: Vec<f64> =
-        rows.least_density().iter().map(|d| d.max(settings.min_dwell_s_per_mm)).collect();
-    let bound = lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
-    let uniform = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); mesh.nodes];
-    let weights = (settings.tikhonov, settings.smoothness);
-    let mut merit = Merit::new(residual, &normal, mesh, &lo, weights, settings.price, &uniform);
-    let chain = merit.chain();
-    let stop =
-        Stop { relative_gap: settings.relative_gap, max_iterations: settings.max_iterations };
-    let mut start = Start { density: uniform, duals: None };
-    let (mut iterations, mut rounds) = (0, 0);
-    let (solution, motion, refused) = loop {
-        rounds += 1;
-        let program =
-            Program { normal: &normal, chain: (&chain.0, &chain.1), lo: &lo, rows: &rows };
-        let solution = interior_point::solve(&program, start, &stop, &mut merit)
-            .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
-        iterations += solution.iterations;
-        let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
-        let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
-        let used = motion.use_of_acceleration(mesh.spans.len(), limits);
-        let excess = used.iter().copied().fold(1.0, f64::max);
-        if verdict.limits_respected || excess <= 1.0 || rounds == MAX_ROUNDS {
-            break (solution, motion, verdict.reason());
-        }
-        let tighter: Vec<f64> =
-            used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect();
-        rows.tighten(&tighter);
-        // Times longer by a factor have accelerations smaller by its square.
-        let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
-        let density = solution.density.iter().map(|d| d * factor).collect();
-        start = Start { density, duals: Some(solution.duals) };
-    };
-    Ok(Solved { solution, motion, refused, price: merit.price, iterations, rounds })
-}
-
-/// The uniform density, s/mm, that removes on average what is above the lowest point.
-fn level_s_per_mm(mesh: &Mesh, residual: &Residual<'_>, desired: &Surface) -> f64 {
-    let heights = desired.height_nm().iter().filter(|z| !z.is_nan());
-    let (sum, count, low) =
-        heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
-    let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
-    ((sum / count - low) / rate).max(0.0)
-}
-
-fn check(settings: &Settings) -> Result<(), Invalid> {
-    let (price_name, price) = match settings.price {
-        Price::Nm2PerS(price) => ("time_weight_nm2_per_s", price),
-        Price::Elasticity(x) => ("time_elasticity", x),
-    };
-    let not_negative = [
-        ("min_dwell_s_per_mm", settings.min_dwell_s_per_mm),
-        (price_name, price),
-        ("smoothness", settings.smoothness),
-    ];
-    for (name, v) in not_negative {
-        if !(v.is_finite() && v >= 0.0) {
-            return Err(Invalid::whole(name, format!("is {v}"), "give a finite number >= 0"));
-        }
-    }
-    let positive = [
-        ("tikhonov", Some(settings.tikhonov)),
-        ("relative_gap", Some(settings.relative_gap)),
-        ("corner_deviation_mm", settings.corner_deviation_mm),
-        ("corner_radius_mm", settings.corner_radius_mm),
-        ("node_spacing_mm", settings.node_spacing_mm),
-    ];
-    for (name, v) in positive {
-        if let Some(v) = v.filter(|v| !(v.is_finite() && *v > 0.0)) {
-            return Err(Invalid::whole(name, format!("is {v}"), "give a finite number above 0"));
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

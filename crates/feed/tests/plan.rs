@@ -215,6 +215,39 @@ fn a_limit_on_jerk_is_kept_and_a_higher_one_is_never_worse() {
 }
 
 #[test]
+fn nodes_where_they_are_worth_most_leave_less_than_as_many_everywhere() {
+    let price = 1e-3;
+    let of =
+        |path: &ToolPath, limits: &Limits, node_spacing_mm: Option<f64>, refinements: usize| {
+            let settings = Settings { node_spacing_mm, refinements, ..at_price(price) };
+            let plan = run(path, limits, &settings);
+            assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None));
+            plan
+        };
+    for (path, limits) in
+        [(meander(), machine(100.0, 2000.0, None)), (raster(), machine(60.0, 300.0, None))]
+    {
+        let first = of(&path, &limits, None, 0);
+        let refined = of(&path, &limits, None, 3);
+        let nodes = &refined.report.nodes_of_meshes;
+        assert_eq!(nodes[0], first.report.nodes);
+        assert!(nodes.len() > 1 && nodes.windows(2).all(|w| w[0] < w[1]), "{nodes:?}");
+        assert_eq!(nodes.last(), Some(&refined.report.nodes));
+        // Twice the gap of the solver, 1e-3: the difference is that of the meshes.
+        let [before, after] = [&first, &refined].map(|plan| merit(plan, price));
+        assert!(after < before * (1.0 - 2e-3), "{after} {before}");
+    }
+    let (path, limits) = (raster(), machine(60.0, 300.0, None));
+    let refined = of(&path, &limits, None, 3);
+    let spacing_mm = |plan: &Plan| plan.report.length_mm / plan.report.nodes as f64;
+    let everywhere = of(&path, &limits, Some(spacing_mm(&refined)), 0);
+    // Turn-arounds have nodes of their own, whatever the spacing.
+    assert!(everywhere.report.nodes >= refined.report.nodes);
+    let [refined, everywhere] = [refined, everywhere].map(|plan| merit(&plan, price));
+    assert!(refined < everywhere * (1.0 - 2e-3), "{refined} {everywhere}");
+}
+
+#[test]
 fn the_price_follows_from_the_elasticity() {
     let (path, limits) = (raster(), machine(100.0, 2000.0, None));
     for x in [0.1, 0.5] {

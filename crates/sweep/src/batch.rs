@@ -67,8 +67,11 @@ pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
         let spacing_mm = plan.number("node_spacing_mm").unwrap_or(0.6 * tool_width_mm);
         let nodes = area_mm2 / (pitch_mm * spacing_mm);
         let near = (8.0 * tool_width_mm).powi(2) / (pitch_mm * spacing_mm);
-        // The stage sets its nodes further apart where a factorisation would take more than this.
-        30.0 * S_PER_MULTIPLICATION * (nodes * near * near).min(5e10)
+        // The stage sets its nodes further apart where a factorisation would take more than this, and halves
+        // spans until it takes five times as much, or this: a dozen steps before, and twenty after that.
+        let most = 5e10f64;
+        let first = (nodes * near * near).min(most);
+        S_PER_MULTIPLICATION * (12.0 * first + 20.0 * (5.0 * first).min(most))
     } else {
         S_PER_DWELL_POINT * passes * area_mm2 / (pitch_mm * step_mm)
     };

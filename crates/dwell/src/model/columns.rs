@@ -366,6 +366,12 @@ impl Patch {
         sums.total()
     }
 
+    /// Rows (axis 0) or columns (axis 1) of the map that it is on.
+    pub fn range(&self, axis: usize) -> Range<usize> {
+        let start = [self.origin.0, self.origin.1][axis];
+        start..start + self.rate_nm_per_s.shape()[axis]
+    }
+
     /// Whether some pixel is in both patches.
     pub fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: usize, n: usize, b: usize, m: usize| a >= b + m || b >= a + n;

@@ -113,6 +113,12 @@ impl Skyline {
         rows.values[[i % BLOCK, j - rows.start]] += value;
     }
 
+    /// Element (i, j) of the lower triangle; 0 outside of the skyline.
+    pub fn at(&self, i: usize, j: usize) -> f64 {
+        assert!(j <= i, "({i}, {j}) is above the diagonal");
+        if j < self.first[i] { 0.0 } else { self.row(i)[j - self.first[i]] }
+    }
+
     /// Element (i, i).
     pub fn diagonal(&self, i: usize) -> f64 {
         *self.row(i).last().expect("a row has its diagonal")

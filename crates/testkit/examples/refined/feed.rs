@@ -18,12 +18,11 @@ use crate::{
     paths::{fixture, lines, own_maze, random},
 };
 
-/// Of the further plans on the mirror: nodes a third as far apart, and seconds that are dear enough for shorter times
-/// than those of the closed loop.
-const FINE_SPACING_MM: f64 = 0.3;
-const FINE_ELASTICITIES: [f64; 2] = [0.6, 0.9];
+/// Of the further plans on the mirror: dearer seconds, and nodes two thirds as far apart.
+const FINE_SPACING_MM: f64 = 0.6;
+const FINE_ELASTICITY: f64 = 0.6;
 
-/// Of the second plan on a fixture.
+/// Of the second plan.
 const DEARER_ELASTICITY: f64 = 0.75;
 
 const JERKS_MM_PER_S3: [f64; 3] = [1e5, 2e4, 2e3];
@@ -102,12 +101,9 @@ fn on_the_mirror(title: &str, reference: &Mirror, limits: &Limits) {
         ("raster at 30 degrees", lines(desired, tif, 1.0, Scan::Angle { angle_deg: 30.0 })),
         ("maze", own_maze(desired)),
     ];
-    let fine = FINE_ELASTICITIES.map(|elasticity| Settings {
-        node_spacing_mm: Some(FINE_SPACING_MM),
-        price: Price::Elasticity(elasticity),
-        ..Settings::default()
-    });
-    let plans: Vec<Settings> = std::iter::once(Settings::default()).chain(fine).collect();
+    let at = |elasticity| Settings { price: Price::Elasticity(elasticity), ..Settings::default() };
+    let fine = Settings { node_spacing_mm: Some(FINE_SPACING_MM), ..at(FINE_ELASTICITY) };
+    let plans = [Settings::default(), at(DEARER_ELASTICITY), fine];
     heading(title, &plans);
     let part = Part { desired, tif, limits, plans: &plans };
     for (name, path) in &paths {
@@ -133,7 +129,8 @@ fn with_limits_on_jerk(reference: &Mirror) {
 }
 
 fn on_fixtures() {
-    let dearer = Settings { price: Price::Elasticity(DEARER_ELASTICITY), ..Settings::default() };
+    let price = Price::Elasticity(DEARER_ELASTICITY);
+    let dearer = Settings { price, ..Settings::default() };
     let (limits, plans) = (&ion_beam(), &[Settings::default(), dearer]);
     heading("Fixtures", plans);
     for (name, pitch_mm) in

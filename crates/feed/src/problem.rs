@@ -1,0 +1,236 @@
+//! The densities: found on meshes that become finer where that is worth most, until their motion keeps the limits.
+//!
+//! ```text
+//! mesh -> near the minimum (nothing proven) -> finer mesh -> ... -> minimum, proven -> motion -> judge
+//!                                                             ^------ spans that exceed a limit: tighter
+//! ```
+
+use planish_dwell::residual::{Known, Normal, Residual};
+use planish_types::{Limits, Surface, Tif, ToolPath, progress};
+use planish_verify::{VerifySettings, verify};
+
+use crate::{
+    FeedError,
+    curve::Curve,
+    interior_point::{self, Approach, Program, Solution, Start, Stop},
+    limits::Rows,
+    merit::Merit,
+    mesh::Mesh,
+    motion::{self, Motion},
+    refinement::{Given, Refined},
+    settings::Settings,
+};
+
+/// By what the first densities are above every bound.
+const FIRST_ABOVE_BOUNDS: f64 = 1.05;
+
+/// Rounds in which spans whose motion exceeds a limit are asked for less, and the program is solved again.
+const MAX_ROUNDS: usize = 8;
+
+/// By what the densities of a round are above those that just keep the limits, so that the next one can begin there.
+const ABOVE_LIMITS: f64 = 1.001;
+
+/// What is asked for beyond the excess.
+const TIGHTENED_FURTHER: f64 = 1.002;
+
+/// Multiplications of a factorisation on the last mesh over those on the first one, at most.
+const MOST_GROWTH: f64 = 5.0;
+
+/// What is to be removed, with what, along which curves.
+pub struct Asked<'a> {
+    pub desired: &'a Surface,
+    pub tif: &'a Tif,
+    pub path: &'a ToolPath,
+    pub curves: &'a [Curve],
+    pub limits: &'a Limits,
+}
+
+/// On which meshes the densities are found.
+pub struct Meshes {
+    pub first: Mesh,
+    /// Most times that nodes are added to it,
+    pub refinements: usize,
+    /// as long as a factorisation takes no more multiplications than these.
+    pub most_work: f64,
+}
+
+/// What was found on the last mesh.
+pub struct Solved {
+    pub mesh: Mesh,
+    /// Nodes of every mesh, the last one that of `mesh`.
+    pub nodes_of_meshes: Vec<usize>,
+    pub found: Found,
+}
+
+/// The densities, and the motion that they are.
+pub struct Found {
+    pub solution: Solution,
+    pub motion: Motion,
+    /// Why the judge refuses the motion.
+    pub refused: Option<String>,
+    /// RMS (without what is free) of the residual in the removal model of the solver, nm.
+    pub model_rms_nm: f64,
+    /// nm^2/s.
+    pub price: f64,
+    pub iterations: usize,
+    pub rounds: usize,
+}
+
+/// Densities on the last of some meshes, whose motion keeps the limits if the judge says so.
+pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<Solved, FeedError> {
+    let Meshes { first: mut mesh, refinements, most_work } = meshes;
+    let Asked { tif, path, curves, limits, .. } = *asked;
+    let level_s_per_mm = level_s_per_mm(asked, &mesh, settings)?;
+    // Nothing to remove is no reference: the density at the largest feed is one.
+    let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
+    let given = Given {
+        curves,
+        path,
+        limits,
+        reference_s_per_mm: level_s_per_mm.max(1.0 / fastest),
+        min_dwell_s_per_mm: settings.min_dwell_s_per_mm,
+    };
+    let most_work = most_work.min(MOST_GROWTH * mesh.work(tif));
+    let affordable = |mesh: &Mesh| mesh.work(tif) <= most_work;
+    let (mut start, mut known) = (None, None);
+    let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
+    for k in 0..refinements {
+        let left = settings.max_iterations - iterations;
+        let (at, refined, normal) = progress::part(k, refinements + 1, || {
+            let rows = given.rows(&mesh);
+            let posed = Posed::new(asked, &mesh, given.floors(&rows), known.take(), settings)?;
+            let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
+            let at = posed.approach(&rows, from, left, settings)?;
+            let refined = given.refined(&mesh, &rows, &at, affordable);
+            Ok::<_, FeedError>((at, refined, posed.normal))
+        })?;
+        iterations += at.iterations;
+        let Some(Refined { mesh: finer, start: from, same }) = refined else {
+            let Approach { density, duals, .. } = at;
+            start = Some(Start { density, duals: Some(duals) });
+            known = Some(normal.for_next((0..mesh.nodes).map(Some).collect()));
+            break;
+        };
+        nodes_of_meshes.push(finer.nodes);
+        (mesh, start) = (finer, Some(from));
+        known = Some(normal.for_next(same));
+    }
+    let found = progress::part(refinements, refinements + 1, || {
+        let rows = given.rows(&mesh);
+        let mut posed = Posed::new(asked, &mesh, given.floors(&rows), known, settings)?;
+        posed.normal = posed.normal.as_last();
+        let from = start.unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
+        posed.solve(&given, rows, from, settings.max_iterations - iterations, settings)
+    })?;
+    let iterations = iterations + found.iterations;
+    Ok(Solved { mesh, nodes_of_meshes, found: Found { iterations, ..found } })
+}
+
+/// The program on a mesh, but for its rows.
+struct Posed<'a> {
+    mesh: &'a Mesh,
+    residual: Residual<'a>,
+    normal: Normal,
+    /// Least density of every node, s/mm.
+    lo: Vec<f64>,
+}
+
+impl<'a> Posed<'a> {
+    fn new(
+        asked: &'a Asked<'_>,
+        mesh: &'a Mesh,
+        lo: Vec<f64>,
+        known: Option<Known>,
+        settings: &Settings,
+    ) -> Result<Self, FeedError> {
+        let Asked { desired, tif, .. } = *asked;
+        let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
+        let normal = residual.normal(&mesh.columns(), known)?;
+        Ok(Self { mesh, residual, normal, lo })
+    }
+
+    /// A density above every bound.
+    fn uniform(&self, rows: &Rows<'_>, level_s_per_mm: f64) -> Start {
+        let bound = self.lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
+        let density = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); self.mesh.nodes];
+        Start { density, duals: None }
+    }
+
+    fn merit(&self, density: &[f64], settings: &Settings) -> Merit<'_> {
+        let weights = (settings.tikhonov, settings.smoothness);
+        let Self { mesh, residual, normal, lo } = self;
+        Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
+    }
+
+    fn program<'p>(&'p self, chain: (&'p [f64], &'p [f64]), rows: &'p Rows<'p>) -> Program<'p> {
+        Program { normal: &self.normal, chain, lo: &self.lo, rows }
+    }
+
+    /// Near the minimum after at most so many iterations; nothing is proven.
+    fn approach(
+        &self,
+        rows: &Rows<'_>,
+        start: Start,
+        max_iterations: usize,
+        settings: &Settings,
+    ) -> Result<Approach, FeedError> {
+        let mut merit = self.merit(&start.density, settings);
+        let (diagonal, below) = merit.chain();
+        let program = self.program((&diagonal, &below), rows);
+        interior_point::approach(&program, start, max_iterations, &mut merit)
+            .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })
+    }
+
+    /// Rounds of the solver until the judge finds the limits of the motion kept.
+    fn solve(
+        &self,
+        given: &Given<'_>,
+        mut rows: Rows<'_>,
+        mut start: Start,
+        max_iterations: usize,
+        settings: &Settings,
+    ) -> Result<Found, FeedError> {
+        let Given { curves, path, limits, .. } = *given;
+        let mesh = self.mesh;
+        let stop = Stop { relative_gap: settings.relative_gap, max_iterations };
+        let mut merit = self.merit(&start.density, settings);
+        let (diagonal, below) = merit.chain();
+        let (mut iterations, mut rounds) = (0, 0);
+        let (solution, motion, refused) = loop {
+            rounds += 1;
+            let program = self.program((&diagonal, &below), &rows);
+            let solution = interior_point::solve(&program, start, &stop, &mut merit)
+                .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
+            iterations += solution.iterations;
+            let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
+            let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
+            let used = motion.use_of_acceleration(mesh.spans.len(), limits);
+            let excess = used.iter().copied().fold(1.0, f64::max);
+            if verdict.limits_respected || excess <= 1.0 || rounds == MAX_ROUNDS {
+                break (solution, motion, verdict.reason());
+            }
+            let tighter: Vec<f64> =
+                used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect();
+            rows.tighten(&tighter);
+            // Times longer by a factor have accelerations smaller by its square.
+            let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
+            let density = solution.density.iter().map(|d| d * factor).collect();
+            start = Start { density, duals: Some(solution.duals) };
+        };
+        let times_s = mesh.times_s(&solution.density);
+        let model_rms_nm = (2.0 * self.residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
+        let price = merit.price;
+        Ok(Found { solution, motion, refused, model_rms_nm, price, iterations, rounds })
+    }
+}
+
+/// The uniform density, s/mm, that removes on average what is above the lowest point.
+fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result<f64, FeedError> {
+    let Asked { desired, tif, .. } = *asked;
+    let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
+    let heights = desired.height_nm().iter().filter(|z| !z.is_nan());
+    let (sum, count, low) =
+        heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
+    let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
+    Ok(((sum / count - low) / rate).max(0.0))
+}

@@ -1,0 +1,272 @@
+//! More nodes where they are worth most.
+//!
+//! Between two nodes the density is linear, and the motion uses all of what a machine allows at one end of the span only:
+//! the more the two densities differ, the less on the way. Most spans do not mind. Which ones do is seen near the
+//! minimum, where the dual variables z of their rows c are large:
+//!
+//! ```text
+//! worth of halving a span = sum over its rows of z_i (c_i halved - c_i)    nm^2      (1)
+//! ```
+//!
+//! is by how much the objective falls in the first order. A span is halved where that is more than a small fraction of
+//! the objective, and the method goes on from densities that are inside the rows of the halves, too.
+
+use std::ops::Range;
+
+use planish_types::{Limits, ToolPath};
+
+use crate::{
+    curve::Curve,
+    interior_point::{Approach, Start},
+    limits::{Rows, constant_acceleration},
+    mesh::{Mesh, Span},
+};
+
+/// Worth (1) over the objective per node above which a span is halved.
+const LEAST_WORTH: f64 = 5e-3;
+
+/// By what the least worth grows until the method can afford the nodes.
+const DEARER: f64 = 2.0;
+
+/// What the rows of a halved span leave at least, of 1 at rest: with less the first steps would be short.
+const LEAST_SLACK: f64 = 0.02;
+
+/// Densities that are tried in the middle of a halved span: from the mean of those at its ends (1), which takes as long
+/// as before, to that of a constant acceleration (0), of which the rows leave most.
+const TOWARDS_MEAN: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+
+/// A mesh that is finer than another one.
+pub struct Refined {
+    pub mesh: Mesh,
+    /// Where to begin on it.
+    pub start: Start,
+    /// For every node that of the coarser mesh with the same two neighbours, if there is one.
+    pub same: Vec<Option<usize>>,
+}
+
+/// What all meshes have in common.
+pub struct Given<'a> {
+    pub curves: &'a [Curve],
+    pub path: &'a ToolPath,
+    pub limits: &'a Limits,
+    /// A density of the usual size, s/mm.
+    pub reference_s_per_mm: f64,
+    pub min_dwell_s_per_mm: f64,
+}
+
+impl Given<'_> {
+    /// The limits on the densities of a mesh.
+    pub fn rows<'m>(&self, mesh: &'m Mesh) -> Rows<'m> {
+        Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm)
+    }
+
+    /// Least density of every node, s/mm.
+    pub fn floors(&self, rows: &Rows<'_>) -> Vec<f64> {
+        rows.least_density().iter().map(|d| d.max(self.min_dwell_s_per_mm)).collect()
+    }
+
+    /// A finer mesh that is affordable, near the minimum on another one; `None` where no node is worth what it costs.
+    pub fn refined(
+        &self,
+        mesh: &Mesh,
+        rows: &Rows<'_>,
+        at: &Approach,
+        affordable: impl Fn(&Mesh) -> bool,
+    ) -> Option<Refined> {
+        let worth = rows.worth_of_halving(&at.density, &at.duals[0]);
+        let mut least = LEAST_WORTH * at.value / mesh.nodes as f64;
+        let (mut halved, mut finer) = loop {
+            let halved: Vec<bool> = worth.iter().map(|w| *w > least).collect();
+            if !halved.contains(&true) {
+                return None;
+            }
+            let finer = mesh.refined(self.curves, self.path, &halved);
+            if affordable(&finer) {
+                break (halved, finer);
+            }
+            least *= DEARER;
+        };
+        let towards = self.towards_mean(mesh, &finer, &halved, &at.density);
+        if halved.iter().zip(&towards).any(|(halved, towards)| *halved && towards.is_none()) {
+            halved = towards.iter().map(Option::is_some).collect();
+            if !halved.contains(&true) {
+                return None;
+            }
+            finer = mesh.refined(self.curves, self.path, &halved);
+        }
+        let before = nodes_before(mesh, &halved);
+        let start = self.start(mesh, rows, &finer, &towards, &before, at);
+        let mut beside_new = vec![false; mesh.nodes];
+        for (span, _) in mesh.spans.iter().zip(&halved).filter(|(_, halved)| **halved) {
+            span.nodes.iter().flatten().for_each(|j| beside_new[*j] = true);
+        }
+        let same = before.into_iter().map(|before| before.filter(|j| !beside_new[*j])).collect();
+        Some(Refined { mesh: finer, start, same })
+    }
+
+    /// For every span that is to be halved the first of [`TOWARDS_MEAN`] that the rows of its halves allow, if one does.
+    fn towards_mean(
+        &self,
+        mesh: &Mesh,
+        finer: &Mesh,
+        halved: &[bool],
+        density: &[f64],
+    ) -> Vec<Option<f64>> {
+        let rows = self.rows(finer);
+        let of_spans = rows.of_spans();
+        let mut found = vec![None; halved.len()];
+        for towards in TOWARDS_MEAN {
+            let all: Vec<_> = halved.iter().map(|halved| halved.then_some(towards)).collect();
+            let slacks = rows.slacks(&densities(mesh, &all, density));
+            let least = |span: &Range<usize>| {
+                slacks[span.clone()].iter().copied().fold(f64::INFINITY, f64::min)
+            };
+            let mut spans = of_spans.iter();
+            for (found, halved) in found.iter_mut().zip(halved) {
+                let parts = spans.by_ref().take(if *halved { 2 } else { 1 });
+                let enough = parts.map(least).fold(f64::INFINITY, f64::min) >= LEAST_SLACK;
+                if *halved && enough && found.is_none() {
+                    *found = Some(towards);
+                }
+            }
+        }
+        found
+    }
+
+    /// Where to begin on the finer mesh. The dual variables of rows and bounds that stay are kept; the product of new
+    /// ones and their slacks is the mean of those that were.
+    fn start(
+        &self,
+        mesh: &Mesh,
+        rows: &Rows<'_>,
+        finer: &Mesh,
+        towards: &[Option<f64>],
+        before: &[Option<usize>],
+        at: &Approach,
+    ) -> Start {
+        let density = densities(mesh, towards, &at.density);
+        let finer_rows = self.rows(finer);
+        let new = |slack: &f64| at.mean_product / slack;
+        let mut z: Vec<f64> = finer_rows.slacks(&density).iter().map(new).collect();
+        let (from, to) = (rows.of_spans(), finer_rows.of_spans());
+        let mut of_finer = to.into_iter();
+        for (from, towards) in from.into_iter().zip(towards) {
+            let to = of_finer.next();
+            match (towards, to) {
+                (None, Some(to)) => z[to].copy_from_slice(&at.duals[0][from]),
+                _ => drop(of_finer.next()),
+            }
+        }
+        let room = density.iter().zip(self.floors(&finer_rows)).map(|(d, lo)| d - lo);
+        let y = before.iter().zip(room);
+        let y = y.map(|(before, room)| before.map_or(new(&room), |j| at.duals[1][j])).collect();
+        Start { density, duals: Some([z, y]) }
+    }
+}
+
+/// For every node of the finer mesh that of the coarser one, if it is not new.
+fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
+    let of = |(span, halved): (&Span, &bool)| {
+        halved.then_some(None).into_iter().chain(span.nodes[1].map(Some))
+    };
+    mesh.spans.iter().zip(halved).flat_map(of).collect()
+}
+
+/// The densities of the nodes of the finer mesh: those of the spans that are halved in between, so far
+/// towards the mean; the others are left as they are.
+fn densities(mesh: &Mesh, towards: &[Option<f64>], density: &[f64]) -> Vec<f64> {
+    let mut all = Vec::with_capacity(density.len());
+    for (span, towards) in mesh.spans.iter().zip(towards) {
+        let ends = span.densities(density);
+        if let (Some(towards), [Some(a), Some(b)]) = (towards, ends) {
+            all.push(towards * 0.5 * (a + b) + (1.0 - towards) * constant_acceleration(a, b));
+        }
+        all.extend(ends[1]);
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::curve::{Rounding, curves};
+    use planish_types::{MachineFile, MachineFileAxis};
+
+    #[test]
+    fn the_method_goes_on_inside_the_rows_and_what_stays_is_kept() {
+        let axis = |name: &str, a: f64| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: 80.0,
+            max_acceleration_mm_per_s2: a,
+            max_jerk_mm_per_s3: None,
+            ..MachineFileAxis::default()
+        };
+        let axes = vec![axis("x", 900.0), axis("y", 500.0)];
+        let machine = MachineFile { name: "test".into(), axes, ..MachineFile::default() };
+        let limits = machine.checked().unwrap();
+        let points = vec![[0.0, 0.0], [6.0, 0.0], [6.0, 1.0], [0.5, 1.0], [1.5, 2.5], [6.0, 3.0]];
+        let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
+        let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
+        let given = Given {
+            curves: &curves,
+            path: &path,
+            limits: &limits,
+            reference_s_per_mm: 0.1,
+            min_dwell_s_per_mm: 0.0,
+        };
+        let rows = given.rows(&mesh);
+        // Densities that go up and down, as far as the rows allow.
+        let rough =
+            |d: f64| (0..mesh.nodes).map(|j| d * (1.0 + 0.4 * (2.1 * j as f64).sin())).collect();
+        let least = |d: &Vec<f64>| rows.slacks(d).into_iter().fold(1.0, f64::min);
+        let levels = (1..100).map(|k| 0.01 * f64::from(k));
+        let inside = |d: &Vec<f64>| least(d) > 0.05;
+        let density: Vec<f64> = levels.map(rough).find(inside).expect("slow enough");
+        let z: Vec<f64> = rows.slacks(&density).into_iter().map(|c| 1e-3 / c).collect();
+        let y: Vec<f64> = (0..mesh.nodes).map(|j| 1.0 + j as f64).collect();
+        let at = Approach {
+            density: density.clone(),
+            duals: [z.clone(), y.clone()],
+            value: 1.0,
+            mean_product: 1e-3,
+            iterations: 1,
+        };
+        let Refined { mesh: finer, start, same } =
+            given.refined(&mesh, &rows, &at, |_| true).unwrap();
+        assert!(finer.nodes > mesh.nodes && finer.nodes < 2 * mesh.nodes);
+        let finer_rows = given.rows(&finer);
+        let slacks = finer_rows.slacks(&start.density);
+        assert!(slacks.iter().all(|c| *c >= LEAST_SLACK));
+        let [finer_z, finer_y] = start.duals.unwrap();
+        assert_eq!((finer_z.len(), finer_y.len()), (finer_rows.len(), finer.nodes));
+        // A node is where it was, with the density that it had; new ones are between their neighbours.
+        let arc = |mesh: &Mesh| -> Vec<f64> {
+            mesh.spans.iter().filter(|s| s.nodes[1].is_some()).map(|s| s.to_mm).collect()
+        };
+        let (before, after) = (arc(&mesh), arc(&finer));
+        for (k, s) in after.iter().enumerate() {
+            match before.iter().position(|b| b == s) {
+                Some(j) => {
+                    assert_eq!((start.density[k], finer_y[k]), (density[j], y[j]));
+                    // Known are the columns of which neither neighbour is new.
+                    let neighbours = |at: &[f64], j: usize| {
+                        [j.checked_sub(1).map(|j| at[j]), at.get(j + 1).copied()]
+                    };
+                    let unchanged = neighbours(&before, j) == neighbours(&after, k);
+                    assert_eq!(same[k], unchanged.then_some(j), "node {k}");
+                }
+                None => {
+                    let [low, high] = [k - 1, k + 1].map(|k| start.density[k]);
+                    let between = low.min(high)..=low.max(high);
+                    assert!(between.contains(&start.density[k]));
+                    assert_eq!(same[k], None);
+                }
+            }
+        }
+        // Nothing is affordable, or nothing is worth it.
+        assert!(given.refined(&mesh, &rows, &at, |_| false).is_none());
+        let worthless = Approach { value: 1e12, ..at };
+        assert!(given.refined(&mesh, &rows, &worthless, |_| true).is_none());
+    }
+}

@@ -1,0 +1,90 @@
+//! How to plan.
+
+use planish_dwell::residual::Free;
+use planish_types::Invalid;
+use serde::Serialize;
+
+use crate::merit::Price;
+
+/// How to plan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Least dwell-time density, s/mm; >= 0.
+    pub min_dwell_s_per_mm: f64,
+    /// What a second costs.
+    pub price: Price,
+    /// alpha > 0.
+    pub tikhonov: f64,
+    /// beta >= 0.
+    pub smoothness: f64,
+    /// What need not be removed.
+    pub free: Free,
+    /// Largest distance of the curve from a corner of the path, mm; a fifth of the TIF's width when absent.
+    pub corner_deviation_mm: Option<f64>,
+    /// Largest radius to which corners are rounded, mm; the TIF's width when absent.
+    pub corner_radius_mm: Option<f64>,
+    /// Largest distance of the nodes, mm; 0.6 of the TIF's width when absent.
+    pub node_spacing_mm: Option<f64>,
+    /// How often nodes are added where they are worth most; without a spacing that is given only as far as the solver
+    /// does not take too long.
+    pub refinements: usize,
+    /// Proven distance of the objective from its least value, over it, at which the solver ends.
+    pub relative_gap: f64,
+    /// Most steps of the solver.
+    pub max_iterations: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            min_dwell_s_per_mm: 0.0,
+            price: Price::Elasticity(0.5),
+            tikhonov: 1e-5,
+            smoothness: 0.0,
+            free: Free::Piston,
+            corner_deviation_mm: None,
+            corner_radius_mm: None,
+            node_spacing_mm: None,
+            refinements: 3,
+            relative_gap: 1e-3,
+            max_iterations: 100,
+        }
+    }
+}
+
+impl Settings {
+    /// That every number makes sense by itself.
+    pub fn check(&self) -> Result<(), Invalid> {
+        let (price_name, price) = match self.price {
+            Price::Nm2PerS(price) => ("time_weight_nm2_per_s", price),
+            Price::Elasticity(x) => ("time_elasticity", x),
+        };
+        let not_negative = [
+            ("min_dwell_s_per_mm", self.min_dwell_s_per_mm),
+            (price_name, price),
+            ("smoothness", self.smoothness),
+        ];
+        for (name, v) in not_negative {
+            if !(v.is_finite() && v >= 0.0) {
+                return Err(Invalid::whole(name, format!("is {v}"), "give a finite number >= 0"));
+            }
+        }
+        let positive = [
+            ("tikhonov", Some(self.tikhonov)),
+            ("relative_gap", Some(self.relative_gap)),
+            ("corner_deviation_mm", self.corner_deviation_mm),
+            ("corner_radius_mm", self.corner_radius_mm),
+            ("node_spacing_mm", self.node_spacing_mm),
+        ];
+        for (name, v) in positive {
+            if let Some(v) = v.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                return Err(Invalid::whole(
+                    name,
+                    format!("is {v}"),
+                    "give a finite number above 0",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
