@@ -96,6 +96,9 @@ pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<S
     let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
     for k in 0..refinements {
         let left = settings.max_iterations - iterations;
+        if left == 0 {
+            break;
+        }
         let (at, refined, normal) = progress::part(k, refinements + 1, || {
             let rows = given.rows(&mesh);
             let posed = Posed::new(asked, &mesh, given.floors(&rows), known.take(), settings)?;

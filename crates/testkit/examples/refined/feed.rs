@@ -18,8 +18,8 @@ use crate::{
     paths::{fixture, lines, own_maze, random},
 };
 
-/// Of the further plans on the mirror: dearer seconds, and nodes two thirds as far apart.
-const FINE_SPACING_MM: f64 = 0.6;
+/// Of the further plans on the mirror: dearer seconds, and closer nodes.
+const FINE_SPACING_MM: f64 = 0.8;
 const FINE_ELASTICITY: f64 = 0.6;
 
 /// Of the second plan.
