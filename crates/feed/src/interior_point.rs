@@ -100,7 +100,7 @@ const REFERRED_AGAIN: f64 = 0.1;
 
 /// Complementarity over f below which an [`approach`] ends: by then the dual variables of the rows that decide are far
 /// above the others.
-const NEAR: f64 = 0.3;
+const NEAR_THE_MINIMUM: f64 = 0.3;
 
 /// Least steps of an [`approach`], in which dual variables that were those of other rows become those of these.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
@@ -345,7 +345,8 @@ pub fn approach(
     let mut complementarity = at.complementarity();
     let mut referred_at = complementarity;
     while iterations < max_iterations
-        && (iterations < LEAST_STEPS_OF_AN_APPROACH || complementarity > NEAR * at.f.value)
+        && (iterations < LEAST_STEPS_OF_AN_APPROACH
+            || complementarity > NEAR_THE_MINIMUM * at.f.value)
     {
         let step = at.step(&row_of)?;
         let by_tangents = at.advance(&step);
