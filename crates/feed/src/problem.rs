@@ -95,15 +95,16 @@ pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<S
     let (mut start, mut known) = (None, None);
     let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
     for k in 0..refinements {
-        let left = settings.max_iterations - iterations;
-        if left == 0 {
+        // The last mesh, on which the plan is proven, needs most of the steps.
+        let most = (settings.max_iterations - iterations) / 2;
+        if most == 0 {
             break;
         }
         let (at, refined, normal) = progress::part(k, refinements + 1, || {
             let rows = given.rows(&mesh);
             let posed = Posed::new(asked, &mesh, given.floors(&rows), known.take(), settings)?;
             let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
-            let at = posed.approach(&rows, from, left, settings)?;
+            let at = posed.approach(&rows, from, most, settings)?;
             let refined = given.refined(&mesh, &rows, &at, affordable);
             Ok::<_, FeedError>((at, refined, posed.normal))
         })?;
