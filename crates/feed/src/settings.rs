@@ -52,6 +52,9 @@ impl Default for Settings {
     }
 }
 
+/// Most refinements: so many make a thousandth of the distance of two nodes.
+const MOST_REFINEMENTS: usize = 10;
+
 impl Settings {
     /// That every number makes sense by itself.
     pub fn check(&self) -> Result<(), Invalid> {
@@ -84,6 +87,13 @@ impl Settings {
                     "give a finite number above 0",
                 ));
             }
+        }
+        if self.refinements > MOST_REFINEMENTS {
+            let problem = format!("is {}", self.refinements);
+            let remedy = format!(
+                "give at most {MOST_REFINEMENTS}: each may halve the distance of two nodes"
+            );
+            return Err(Invalid::whole("refinements", problem, remedy));
         }
         Ok(())
     }

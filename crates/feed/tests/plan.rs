@@ -274,6 +274,7 @@ fn what_cannot_be_planned_is_refused_by_name() {
     let bad = [
         (Settings { tikhonov: 0.0, ..settings }, "tikhonov"),
         (Settings { node_spacing_mm: Some(1e-9), ..settings }, "node_spacing_mm"),
+        (Settings { refinements: 11, ..settings }, "refinements"),
         (Settings { corner_radius_mm: Some(f64::NAN), ..settings }, "corner_radius_mm"),
         (Settings { price: Price::Nm2PerS(-1.0), ..settings }, "time_weight_nm2_per_s"),
         (Settings { min_dwell_s_per_mm: f64::INFINITY, ..settings }, "min_dwell_s_per_mm"),
