@@ -189,12 +189,17 @@ pub struct Normal {
 }
 
 impl Normal {
+    /// Row of every column.
+    pub fn row_of(&self) -> Vec<usize> {
+        let mut row_of = vec![0; self.order.len()];
+        self.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
+        row_of
+    }
+
     /// What the matrix of other columns can take from here: `column` has the column here of every one there, if
     /// it is one.
     pub fn for_next(self, column: Vec<Option<usize>>) -> Known {
-        let mut row_of = vec![0; self.order.len()];
-        self.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
-        Known { column, row_of, k: self.matrix.k, cells: self.cells }
+        Known { column, row_of: self.row_of(), k: self.matrix.k, cells: self.cells }
     }
 
     /// Without what only [`Normal::for_next`] needs.

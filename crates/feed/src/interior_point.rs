@@ -142,13 +142,6 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, woodbury })
     }
 
-    /// Row of every node in the order of the normal matrix.
-    fn row_of(&self) -> Vec<usize> {
-        let mut row_of = vec![0; self.lo.len()];
-        self.normal.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
-        row_of
-    }
-
     /// The longest part of `length d` from densities at which the rows leave `c` that leaves of every row more than a
     /// twentieth, and where it ends.
     fn farthest(&self, density: &[f64], d: &[f64], c: &[f64], mut length: f64) -> (f64, Vec<f64>) {
@@ -248,7 +241,7 @@ pub fn solve(
     stop: &Stop,
     merit: &mut Merit<'_>,
 ) -> Option<Solution> {
-    let row_of = program.row_of();
+    let row_of = program.normal.row_of();
     let (f, mut settled) = merit.evaluate(FIRST, &start.density);
     let mut at = Iterate::new(program, start, f);
     let (mut best, mut best_is_settled): (Option<Executable>, bool) = (None, false);
@@ -338,7 +331,7 @@ pub fn approach(
     max_iterations: usize,
     merit: &mut Merit<'_>,
 ) -> Option<Approach> {
-    let row_of = program.row_of();
+    let row_of = program.normal.row_of();
     let f = merit.evaluate(FIRST, &start.density).0;
     let mut at = Iterate::new(program, start, f);
     let mut iterations = 0;

@@ -223,7 +223,9 @@ mod tests {
         let levels = (1..100).map(|k| 0.01 * f64::from(k));
         let inside = |d: &Vec<f64>| least(d) > 0.05;
         let density: Vec<f64> = levels.map(rough).find(inside).expect("slow enough");
-        let z: Vec<f64> = rows.slacks(&density).into_iter().map(|c| 1e-3 / c).collect();
+        let slack = rows.slacks(&density);
+        let z: Vec<f64> =
+            (0..rows.len()).map(|i| (1.0 + (i % 5) as f64) * 1e-3 / slack[i]).collect();
         let y: Vec<f64> = (0..mesh.nodes).map(|j| 1.0 + j as f64).collect();
         let at = Approach {
             density: density.clone(),
@@ -240,6 +242,16 @@ mod tests {
         assert!(slacks.iter().all(|c| *c >= LEAST_SLACK));
         let [finer_z, finer_y] = start.duals.unwrap();
         assert_eq!((finer_z.len(), finer_y.len()), (finer_rows.len(), finer.nodes));
+        // The rows of a span that is still there have their dual variables, those of a new one the mean product.
+        let (from, to) = (rows.of_spans(), finer_rows.of_spans());
+        for (span, finer_rows) in finer.spans.iter().zip(to) {
+            let whole =
+                |s: &Span| (s.curve, s.from_mm, s.to_mm) == (span.curve, span.from_mm, span.to_mm);
+            match mesh.spans.iter().position(whole) {
+                Some(i) => assert_eq!(finer_z[finer_rows], z[from[i].clone()]),
+                None => finer_rows.for_each(|i| assert_eq!(finer_z[i], 1e-3 / slacks[i])),
+            }
+        }
         // A node is where it was, with the density that it had; new ones are between their neighbours.
         let arc = |mesh: &Mesh| -> Vec<f64> {
             mesh.spans.iter().filter(|s| s.nodes[1].is_some()).map(|s| s.to_mm).collect()
