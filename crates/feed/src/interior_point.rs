@@ -33,7 +33,10 @@
 
 use planish_dwell::residual::Normal;
 use planish_numerics::{
-    linear::{skyline::dot, woodbury::Woodbury},
+    linear::{
+        skyline::{Element, dot},
+        woodbury::Woodbury,
+    },
     qp::bounded::Quadratic,
 };
 use planish_types::{End, progress};
@@ -129,16 +132,24 @@ impl<'a> Program<'a> {
         (diagonal, below): (&[f64], &[f64]),
         u: Vec<Vec<f64>>,
     ) -> Option<Inverse<'a>> {
-        let Quadratic { k, .. } = &self.normal.matrix;
-        let mut k = k.clone();
+        let mut added = Vec::with_capacity(2 * row_of.len());
         for (j, row) in row_of.iter().enumerate() {
-            k.add(*row, *row, diagonal[j]);
+            added.push(Element { row: *row, column: *row, value: diagonal[j] });
             if j > 0 && below[j] != 0.0 {
                 let before = row_of[j - 1];
-                k.add(before.max(*row), before.min(*row), below[j]);
+                let (row, column) = (before.max(*row), before.min(*row));
+                added.push(Element { row, column, value: below[j] });
             }
         }
-        let woodbury = Woodbury::new(k.factorise()?, u)?;
+        added.sort_unstable_by_key(|e| (e.row, e.column));
+        let Quadratic { k, .. } = &self.normal.matrix;
+        let in_double = || {
+            let mut k = k.clone();
+            added.iter().for_each(|e| k.add(e.row, e.column, e.value));
+            k.factorise_to_single()
+        };
+        let factor = k.factorise_in_single(&added).or_else(in_double)?;
+        let woodbury = Woodbury::new(factor, u)?;
         Some(Inverse { order: &self.normal.order, woodbury })
     }
 
@@ -166,7 +177,7 @@ fn moved(density: &[f64], d: &[f64], length: f64) -> Vec<f64> {
 struct Inverse<'a> {
     /// Node of every row.
     order: &'a [usize],
-    woodbury: Woodbury,
+    woodbury: Woodbury<f32>,
 }
 
 impl Inverse<'_> {

@@ -278,10 +278,11 @@ impl Mesh {
                 spans.push(Span { curve: c, from_mm: w[0], to_mm: w[1], nodes });
             }
         }
+        let rule = gauss_legendre::<GAUSS_POINTS>();
         let (mut points, mut points_mm) = (Vec::new(), Vec::new());
         for span in &spans {
             let (curve, l) = (&curves[span.curve], span.length_mm());
-            for (u, omega) in gauss_legendre::<GAUSS_POINTS>() {
+            for (u, omega) in rule {
                 let (f, weight) = match span.nodes {
                     [Some(_), Some(_)] => (u, [1.0 - u, u].map(|w| w * l * omega)),
                     [None, _] => (u * u, [0.0, 2.0 * l * omega]),

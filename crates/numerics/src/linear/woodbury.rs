@@ -7,7 +7,7 @@
 //! K keeps its skyline, which the outer products would fill. `K - U U'` is positive definite exactly
 //! when K and S are. Source: Golub and Van Loan, Matrix Computations, 4th ed., section 2.1.4.
 
-use crate::linear::skyline::{Factor, Skyline, axpy, dot};
+use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
 
 /// `(K - U U')^-1`.
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub struct Woodbury<T = f64> {
     small: Factor,
 }
 
-impl<T: Copy + Into<f64> + Sync> Woodbury<T> {
+impl<T: Number> Woodbury<T> {
     /// From the factor of K and the columns of U; `None` when `K - U U'` is not positive definite.
     pub fn new(factor: Factor<T>, u: Vec<Vec<f64>>) -> Option<Self> {
         // V = K^-1 U
