@@ -9,7 +9,15 @@
 //! f is half the mean square of the residual. The places are fixed when it is made; what a method does with the
 //! times, a density along a curve for example, is its own affair. Its normal matrix for other columns, each a
 //! sum over places, is a [`Normal`]: on cells of pixels, as in [`crate::bounded_least_squares`], because the
-//! exact gradient corrects the steps that it makes.
+//! exact gradient corrects the steps that it makes. With P, the projection of a map on those that are the same on all
+//! pixels of a cell, it is
+//!
+//! ```text
+//! B' w^1/2 (P - Q) w^1/2 B  <=  B' w^1/2 (1 - Q) w^1/2 B,   the curvature of f, with Q that on what is free    (2)
+//! ```
+//!
+//! so it proves how far some f is at most above its least value, wherever it has no negative eigenvalue: where
+//! what is free is the same on all pixels of a cell, too, `P - Q` is a projection.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -38,6 +46,7 @@ pub struct Residual<'a> {
     places_mm: &'a [[f64; 2]],
     /// Of the pixels; their sum is 1.
     weight: Array2<f64>,
+    free: Free,
     basis: Basis,
     operator: Operator,
 }
@@ -70,7 +79,7 @@ impl<'a> Residual<'a> {
             return Err(DwellError::OutOfReach { points: places_mm.len() });
         }
         let basis = Basis::new(desired.grid(), &weight, free);
-        Ok(Self { desired, tif, places_mm, weight, basis, operator })
+        Ok(Self { desired, tif, places_mm, weight, free, basis, operator })
     }
 
     /// f and its gradient for the times at the places (n), s.
@@ -136,7 +145,8 @@ impl<'a> Residual<'a> {
         let of_places = self.basis.columns(&self.weight, |m| self.operator.adjoint(m));
         let sum = |u: &[f64], j: &usize| columns[*j].iter().map(|(i, time)| u[*i] * time).sum();
         let u = of_places.iter().map(|u| order.iter().map(|j| sum(u, j)).collect()).collect();
-        Ok(Normal { order, matrix: Quadratic { k, u }, cells })
+        let semidefinite = self.free == Free::Piston;
+        Ok(Normal { order, matrix: Quadratic { k, u }, semidefinite, cells })
     }
 
     /// What every column removes, on cells of pixels; those that are known are taken from there.
@@ -145,7 +155,7 @@ impl<'a> Residual<'a> {
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
         let new: Vec<Vec<Place>> = new.map(|(places, _)| places.clone()).collect();
         let size = cell_size(self.tif, grid, MAX_LOSS_FACTORISED);
-        let mut made = columns::on_cells(&new, self.tif, grid, &self.weight, size).0.into_iter();
+        let mut made = columns::on_cells(&new, self.tif, grid, &self.weight, size).into_iter();
         let of = |before: &Option<usize>| match before {
             Some(j) => std::mem::take(&mut known.cells[*j]),
             None => made.next().expect("one for every new column"),
@@ -184,6 +194,8 @@ pub struct Normal {
     pub order: Vec<usize>,
     /// The matrix, nm^2 by the unit of the columns squared.
     pub matrix: Quadratic,
+    /// Whether (2) has surely no negative eigenvalue.
+    pub semidefinite: bool,
     /// What every column removes, on cells of pixels.
     cells: Vec<Patch>,
 }
@@ -336,6 +348,31 @@ mod tests {
     }
 
     #[test]
+    fn the_normal_matrix_is_nowhere_above_the_curvature() {
+        let (tif, desired) = (bell(), mirror());
+        let places: Vec<[f64; 2]> =
+            (0..24).map(|k| [0.3 * f64::from(k), 2.5 + f64::from(k % 5)]).collect();
+        let columns: Vec<Vec<(usize, f64)>> = (0..24).map(|k| vec![(k, 1.0)]).collect();
+        for (free, semidefinite) in [(Free::Piston, true), (Free::Plane, false)] {
+            let residual = Residual::new(&desired, &tif, &places, None, free).unwrap();
+            let normal = residual.normal(&columns, None).unwrap();
+            assert_eq!(normal.semidefinite, semidefinite);
+            let zero = residual.evaluate(&[0.0; 24]).gradient_nm2_per_s;
+            for k in 0..40 {
+                // From smooth to rough.
+                let t: Vec<f64> = (0..24).map(|j| (0.08 * f64::from(k * j)).cos()).collect();
+                let gradient = residual.evaluate(&t).gradient_nm2_per_s;
+                let moved: Vec<f64> = gradient.iter().zip(&zero).map(|(a, b)| a - b).collect();
+                let (found, curvature) = (dot(&normal.product(&t), &t), dot(&moved, &t));
+                // Rounding of the convolutions, some 1e-16 of the largest products.
+                let rounding = 1e-12 * normal.matrix.diagonal().iter().sum::<f64>();
+                assert!(found <= curvature + rounding, "{free:?} {k}: {found} {curvature}");
+                assert!(!semidefinite || found >= -rounding, "{k}: {found}");
+            }
+        }
+    }
+
+    #[test]
     fn what_is_known_of_columns_is_what_would_be_computed() {
         let (tif, desired) = (bell(), mirror());
         let places: Vec<[f64; 2]> =
@@ -371,7 +408,7 @@ mod tests {
             })
             .collect();
         let weight = Array2::ones(grid.shape());
-        let (cells, _) = columns::on_cells(&columns, &tif, &grid, &weight, 2);
+        let cells = columns::on_cells(&columns, &tif, &grid, &weight, 2);
         for axis in [0, 1] {
             let order = Order::along(axis, &columns, &cells);
             for (i, first) in order.first.iter().enumerate() {

@@ -20,7 +20,10 @@
 //! r' F^-1 r <= x' r + x' e + e' e / alpha,   e = r - F x,   for every x                          (3)
 //! ```
 //!
-//! for the x of conjugate gradients, whose products with F are exact: differences of f'.
+//! for the x of conjugate gradients. (1) holds for every F that is nowhere above the curvature of f. The normal matrix
+//! on cells of pixels is such a matrix where it has no negative eigenvalue ([`planish_dwell::residual`]), its products
+//! cost next to nothing, and its own inverse, which only rounding tells from F^-1, leaves nothing after a step or two.
+//! Elsewhere F is the curvature itself.
 
 use planish_numerics::linear::skyline::dot;
 

@@ -193,10 +193,12 @@ impl<'a> Merit<'a> {
         (Objective { value, gradient }, self.price_is_found)
     }
 
-    /// The curvature of (1) times densities, with the removal itself.
-    pub fn curvature(&self, d: &[f64]) -> Vec<f64> {
-        let by_time = self.residual.curvature(&self.mesh.times_s(d));
-        let mut product = self.mesh.collect(&by_time);
+    /// A matrix that is nowhere above the curvature of (1), and nowhere below alpha, times densities.
+    pub fn lower_curvature(&self, d: &[f64]) -> Vec<f64> {
+        let mut product = match self.normal.semidefinite {
+            true => self.normal.product(d),
+            false => self.mesh.collect(&self.residual.curvature(&self.mesh.times_s(d))),
+        };
         product.iter_mut().zip(d).for_each(|(p, d)| *p += self.alpha * d);
         for [a, b] in &self.neighbours {
             let difference = self.beta * (d[*b] - d[*a]);

@@ -105,7 +105,8 @@ impl<'a> BoundedProblem<'a> {
         let mut cell = surrogate::cell_size(tif, grid, loss);
         // diag H = sum of w B^2 less U^2
         let (cells, energy) = if factorised {
-            let (cells, energy) = columns::on_cells(program.places, tif, grid, &weight, cell);
+            let (cells, energy) =
+                columns::on_cells_with_energy(program.places, tif, grid, &weight, cell);
             (Some(cells), energy)
         } else {
             (None, energies(&b, program.places, tif, grid, &weight))
@@ -190,7 +191,7 @@ impl<'a> BoundedProblem<'a> {
         }
         self.cell /= 2;
         let grid = self.desired.grid();
-        let (cells, _) = columns::on_cells(self.places, self.tif, grid, &self.weight, self.cell);
+        let cells = columns::on_cells(self.places, self.tif, grid, &self.weight, self.cell);
         let is_exact = self.cell == 1;
         self.surrogate =
             Surrogate::Ordered(Ordered::new(&cells, &self.u, &self.reached, penalty, is_exact));

@@ -99,16 +99,18 @@ fn nowhere() -> Patch {
     Patch { origin: (0, 0), rate_nm_per_s: Array2::zeros((0, 0)) }
 }
 
-/// `sum_q w_q R(x_i - p_q)` on the pixels that any of the places reaches.
-pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
-    let reach = |axis: usize, map: &Axis, tif: &Axis| {
+/// First and last pixel along x and y that any of the places reaches, if one does.
+fn reach(places: &[Place], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]> {
+    let along = |axis: usize, map: &Axis, tif: &Axis| {
         let covered = places.iter().filter_map(|p| pixels(p.position_mm[axis], map, tif));
         covered.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     };
-    let (Some(x), Some(y)) = (reach(0, &grid.x, &tif.grid().x), reach(1, &grid.y, &tif.grid().y))
-    else {
-        return nowhere();
-    };
+    Some([along(0, &grid.x, &tif.grid().x)?, along(1, &grid.y, &tif.grid().y)?])
+}
+
+/// `sum_q w_q R(x_i - p_q)` on the pixels that any of the places reaches.
+pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
+    let Some([x, y]) = reach(places, tif, grid) else { return nowhere() };
     let mut rate_nm_per_s = Array2::zeros((y.1 - y.0 + 1, x.1 - x.0 + 1));
     let samples = tif.with_ghosts();
     let mut row = vec![0.0; samples.ncols()];
@@ -301,28 +303,78 @@ impl Stored {
 }
 
 /// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
-/// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell; and the sum of `w_i B_ij^2`
-/// of every column. The columns are not kept.
+/// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell. The columns are not kept.
+///
+/// Where the pixels of every cell have one weight, they are summed along either axis before the samples of the TIF are:
+///
+/// ```text
+/// sum_i sum_j sum_s sum_t v_t(i) u_s(j) g[m(i) + t, n(j) + s] = sum_m V_m sum_n U_n g[m, n]              (1)
+/// V_m = sum of v_t(i) over all i and t with m(i) + t = m,   U_n likewise
+/// ```
+///
+/// with Keys' weights v and u of the pixels along y and x, and the samples g of the TIF.
 pub fn on_cells(
     places: &[Vec<Place>],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
     size: usize,
+) -> Vec<Patch> {
+    let cells = Cells::new(tif, grid, weight, size);
+    let of =
+        |places: &Vec<Place>| cells.by_sums(places).unwrap_or_else(|| cells.by_pixels(places).0);
+    places.par_iter().map(of).collect()
+}
+
+/// The same from every pixel, and the sum of `w_i B_ij^2` of every column.
+pub fn on_cells_with_energy(
+    places: &[Vec<Place>],
+    tif: &Tif,
+    grid: &Grid,
+    weight: &Array2<f64>,
+    size: usize,
 ) -> (Vec<Patch>, Vec<f64>) {
-    let mut total =
-        Array2::<f64>::zeros((weight.nrows().div_ceil(size), weight.ncols().div_ceil(size)));
-    for ((r, c), w) in weight.indexed_iter() {
-        total[[r / size, c / size]] += w;
+    let cells = Cells::new(tif, grid, weight, size);
+    places.par_iter().map(|places| cells.by_pixels(places)).unzip()
+}
+
+/// Cells of pixels of a map under a TIF.
+struct Cells<'a> {
+    tif: &'a Tif,
+    grid: &'a Grid,
+    weight: &'a Array2<f64>,
+    size: usize,
+    /// `1 / sqrt(sum_i w_i)` of every cell; 0 without a weight.
+    scale: Array2<f64>,
+    /// The weight of each pixel of a cell; NaN where they are not alike.
+    alike: Array2<f64>,
+}
+
+impl<'a> Cells<'a> {
+    fn new(tif: &'a Tif, grid: &'a Grid, weight: &'a Array2<f64>, size: usize) -> Self {
+        let shape = (weight.nrows().div_ceil(size), weight.ncols().div_ceil(size));
+        let mut total = Array2::<f64>::zeros(shape);
+        let mut alike = Array2::from_shape_fn(shape, |(r, c)| weight[[r * size, c * size]]);
+        for ((r, c), w) in weight.indexed_iter() {
+            let cell = [r / size, c / size];
+            total[cell] += w;
+            if alike[cell] != *w {
+                alike[cell] = f64::NAN;
+            }
+        }
+        let scale = total.mapv(|w| if w > 0.0 { w.sqrt().recip() } else { 0.0 });
+        Self { tif, grid, weight, size, scale, alike }
     }
-    let scale = total.mapv(|w| if w > 0.0 { w.sqrt().recip() } else { 0.0 });
-    let (all, width) = (weight.as_slice().expect("in C order"), weight.ncols());
-    let coarse = |places: &Vec<Place>| -> (Patch, f64) {
+
+    /// A column, and the sum of its `w_i B_ij^2`.
+    fn by_pixels(&self, places: &[Place]) -> (Patch, f64) {
+        let Self { tif, grid, size, .. } = *self;
         let p = patch(places, tif, grid);
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         if ny == 0 || nx == 0 {
             return (nowhere(), 0.0);
         }
+        let (all, width) = (self.weight.as_slice().expect("in C order"), self.weight.ncols());
         let (top, left) = (r / size, c / size);
         let shape = ((r + ny - 1) / size + 1 - top, (c + nx - 1) / size + 1 - left);
         let mut cells = Array2::zeros(shape);
@@ -340,10 +392,89 @@ pub fn on_cells(
                 *cell += pixels.iter().sum::<f64>();
             }
         }
-        cells *= &scale.slice(s![top..top + shape.0, left..left + shape.1]);
+        cells *= &self.scale.slice(s![top..top + shape.0, left..left + shape.1]);
         (Patch { origin: (top, left), rate_nm_per_s: cells }, energy)
-    };
-    places.par_iter().map(coarse).unzip()
+    }
+
+    /// A column by (1); `None` where it reaches a cell of which the pixels have not one weight.
+    fn by_sums(&self, places: &[Place]) -> Option<Patch> {
+        let Self { tif, grid, size, .. } = *self;
+        let Some([x, y]) = reach(places, tif, grid) else { return Some(nowhere()) };
+        let (top, left) = (y.0 / size, x.0 / size);
+        let window = s![top..=y.1 / size, left..=x.1 / size];
+        let alike = self.alike.slice(window);
+        if alike.iter().any(|w| w.is_nan()) {
+            return None;
+        }
+        let mut cells = Array2::zeros(alike.dim());
+        let samples = tif.with_ghosts();
+        let mut row = vec![0.0; samples.ncols()];
+        for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
+            let of_cells = |axis: usize, p: &Place, map: &Axis, own: &Axis, range, fraction| {
+                let under = Under::new(p.position_mm[axis], map, own, range, fraction);
+                Summed::new(&under, range.0, size)
+            };
+            let along_x: Vec<Summed> = places
+                .iter()
+                .map(|p| of_cells(0, p, &grid.x, &tif.grid().x, x, p.fraction))
+                .collect();
+            let along_y = of_cells(1, &places[0], &grid.y, &tif.grid().y, y, 1.0);
+            for (r, (node, weights)) in along_y.cells() {
+                row.fill(0.0);
+                for (k, w) in weights.iter().enumerate() {
+                    let g = samples.row(node + k);
+                    let g = g.to_slice().expect("whole rows of an array in C order");
+                    row.iter_mut().zip(g).for_each(|(sum, g)| *sum += w * g);
+                }
+                for (c, (node, weights)) in along_x.iter().flat_map(Summed::cells) {
+                    let g = &row[node..node + weights.len()];
+                    let sum: f64 = weights.iter().zip(g).map(|(w, g)| w * g).sum();
+                    cells[[r - top, c - left]] += sum;
+                }
+            }
+        }
+        cells *= &alike;
+        cells *= &self.scale.slice(window);
+        Some(Patch { origin: (top, left), rate_nm_per_s: cells })
+    }
+}
+
+/// V or U of (1) for the cells along an axis.
+struct Summed {
+    /// First cell.
+    cell: usize,
+    /// First node of every cell, in the samples with ghosts.
+    node: Vec<usize>,
+    /// First weight of every cell, and the number of all.
+    from: Vec<usize>,
+    weight: Vec<f64>,
+}
+
+impl Summed {
+    /// Of pixels from `first` on that a tool is over.
+    fn new(under: &Under, first: usize, size: usize) -> Self {
+        let first = first + under.pixel;
+        let mut summed =
+            Self { cell: first / size, node: Vec::new(), from: Vec::new(), weight: Vec::new() };
+        for (k, node) in under.node.iter().enumerate() {
+            if k == 0 || (first + k) % size == 0 {
+                summed.node.push(*node);
+                summed.from.push(summed.weight.len());
+            }
+            let (Some(start), Some(from)) = (summed.node.last(), summed.from.last()) else { break };
+            let at = from + node - start;
+            summed.weight.resize((at + 4).max(summed.weight.len()), 0.0);
+            (0..4).for_each(|t| summed.weight[at + t] += under.w[t][k]);
+        }
+        summed.from.push(summed.weight.len());
+        summed
+    }
+
+    /// Every cell, its first node, and the weights from there on.
+    fn cells(&self) -> impl Iterator<Item = (usize, (usize, &[f64]))> {
+        let weights = self.from.windows(2).map(|w| &self.weight[w[0]..w[1]]);
+        (self.cell..).zip(self.node.iter().copied().zip(weights))
+    }
 }
 
 impl Patch {
@@ -461,6 +592,43 @@ mod tests {
         assert!((mean(|_| 1.0) - 1.0).abs() < 1e-14);
         assert!((mean(|x| x * x) - 0.2).abs() < 1e-14);
         assert!(places[1].is_empty(), "lifted");
+    }
+
+    #[test]
+    fn cells_summed_before_the_samples_are_those_of_the_pixels() {
+        let (tif, coarse) = rough();
+        // Pixels of another pitch than the TIF, of its pitch, and larger ones.
+        let of_pitch = |x_mm: f64, y_mm: f64| Grid {
+            x: Axis::new(0.0, x_mm, 37).unwrap(),
+            y: Axis::new(0.0, y_mm, 29).unwrap(),
+        };
+        let place = |x: f64, y: f64, fraction: f64| Place { position_mm: [x, y], fraction };
+        let columns = [
+            vec![place(1.7, 1.3, 0.4), place(1.9, 1.3, 0.3), place(2.0, 1.45, 0.3)],
+            vec![place(-1.0, 0.2, 1.0)],
+            vec![place(3.9, 2.32, 0.5), place(0.0, 0.0, 0.5)],
+            vec![place(99.0, 0.0, 1.0)],
+        ];
+        for map in [coarse, of_pitch(0.11, 0.09), of_pitch(0.17, 0.12)] {
+            let mut weight = Array2::from_elem(map.shape(), 0.3);
+            for size in [1, 2, 5] {
+                let cells = Cells::new(&tif, &map, &weight, size);
+                for column in &columns {
+                    let (found, expected) =
+                        (cells.by_sums(column).unwrap(), cells.by_pixels(column).0);
+                    assert_eq!(found.origin, expected.origin);
+                    assert_eq!(found.rate_nm_per_s.dim(), expected.rate_nm_per_s.dim());
+                    let off = &found.rate_nm_per_s - &expected.rate_nm_per_s;
+                    // Rounding of some hundred terms of order 10.
+                    assert!(off.iter().all(|v| v.abs() < 1e-12), "{size}");
+                }
+            }
+            // A pixel that is not measured: only columns that reach its cell see it.
+            weight[[0, 0]] = 0.0;
+            let cells = Cells::new(&tif, &map, &weight, 2);
+            let by_sums = columns.each_ref().map(|column| cells.by_sums(column).is_some());
+            assert!(by_sums[0] && !by_sums[2] && by_sums[3], "{by_sums:?}");
+        }
     }
 
     #[test]

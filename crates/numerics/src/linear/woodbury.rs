@@ -18,6 +18,8 @@ pub struct Woodbury<T = f64> {
     v: Vec<Vec<f64>>,
     /// Of S.
     small: Factor,
+    /// Least diagonal element of S.
+    least_left: f64,
 }
 
 impl<T: Number> Woodbury<T> {
@@ -33,8 +35,14 @@ impl<T: Number> Woodbury<T> {
                 *s = f64::from(i == j) - dot(&u[i], &v[j]);
             }
         });
+        let least_left = (0..u.len()).map(|i| small.diagonal(i)).fold(1.0, f64::min);
         let small = small.factorise()?;
-        Some(Self { factor, u, v, small })
+        Some(Self { factor, u, v, small, least_left })
+    }
+
+    /// What the outer products leave of K at least, as a part of it: the less, the more rounding of its factor counts.
+    pub fn least_left(&self) -> f64 {
+        self.least_left
     }
 
     /// Solves `(K - U U') x = b` in place.
