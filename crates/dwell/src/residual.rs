@@ -10,14 +10,14 @@
 //! times, a density along a curve for example, is its own affair. Its normal matrix for other columns, each a
 //! sum over places, is a [`Normal`]: on cells of pixels, as in [`crate::bounded_least_squares`], because the
 //! exact gradient corrects the steps that it makes. With P, the projection of a map on those that are the same on all
-//! pixels of a cell, it is
+//! pixels of a cell, and Q, that on what is free, it is
 //!
 //! ```text
-//! B' w^1/2 (P - Q) w^1/2 B  <=  B' w^1/2 (1 - Q) w^1/2 B,   the curvature of f, with Q that on what is free    (2)
+//! B' w^1/2 P (1 - Q) P w^1/2 B  <=  B' w^1/2 (1 - Q) w^1/2 B,   the curvature of f                (2)
 //! ```
 //!
-//! so it proves how far some f is at most above its least value, wherever it has no negative eigenvalue: where
-//! what is free is the same on all pixels of a cell, too, `P - Q` is a projection.
+//! where P Q = Q, as what is free is the same on all pixels of a cell: a constant, but no plane. Then it can prove how
+//! far some f is at most above its least value. It has no negative eigenvalue in any case.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -28,6 +28,7 @@
 use ndarray::{Array2, Zip};
 use planish_numerics::{linear::skyline::Skyline, qp::bounded::Quadratic};
 use planish_types::{Invalid, Surface, Tif, budget};
+use rayon::prelude::*;
 
 pub use crate::objective::Free;
 use crate::{
@@ -136,17 +137,25 @@ impl<'a> Residual<'a> {
         )?;
         let mut k = Skyline::zeros(first.clone());
         k.fill(|i, row| {
+            let of_known = known.row(order[i]);
             for (v, l) in row.iter_mut().zip(&order[first[i]..]) {
-                let before = known.coupling(order[i], *l);
+                let before = of_known.as_ref().and_then(|row| row.coupling(*l));
                 *v = before.unwrap_or_else(|| cells[order[i]].dot(&cells[*l]));
             }
         });
-        // U = B' w f of the free functions
-        let of_places = self.basis.columns(&self.weight, |m| self.operator.adjoint(m));
-        let sum = |u: &[f64], j: &usize| columns[*j].iter().map(|(i, time)| u[*i] * time).sum();
-        let u = of_places.iter().map(|u| order.iter().map(|j| sum(u, j)).collect()).collect();
-        let semidefinite = self.free == Free::Piston;
-        Ok(Normal { order, matrix: Quadratic { k, u }, semidefinite, cells })
+        // U = B' w^1/2 P w^1/2 f of the free functions f
+        let size = self.cell_size();
+        let u = self.basis.columns(&self.weight, |m| {
+            let m = columns::map_on_cells(m, &self.weight, size);
+            order.par_iter().map(|j| cells[*j].product(&m)).collect()
+        });
+        let below_curvature = self.free == Free::Piston;
+        Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
+    }
+
+    /// Pixels along the side of a cell.
+    fn cell_size(&self) -> usize {
+        cell_size(self.tif, self.desired.grid(), MAX_LOSS_FACTORISED)
     }
 
     /// What every column removes, on cells of pixels; those that are known are taken from there.
@@ -154,7 +163,7 @@ impl<'a> Residual<'a> {
         let grid = self.desired.grid();
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
         let new: Vec<Vec<Place>> = new.map(|(places, _)| places.clone()).collect();
-        let size = cell_size(self.tif, grid, MAX_LOSS_FACTORISED);
+        let size = self.cell_size();
         let mut made = columns::on_cells(&new, self.tif, grid, &self.weight, size).into_iter();
         let of = |before: &Option<usize>| match before {
             Some(j) => std::mem::take(&mut known.cells[*j]),
@@ -180,10 +189,31 @@ impl Known {
         Self { column: vec![None; columns], row_of: Vec::new(), k, cells: Vec::new() }
     }
 
-    /// The element of the normal matrix of two columns that are both known.
-    fn coupling(&self, a: usize, b: usize) -> Option<f64> {
-        let [a, b] = [self.column[a]?, self.column[b]?].map(|j| self.row_of[j]);
-        Some(self.k.at(a.max(b), a.min(b)))
+    /// The row of a column that is known.
+    fn row(&self, column: usize) -> Option<KnownRow<'_>> {
+        let row = self.row_of[self.column[column]?];
+        Some(KnownRow { known: self, row, first: self.k.first(row), elements: self.k.row(row) })
+    }
+}
+
+/// A row of the other normal matrix.
+struct KnownRow<'a> {
+    known: &'a Known,
+    row: usize,
+    first: usize,
+    elements: &'a [f64],
+}
+
+impl KnownRow<'_> {
+    /// The element of this row and of a column that is known, too.
+    fn coupling(&self, column: usize) -> Option<f64> {
+        let Known { column: before, row_of, k, .. } = self.known;
+        let other = row_of[before[column]?];
+        // Both matrices have nearly the same order, so the other one is nearly always before this one.
+        match (self.first..=self.row).contains(&other) {
+            true => Some(self.elements[other - self.first]),
+            false => Some(k.at(self.row.max(other), self.row.min(other))),
+        }
     }
 }
 
@@ -194,8 +224,8 @@ pub struct Normal {
     pub order: Vec<usize>,
     /// The matrix, nm^2 by the unit of the columns squared.
     pub matrix: Quadratic,
-    /// Whether (2) has surely no negative eigenvalue.
-    pub semidefinite: bool,
+    /// Whether it is nowhere above the curvature of f.
+    pub below_curvature: bool,
     /// What every column removes, on cells of pixels.
     cells: Vec<Patch>,
 }
@@ -278,7 +308,7 @@ impl Order {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_numerics::linear::skyline::dot;
+    use planish_numerics::linear::{skyline::dot, woodbury::Woodbury};
     use planish_types::{Axis, Grid};
 
     fn bell() -> Tif {
@@ -348,27 +378,57 @@ mod tests {
     }
 
     #[test]
-    fn the_normal_matrix_is_nowhere_above_the_curvature() {
-        let (tif, desired) = (bell(), mirror());
+    fn the_normal_matrix_is_between_zero_and_the_curvature() {
+        const N: usize = 600;
+        // So many pixels under the TIF that some of them are taken together.
+        let axis = |start: f64, n: usize| Axis::new(start, 0.05, n).unwrap();
+        let own = Grid { x: axis(-2.0, 81), y: axis(-2.0, 81) };
+        let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
+            10.0 * (-(own.x.at(c).powi(2) + 1.3 * own.y.at(r).powi(2)) / 0.8).exp()
+        });
+        let tif = Tif::new(own, rate).unwrap();
+        let grid = Grid { x: axis(0.0, 161), y: axis(0.0, 101) };
+        let z = Array2::from_shape_fn(grid.shape(), |(r, c)| match (r, c) {
+            (13, 24) => f64::NAN,
+            _ => 20.0,
+        });
+        let desired = Surface::new(grid, z).unwrap();
         let places: Vec<[f64; 2]> =
-            (0..24).map(|k| [0.3 * f64::from(k), 2.5 + f64::from(k % 5)]).collect();
-        let columns: Vec<Vec<(usize, f64)>> = (0..24).map(|k| vec![(k, 1.0)]).collect();
-        for (free, semidefinite) in [(Free::Piston, true), (Free::Plane, false)] {
+            (0..N).map(|k| [k % 30, k / 30].map(|k| 0.4 * k as f64 - 1.5)).collect();
+        let columns: Vec<Vec<(usize, f64)>> = (0..N).map(|k| vec![(k, 1.0)]).collect();
+        for (free, below) in [(Free::Piston, true), (Free::Plane, false)] {
             let residual = Residual::new(&desired, &tif, &places, None, free).unwrap();
+            assert!(residual.cell_size() > 1);
             let normal = residual.normal(&columns, None).unwrap();
-            assert_eq!(normal.semidefinite, semidefinite);
-            let zero = residual.evaluate(&[0.0; 24]).gradient_nm2_per_s;
-            for k in 0..40 {
+            assert_eq!(normal.below_curvature, below);
+            let Quadratic { k, u } = &normal.matrix;
+            let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
+            let zero = residual.evaluate(&[0.0; N]).gradient_nm2_per_s;
+            for i in 0..40 {
                 // From smooth to rough.
-                let t: Vec<f64> = (0..24).map(|j| (0.08 * f64::from(k * j)).cos()).collect();
+                let t: Vec<f64> = (0..N).map(|j| (0.08 * (i * j) as f64).cos()).collect();
                 let gradient = residual.evaluate(&t).gradient_nm2_per_s;
                 let moved: Vec<f64> = gradient.iter().zip(&zero).map(|(a, b)| a - b).collect();
                 let (found, curvature) = (dot(&normal.product(&t), &t), dot(&moved, &t));
                 // Rounding of the convolutions, some 1e-16 of the largest products.
-                let rounding = 1e-12 * normal.matrix.diagonal().iter().sum::<f64>();
-                assert!(found <= curvature + rounding, "{free:?} {k}: {found} {curvature}");
-                assert!(!semidefinite || found >= -rounding, "{k}: {found}");
+                let rounding = 1e-12 * N as f64 * strongest;
+                assert!(!below || found <= curvature + rounding, "{i}: {found} {curvature}");
+                assert!(found >= -rounding, "{free:?} {i}: {found}");
             }
+            // A little more than the normal matrix is positive definite.
+            let mut more = k.clone();
+            (0..N).for_each(|i| more.add(i, i, 1e-9 * strongest));
+            let is_definite = |u: Vec<Vec<f64>>| {
+                let factor = more.clone().factorise().unwrap();
+                Woodbury::new(factor, u).is_some()
+            };
+            assert!(is_definite(u.clone()), "{free:?}");
+            // With the free functions on all pixels beside columns on cells it would not be.
+            let on_pixels = residual.basis.columns(&residual.weight, |m| {
+                let of_places = residual.operator.adjoint(m);
+                normal.order.iter().map(|j| of_places[*j]).collect()
+            });
+            assert!(below || !is_definite(on_pixels));
         }
     }
 

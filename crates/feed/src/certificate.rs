@@ -21,8 +21,8 @@
 //! ```
 //!
 //! for the x of conjugate gradients. (1) holds for every F that is nowhere above the curvature of f. The normal matrix
-//! on cells of pixels is such a matrix where it has no negative eigenvalue ([`planish_dwell::residual`]), its products
-//! cost next to nothing, and its own inverse, which only rounding tells from F^-1, leaves nothing after a step or two.
+//! on cells of pixels is such a matrix where what is free is a constant ([`planish_dwell::residual`]): its products cost
+//! next to nothing, and its own inverse, which only rounding tells from F^-1, leaves nothing after a step or two.
 //! Elsewhere F is the curvature itself.
 
 use planish_numerics::linear::skyline::dot;

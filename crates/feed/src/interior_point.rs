@@ -803,7 +803,9 @@ mod tests {
             let along = dot(&merit.lower_curvature(&x), &x);
             let curvature: f64 =
                 x.iter().zip(&before.1).zip(&gradient).map(|((x, a), b)| x * (a - b)).sum();
-            assert!(along <= curvature && along > 0.98 * curvature, "{along} {curvature}");
+            // Cells of one pixel lose nothing: all but rounding.
+            let below = along <= curvature * (1.0 + 1e-12);
+            assert!(below && along > 0.98 * curvature, "{along} {curvature}");
             assert!(rows.slacks(d).iter().all(|c| *c > 0.0));
             assert!(d.iter().zip(&lo).all(|(d, lo)| d > lo));
 

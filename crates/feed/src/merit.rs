@@ -195,7 +195,7 @@ impl<'a> Merit<'a> {
 
     /// A matrix that is nowhere above the curvature of (1), and nowhere below alpha, times densities.
     pub fn lower_curvature(&self, d: &[f64]) -> Vec<f64> {
-        let mut product = match self.normal.semidefinite {
+        let mut product = match self.normal.below_curvature {
             true => self.normal.product(d),
             false => self.mesh.collect(&self.residual.curvature(&self.mesh.times_s(d))),
         };

@@ -13,7 +13,7 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayView2, Axis as NdAxis, s};
+use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
 use planish_numerics::{
     keys,
     linear::skyline::{Sums, dot},
@@ -238,6 +238,15 @@ impl Patch {
             .enumerate()
             .map(move |(k, row)| (r + k, c..c + width, row))
     }
+
+    /// Sum of the products with a map.
+    pub fn product(&self, map: &Array2<f64>) -> f64 {
+        let (all, width) = (map.as_slice().expect("in C order"), map.ncols());
+        let row = |(r, c, rate): (usize, Range<usize>, &[f64])| {
+            dot(rate, &all[r * width + c.start..r * width + c.end])
+        };
+        self.rows().map(row).sum()
+    }
 }
 
 /// B as stored patches.
@@ -280,13 +289,7 @@ impl Stored {
 
     /// `B' m` for a map (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
-        let (all, width) = (map.as_slice().expect("in C order"), map.ncols());
-        let column = |p: &Patch| -> f64 {
-            p.rows()
-                .map(|(r, c, rate)| dot(rate, &all[r * width + c.start..r * width + c.end]))
-                .sum()
-        };
-        self.patches.par_iter().map(column).collect()
+        self.patches.par_iter().map(|p| p.product(map)).collect()
     }
 
     /// Sum of `w_i B_ij^2` for every column.
@@ -326,7 +329,28 @@ pub fn on_cells(
     places.par_iter().map(of).collect()
 }
 
-/// The same from every pixel, and the sum of `w_i B_ij^2` of every column.
+/// `P W^-1/2 m` of a map m: `sum_i m_i / sqrt(sum_i w_i)` over the pixels i of every cell.
+pub fn map_on_cells(map: &Array2<f64>, weight: &Array2<f64>, size: usize) -> Array2<f64> {
+    let mut cells = sums(map, size);
+    Zip::from(&mut cells).and(&sums(weight, size)).for_each(|v, w| *v *= reciprocal_root(*w));
+    cells
+}
+
+/// Sums over the pixels of every cell.
+fn sums(map: &Array2<f64>, size: usize) -> Array2<f64> {
+    let mut sums = Array2::zeros((map.nrows().div_ceil(size), map.ncols().div_ceil(size)));
+    for ((r, c), v) in map.indexed_iter() {
+        sums[[r / size, c / size]] += v;
+    }
+    sums
+}
+
+/// `1 / sqrt(w)`; 0 without a weight.
+fn reciprocal_root(w: f64) -> f64 {
+    if w > 0.0 { w.sqrt().recip() } else { 0.0 }
+}
+
+/// [`on_cells`] from every pixel, and the sum of `w_i B_ij^2` of every column.
 pub fn on_cells_with_energy(
     places: &[Vec<Place>],
     tif: &Tif,
@@ -352,17 +376,14 @@ struct Cells<'a> {
 
 impl<'a> Cells<'a> {
     fn new(tif: &'a Tif, grid: &'a Grid, weight: &'a Array2<f64>, size: usize) -> Self {
-        let shape = (weight.nrows().div_ceil(size), weight.ncols().div_ceil(size));
-        let mut total = Array2::<f64>::zeros(shape);
-        let mut alike = Array2::from_shape_fn(shape, |(r, c)| weight[[r * size, c * size]]);
+        let scale = sums(weight, size).mapv(reciprocal_root);
+        let mut alike = Array2::from_shape_fn(scale.dim(), |(r, c)| weight[[r * size, c * size]]);
         for ((r, c), w) in weight.indexed_iter() {
-            let cell = [r / size, c / size];
-            total[cell] += w;
-            if alike[cell] != *w {
-                alike[cell] = f64::NAN;
+            let first = &mut alike[[r / size, c / size]];
+            if *first != *w {
+                *first = f64::NAN;
             }
         }
-        let scale = total.mapv(|w| if w > 0.0 { w.sqrt().recip() } else { 0.0 });
         Self { tif, grid, weight, size, scale, alike }
     }
 
