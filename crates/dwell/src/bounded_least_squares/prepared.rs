@@ -103,14 +103,9 @@ impl<'a> BoundedProblem<'a> {
         let loss =
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);
+        let cells = factorised.then(|| columns::on_cells(program.places, tif, grid, &weight, cell));
         // diag H = sum of w B^2 less U^2
-        let (cells, energy) = if factorised {
-            let (cells, energy) =
-                columns::on_cells_with_energy(program.places, tif, grid, &weight, cell);
-            (Some(cells), energy)
-        } else {
-            (None, energies(&b, program.places, tif, grid, &weight))
-        };
+        let energy = energies(&b, program.places, tif, grid, &weight);
         let mut diagonal: Vec<f64> = (0..n)
             .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
             .collect();
@@ -120,15 +115,12 @@ impl<'a> BoundedProblem<'a> {
         }
         let reached: Vec<bool> =
             diagonal.iter().map(|d| *d > UNREACHED_FRACTION * largest).collect();
-        let strongest = match &cells {
-            Some(_) => largest,
-            // D decides the weights of (1): the element itself, not the estimate.
-            None => {
-                let j = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
-                let p = Stored::new(&program.places[j..=j], tif, grid);
-                let u = basis.columns(&weight, |m| p.adjoint(m));
-                p.energy(&weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
-            }
+        // D decides the weights of (1): the element itself, not the estimate.
+        let strongest = {
+            let j = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
+            let p = Stored::new(&program.places[j..=j], tif, grid);
+            let u = basis.columns(&weight, |m| p.adjoint(m));
+            p.energy(&weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
         };
         for j in (0..n).filter(|j| !reached[*j]) {
             diagonal[j] = 0.0;

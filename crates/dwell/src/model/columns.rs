@@ -324,8 +324,7 @@ pub fn on_cells(
     size: usize,
 ) -> Vec<Patch> {
     let cells = Cells::new(tif, grid, weight, size);
-    let of =
-        |places: &Vec<Place>| cells.by_sums(places).unwrap_or_else(|| cells.by_pixels(places).0);
+    let of = |places: &Vec<Place>| cells.by_sums(places).unwrap_or_else(|| cells.by_pixels(places));
     places.par_iter().map(of).collect()
 }
 
@@ -348,18 +347,6 @@ fn sums(map: &Array2<f64>, size: usize) -> Array2<f64> {
 /// `1 / sqrt(w)`; 0 without a weight.
 fn reciprocal_root(w: f64) -> f64 {
     if w > 0.0 { w.sqrt().recip() } else { 0.0 }
-}
-
-/// [`on_cells`] from every pixel, and the sum of `w_i B_ij^2` of every column.
-pub fn on_cells_with_energy(
-    places: &[Vec<Place>],
-    tif: &Tif,
-    grid: &Grid,
-    weight: &Array2<f64>,
-    size: usize,
-) -> (Vec<Patch>, Vec<f64>) {
-    let cells = Cells::new(tif, grid, weight, size);
-    places.par_iter().map(|places| cells.by_pixels(places)).unzip()
 }
 
 /// Cells of pixels of a map under a TIF.
@@ -387,24 +374,22 @@ impl<'a> Cells<'a> {
         Self { tif, grid, weight, size, scale, alike }
     }
 
-    /// A column, and the sum of its `w_i B_ij^2`.
-    fn by_pixels(&self, places: &[Place]) -> (Patch, f64) {
+    /// A column, from all of its pixels.
+    fn by_pixels(&self, places: &[Place]) -> Patch {
         let Self { tif, grid, size, .. } = *self;
         let p = patch(places, tif, grid);
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         if ny == 0 || nx == 0 {
-            return (nowhere(), 0.0);
+            return nowhere();
         }
         let (all, width) = (self.weight.as_slice().expect("in C order"), self.weight.ncols());
         let (top, left) = (r / size, c / size);
         let shape = ((r + ny - 1) / size + 1 - top, (c + nx - 1) / size + 1 - left);
         let mut cells = Array2::zeros(shape);
-        let mut energy = 0.0;
         let mut line = vec![0.0; nx];
         for (r, columns, rate) in p.rows() {
             let w = &all[r * width + columns.start..r * width + columns.end];
             line.iter_mut().zip(w).zip(rate).for_each(|((l, w), b)| *l = w * b);
-            energy += dot(&line, rate);
             let mut row = cells.row_mut(r / size - top);
             // The first cell has the pixels up to the next multiple of the size.
             let (head, rest) = line.split_at((size - c % size).min(nx));
@@ -414,7 +399,7 @@ impl<'a> Cells<'a> {
             }
         }
         cells *= &self.scale.slice(s![top..top + shape.0, left..left + shape.1]);
-        (Patch { origin: (top, left), rate_nm_per_s: cells }, energy)
+        Patch { origin: (top, left), rate_nm_per_s: cells }
     }
 
     /// A column by (1); `None` where it reaches a cell of which the pixels have not one weight.
@@ -636,7 +621,7 @@ mod tests {
                 let cells = Cells::new(&tif, &map, &weight, size);
                 for column in &columns {
                     let (found, expected) =
-                        (cells.by_sums(column).unwrap(), cells.by_pixels(column).0);
+                        (cells.by_sums(column).unwrap(), cells.by_pixels(column));
                     assert_eq!(found.origin, expected.origin);
                     assert_eq!(found.rate_nm_per_s.dim(), expected.rate_nm_per_s.dim());
                     let off = &found.rate_nm_per_s - &expected.rate_nm_per_s;
