@@ -29,7 +29,7 @@ use crate::{
 const TURN_PER_STEP_RAD: f64 = 0.1;
 
 /// Least number of steps of a clothoid: where the tool slows down into a bend, the largest acceleration is before it.
-const LEAST_STEPS: usize = 8;
+const LEAST_STEPS: usize = 6;
 
 /// Fraction of the acceleration that is kept for what happens between the places of (1), and for the cubic pieces
 /// that the motion on a clothoid is made of.

@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// Worth (1) over the objective per node above which a span is halved.
-const LEAST_WORTH: f64 = 8e-3;
+const LEAST_WORTH: f64 = 4e-3;
 
 /// By what the least worth grows until the method can afford the nodes.
 const DEARER: f64 = 2.0;
