@@ -17,7 +17,8 @@
 //! ```
 //!
 //! where P Q = Q, as what is free is the same on all pixels of a cell: a constant, but no plane. Then it can prove how
-//! far some f is at most above its least value. It has no negative eigenvalue in any case.
+//! far some f is at most above its least value, as long as both sides have one B: not where TIF and map have different
+//! pitches and the operator of f resamples the TIF. (2) has no negative eigenvalue in any case.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -149,7 +150,8 @@ impl<'a> Residual<'a> {
             let m = columns::map_on_cells(m, &self.weight, size);
             order.par_iter().map(|j| cells[*j].product(&m)).collect()
         });
-        let below_curvature = self.free == Free::Piston;
+        let exact = self.operator.is_exact(self.tif, self.desired.grid());
+        let below_curvature = exact && self.free == Free::Piston;
         Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
     }
 
@@ -429,6 +431,24 @@ mod tests {
                 normal.order.iter().map(|j| of_places[*j]).collect()
             });
             assert!(below || !is_definite(on_pixels));
+        }
+    }
+
+    #[test]
+    fn an_operator_that_resamples_the_tif_is_no_part_of_a_proof() {
+        // Too many elements to be stored, and pixels of another pitch than those of the TIF.
+        let tif = bell();
+        let places: Vec<[f64; 2]> = (0..80)
+            .flat_map(|i| (0..80).map(move |j| [i, j].map(|k| 0.5 * f64::from(k))))
+            .collect();
+        let columns: Vec<Vec<(usize, f64)>> = vec![vec![(0, 1.0)], vec![(1, 1.0)]];
+        for (pitch_mm, exact) in [(0.25, true), (0.04, false)] {
+            let axis = Axis::new(0.0, pitch_mm, (40.0 / pitch_mm) as usize).unwrap();
+            let z = Array2::from_elem((axis.len(), axis.len()), 20.0);
+            let desired = Surface::new(Grid { x: axis, y: axis }, z).unwrap();
+            let residual = Residual::new(&desired, &tif, &places, None, Free::Piston).unwrap();
+            assert_eq!(residual.operator.name(), if exact { "columns" } else { "fft" });
+            assert_eq!(residual.normal(&columns, None).unwrap().below_curvature, exact);
         }
     }
 

@@ -20,10 +20,10 @@
 //! r' F^-1 r <= x' r + x' e + e' e / alpha,   e = r - F x,   for every x                          (3)
 //! ```
 //!
-//! for the x of conjugate gradients. (1) holds for every F that is nowhere above the curvature of f. The normal matrix
-//! on cells of pixels is such a matrix where what is free is a constant ([`planish_dwell::residual`]): its products cost
-//! next to nothing, and its own inverse, which only rounding tells from F^-1, leaves nothing after a step or two.
-//! Elsewhere F is the curvature itself.
+//! for the x of conjugate gradients. (1) holds for every F that is nowhere above the curvature of f, and (3) if it is
+//! nowhere below alpha, too. The normal matrix on cells of pixels, with the weights alpha and beta of [`crate::merit`],
+//! is such a matrix where [`planish_dwell::residual`] says so: its products cost next to nothing, and its own inverse,
+//! which only rounding tells from F^-1, leaves nothing after a step or two. Elsewhere F is the curvature itself.
 
 use planish_numerics::linear::skyline::dot;
 

@@ -108,8 +108,8 @@ const NEAR_THE_MINIMUM: f64 = 0.3;
 /// Least steps of an [`approach`], in which dual variables that were those of other rows become those of these.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
-/// What the free functions must leave of the matrix for its factor in single precision: ten times the rounding of their
-/// products. Where they leave less the factor is made in double precision.
+/// What the free functions must leave of the matrix at least ([`Woodbury::least_left`]) for a factor in single precision:
+/// ten times the rounding of their products. Where they leave less the factor is made in double precision.
 const LEFT_TO_SINGLE: f64 = 1e-6;
 
 /// Before any step.
@@ -149,17 +149,16 @@ impl<'a> Program<'a> {
         let Quadratic { k, .. } = &self.normal.matrix;
         let single = k.factorise_in_single(&added);
         let single = single.and_then(|factor| Woodbury::new(factor, u.clone()));
-        let solve: Box<dyn Fn(&mut [f64])> =
-            match single.filter(|woodbury| woodbury.least_left() >= LEFT_TO_SINGLE) {
-                Some(woodbury) => Box::new(move |b| woodbury.solve(b)),
-                None => {
-                    let mut k = k.clone();
-                    added.iter().for_each(|e| k.add(e.row, e.column, e.value));
-                    let woodbury = Woodbury::new(k.factorise()?, u)?;
-                    Box::new(move |b| woodbury.solve(b))
-                }
-            };
-        Some(Inverse { order: &self.normal.order, solve })
+        let single = single.filter(|woodbury| woodbury.least_left() >= LEFT_TO_SINGLE);
+        let by_rows = match single {
+            Some(woodbury) => ByRows::Single(woodbury),
+            None => {
+                let mut k = k.clone();
+                added.iter().for_each(|e| k.add(e.row, e.column, e.value));
+                ByRows::Double(Woodbury::new(k.factorise()?, u)?)
+            }
+        };
+        Some(Inverse { order: &self.normal.order, by_rows })
     }
 
     /// The longest part of `length d` from densities at which the rows leave `c` that leaves of every row more than a
@@ -186,14 +185,22 @@ fn moved(density: &[f64], d: &[f64], length: f64) -> Vec<f64> {
 struct Inverse<'a> {
     /// Node of every row.
     order: &'a [usize],
-    /// `b` in place.
-    solve: Box<dyn Fn(&mut [f64])>,
+    by_rows: ByRows,
+}
+
+/// The inverse of a matrix over the rows, of a factor in single or in double precision.
+enum ByRows {
+    Single(Woodbury<f32>),
+    Double(Woodbury),
 }
 
 impl Inverse<'_> {
     fn solve(&self, rhs: &[f64]) -> Vec<f64> {
         let mut b: Vec<f64> = self.order.iter().map(|j| rhs[*j]).collect();
-        (self.solve)(&mut b);
+        match &self.by_rows {
+            ByRows::Single(woodbury) => woodbury.solve(&mut b),
+            ByRows::Double(woodbury) => woodbury.solve(&mut b),
+        }
         let mut x = vec![0.0; rhs.len()];
         self.order.iter().zip(b).for_each(|(j, b)| x[*j] = b);
         x

@@ -104,8 +104,11 @@ impl<'a> BoundedProblem<'a> {
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);
         let cells = factorised.then(|| columns::on_cells(program.places, tif, grid, &weight, cell));
-        // diag H = sum of w B^2 less U^2
-        let energy = energies(&b, program.places, tif, grid, &weight);
+        // diag H = sum of w B^2 less U^2, of which the cells lose little
+        let energy = match &cells {
+            Some(cells) => cells.iter().map(|column| column.dot(column)).collect(),
+            None => energies(&b, program.places, tif, grid, &weight),
+        };
         let mut diagonal: Vec<f64> = (0..n)
             .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
             .collect();

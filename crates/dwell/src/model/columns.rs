@@ -308,14 +308,14 @@ impl Stored {
 /// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
 /// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell. The columns are not kept.
 ///
-/// Where the pixels of every cell have one weight, they are summed along either axis before the samples of the TIF are:
+/// Where every cell that a column reaches has pixels of one weight, the weights of the interpolation are summed along
+/// either axis before they meet the samples g of the TIF. With those of pixel row r and pixel column c, a_t(r) and
+/// b_s(c) by Keys, for the four samples from p(r) and q(c) on:
 ///
 /// ```text
-/// sum_i sum_j sum_s sum_t v_t(i) u_s(j) g[m(i) + t, n(j) + s] = sum_m V_m sum_n U_n g[m, n]              (1)
-/// V_m = sum of v_t(i) over all i and t with m(i) + t = m,   U_n likewise
+/// sum_r sum_c sum_t sum_s a_t(r) b_s(c) g[p(r) + t, q(c) + s] = sum_m A_m sum_n B_n g[m, n]              (1)
+/// A_m = sum of a_t(r) over all r and t with p(r) + t = m,   B_n likewise
 /// ```
-///
-/// with Keys' weights v and u of the pixels along y and x, and the samples g of the TIF.
 pub fn on_cells(
     places: &[Vec<Place>],
     tif: &Tif,
@@ -324,7 +324,10 @@ pub fn on_cells(
     size: usize,
 ) -> Vec<Patch> {
     let cells = Cells::new(tif, grid, weight, size);
-    let of = |places: &Vec<Place>| cells.by_sums(places).unwrap_or_else(|| cells.by_pixels(places));
+    let of = |places: &Vec<Place>| match size {
+        1 => cells.by_pixels(places),
+        _ => cells.by_sums(places).unwrap_or_else(|| cells.by_pixels(places)),
+    };
     places.par_iter().map(of).collect()
 }
 
@@ -445,29 +448,31 @@ impl<'a> Cells<'a> {
     }
 }
 
-/// V or U of (1) for the cells along an axis.
+/// A or B of (1) for the cells along an axis.
 struct Summed {
     /// First cell.
     cell: usize,
-    /// First node of every cell, in the samples with ghosts.
+    /// The first sample of every cell, of those with ghosts.
     node: Vec<usize>,
-    /// First weight of every cell, and the number of all.
+    /// Where the weights of every cell begin, and where the last ones end.
     from: Vec<usize>,
+    /// The weights of all cells, one after the other.
     weight: Vec<f64>,
 }
 
 impl Summed {
-    /// Of pixels from `first` on that a tool is over.
+    /// For the pixels under a tool, which begin at pixel `first` of the map.
     fn new(under: &Under, first: usize, size: usize) -> Self {
         let first = first + under.pixel;
         let mut summed =
             Self { cell: first / size, node: Vec::new(), from: Vec::new(), weight: Vec::new() };
+        let (mut start, mut from) = (0, 0);
         for (k, node) in under.node.iter().enumerate() {
-            if k == 0 || (first + k) % size == 0 {
-                summed.node.push(*node);
-                summed.from.push(summed.weight.len());
+            if k == 0 || (first + k).is_multiple_of(size) {
+                (start, from) = (*node, summed.weight.len());
+                summed.node.push(start);
+                summed.from.push(from);
             }
-            let (Some(start), Some(from)) = (summed.node.last(), summed.from.last()) else { break };
             let at = from + node - start;
             summed.weight.resize((at + 4).max(summed.weight.len()), 0.0);
             (0..4).for_each(|t| summed.weight[at + t] += under.w[t][k]);

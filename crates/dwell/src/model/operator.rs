@@ -73,6 +73,11 @@ impl Operator {
         }
     }
 
+    /// Whether B is that of [`columns`] but for rounding: stored, or by FFT where TIF and map have one pitch.
+    pub fn is_exact(&self, tif: &Tif, grid: &Grid) -> bool {
+        matches!(self, Self::Stored { .. }) || FftOperator::is_exact(tif, grid)
+    }
+
     /// `B t`: (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let (patches, shape) = match self {

@@ -13,10 +13,11 @@
 //! ```
 //!
 //! The blocks below a diagonal block are independent of each other, so the result does not depend
-//! on the number of threads. A factor is stored by columns within its blocks, as the matrix products read it: in single
-//! precision they spend more time on reading by rows than on multiplying. Source: A. George and J. Liu, Computer Solution of Large Sparse
-//! Positive Definite Systems, 1981, chapter 4; Golub and Van Loan, Matrix Computations, 4th ed.,
-//! section 4.2.
+//! on the number of threads. A factor is stored by columns within its blocks, as the matrix products
+//! read it: in single precision they spend more time on reading rows than on multiplying.
+//!
+//! Source: A. George and J. Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981,
+//! chapter 4; Golub and Van Loan, Matrix Computations, 4th ed., section 4.2.
 
 use std::ops::{Neg, Range};
 
@@ -47,11 +48,11 @@ struct Rows {
 /// An element of the lower triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Element {
-    /// Its row,
+    /// Row of the element.
     pub row: usize,
-    /// and its column, at most the row.
+    /// Column of the element, at most `row`.
     pub column: usize,
-    /// The number there.
+    /// What stands there.
     pub value: f64,
 }
 
@@ -193,9 +194,12 @@ impl Skyline {
         })
     }
 
-    /// The same of this matrix and some elements in ascending rows that are added to it, in single precision but for the
-    /// diagonal blocks: half the time. More matrices than in double precision are not positive definite to rounding.
+    /// Factorises the sum of this matrix and some elements, whose rows ascend, in single precision; only the
+    /// diagonal blocks are factorised and inverted in double precision. It takes half the time, and more
+    /// matrices are not positive definite to rounding.
     pub fn factorise_in_single(&self, added: &[Element]) -> Option<Factor<f32>> {
+        assert!(added.is_sorted_by_key(|e| e.row), "elements whose rows ascend");
+        assert!(added.last().is_none_or(|e| e.row < self.len()), "elements of this matrix");
         let of = |(b, rows): (usize, &Rows)| {
             let mut panel = Panel::new(rows);
             let of_block = |row: usize| added.partition_point(|e| e.row < row);
@@ -223,15 +227,15 @@ impl Skyline {
 
 /// A number of a factor.
 pub trait Number: LinalgScalar + Default + Into<f64> + Neg<Output = Self> + Send + Sync {
-    /// Distance from 1 to the next number.
-    const EPSILON: f64;
+    /// Least square of a pivot over the element of the diagonal that it is left of: below, it is rounding.
+    const LEAST_PIVOT: f64;
 
     /// The nearest number.
     fn rounded(value: f64) -> Self;
 }
 
 impl Number for f64 {
-    const EPSILON: f64 = f64::EPSILON;
+    const LEAST_PIVOT: f64 = f64::EPSILON;
 
     fn rounded(value: f64) -> Self {
         value
@@ -239,7 +243,8 @@ impl Number for f64 {
 }
 
 impl Number for f32 {
-    const EPSILON: f64 = f32::EPSILON as f64;
+    // Some hundred sums round by more than one of them.
+    const LEAST_PIVOT: f64 = 16.0 * f32::EPSILON as f64;
 
     fn rounded(value: f64) -> Self {
         value as Self
@@ -255,7 +260,7 @@ struct Panel<T> {
     values: Array2<T>,
 }
 
-/// By blocks; every one is `keep`-ed when it is done.
+/// Factorises panel by panel; `keep` says what is kept of every one that is done.
 fn factorise_panels<S: Number, T>(
     mut panels: Vec<Panel<S>>,
     keep: impl Fn(Panel<S>) -> Panel<T>,
@@ -309,7 +314,8 @@ impl<T: Number> Panel<T> {
         Self { start: rows.start, values: Array2::from_shape_fn((columns, count), value) }
     }
 
-    /// From `A[i, k]`, of which nothing is subtracted yet, to `L[i, k]`, for a pivot panel k whose rows begin at `at`.
+    /// From `A[i, k]`, of which nothing is subtracted yet, to `L[i, k]`, for a pivot panel k whose rows
+    /// begin at `at`.
     fn eliminate(&mut self, pivot: &Self, inverse: &Array2<T>, at: usize) {
         if self.start > at {
             return;
@@ -328,16 +334,18 @@ impl<T: Number> Panel<T> {
         general_mat_mul(T::one(), inverse, &known, T::zero(), &mut block);
     }
 
-    /// From `A[k, k]` of the rows that begin at `at`, of which nothing is subtracted yet, to `L[k, k]`, and its inverse;
-    /// `None` when it is not positive definite to rounding.
+    /// From `A[k, k]` of the rows that begin at `at`, of which nothing is subtracted yet, to `L[k, k]`, and
+    /// its inverse; `None` when it is not positive definite to rounding.
     fn factorise_diagonal(&mut self, at: usize) -> Option<Array2<T>> {
         let (left, mut diagonal) = self.values.view_mut().split_at(Axis(0), at - self.start);
+        let least: Vec<f64> =
+            diagonal.diag().iter().map(|v| T::LEAST_PIVOT * (*v).into().abs()).collect();
         if left.nrows() > 0 {
             general_mat_mul(-T::one(), &left.t(), &left, T::one(), &mut diagonal);
         }
         let mut l =
             Array2::from_shape_fn(diagonal.dim(), |(row, column)| diagonal[[column, row]].into());
-        factorise_unblocked(&mut l, T::EPSILON)?;
+        factorise_unblocked(&mut l, &least)?;
         diagonal
             .indexed_iter_mut()
             .for_each(|((column, row), v)| *v = T::rounded(l[[row, column]]));
@@ -367,6 +375,18 @@ pub struct Factor<T = f64> {
 }
 
 impl<T: Number> Factor<T> {
+    /// The least square of a pivot: nowhere below the least eigenvalue.
+    pub fn least_pivot(&self) -> f64 {
+        let of_panel = |panel: &Panel<T>| {
+            let rows = panel.rows();
+            let at = panel.values.nrows() - rows;
+            (0..rows)
+                .map(|i| panel.values[[at + i, i]].into().powi(2))
+                .fold(f64::INFINITY, f64::min)
+        };
+        self.panels.iter().map(of_panel).fold(f64::INFINITY, f64::min)
+    }
+
     /// Solves `A x = b` in place.
     pub fn solve(&self, b: &mut [f64]) {
         assert_eq!(b.len(), self.len, "length of the right-hand side");
@@ -507,8 +527,8 @@ fn inverse(l: &Array2<f64>) -> Array2<f64> {
     x
 }
 
-/// The lower triangle becomes L, the upper one zero.
-fn factorise_unblocked(a: &mut Array2<f64>, epsilon: f64) -> Option<()> {
+/// The lower triangle becomes L, the upper one zero; `None` where the square of a pivot is not above its `least`.
+fn factorise_unblocked(a: &mut Array2<f64>, least: &[f64]) -> Option<()> {
     let n = a.nrows();
     for i in 0..n {
         let (above, mut rest) = a.view_mut().split_at(Axis(0), i);
@@ -520,8 +540,7 @@ fn factorise_unblocked(a: &mut Array2<f64>, epsilon: f64) -> Option<()> {
             row[j] = (row[j] - dot(&row[..j], &l[..j])) / l[j];
         }
         let value = row[i] - dot(&row[..i], &row[..i]);
-        // Below rounding (epsilon) of what was subtracted the matrix is singular.
-        if value.is_nan() || value <= epsilon * row[i].abs() {
+        if value.is_nan() || value <= least[i] {
             return None;
         }
         row[i] = value.sqrt();
@@ -624,10 +643,17 @@ mod tests {
 
     #[test]
     fn what_is_singular_to_single_precision_is_refused_by_it_alone() {
-        // [1, 1; 1, 1 + 1e-9]
-        let a = Skyline::from_dense(&ndarray::array![[1.0, 1.0], [1.0, 1.0 + 1e-9]]);
-        assert!(a.factorise_in_single(&[]).is_none());
-        assert!(a.factorise_to_single().is_some());
+        // All elements 1, and a little more on the diagonal: in one block and in many.
+        for n in [2, 65, 300] {
+            let ones = Array2::ones((n, n));
+            let a = Skyline::from_dense(&(ones + Array2::<f64>::eye(n) * 1e-9));
+            assert!(a.factorise_in_single(&[]).is_none(), "n {n}");
+            let factor = a.factorise().unwrap();
+            // The last pivot of ones + e is e (n + e) / (n - 1 + e).
+            let expected = 1e-9 * n as f64 / (n - 1) as f64;
+            // What n subtractions of numbers of order 1 round by.
+            assert!((factor.least_pivot() - expected).abs() < 1e-15 * n as f64, "n {n}");
+        }
     }
 
     #[test]

@@ -18,8 +18,6 @@ pub struct Woodbury<T = f64> {
     v: Vec<Vec<f64>>,
     /// Of S.
     small: Factor,
-    /// Least diagonal element of S.
-    least_left: f64,
 }
 
 impl<T: Number> Woodbury<T> {
@@ -35,14 +33,14 @@ impl<T: Number> Woodbury<T> {
                 *s = f64::from(i == j) - dot(&u[i], &v[j]);
             }
         });
-        let least_left = (0..u.len()).map(|i| small.diagonal(i)).fold(1.0, f64::min);
         let small = small.factorise()?;
-        Some(Self { factor, u, v, small, least_left })
+        Some(Self { factor, u, v, small })
     }
 
-    /// What the outer products leave of K at least, as a part of it: the less, the more rounding of its factor counts.
+    /// The least square of a pivot of S: what the outer products leave of K along the directions of U,
+    /// as a part of it. The less, the more the rounding of the factor of K counts.
     pub fn least_left(&self) -> f64 {
-        self.least_left
+        self.small.least_pivot()
     }
 
     /// Solves `(K - U U') x = b` in place.
