@@ -10,7 +10,7 @@ use crate::{
     DwellError,
     model::{
         UNREACHED_FRACTION,
-        columns::{self, Place, Stored},
+        columns::{self, Patch, Place, Stored},
         operator::Removal,
     },
     objective::{Basis, Free, Penalty, PenaltyScale},
@@ -61,21 +61,22 @@ pub struct BoundedProblem<'a> {
     pub quadratic: Option<Product<'a>>,
 }
 
-/// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: the mean of R^2 along a segment in place
-/// of the square of the mean, with the kernel spill. Where a column is so weak that the estimate would decide
-/// whether it reaches the map at all, it is computed from the column itself.
+/// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: what the column has on `cells`, or without
+/// them the mean of R^2 along a segment in place of the square of the mean, with the kernel spill. Where a column is so
+/// weak that the estimate would decide whether it reaches the map at all, it is computed from the column itself.
 fn energies(
     b: &Removal,
+    cells: Option<&[Patch]>,
     places: &[Vec<Place>],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
 ) -> Vec<f64> {
-    let b = match b {
-        Removal::Stored(b) => return b.energy(weight),
-        Removal::Convolved(b) => b,
+    let mut energy: Vec<f64> = match (b, cells) {
+        (Removal::Stored(b), _) => return b.energy(weight),
+        (Removal::Convolved(_), Some(cells)) => cells.iter().map(|c| c.dot(c)).collect(),
+        (Removal::Convolved(b), None) => b.adjoint_of_squared_tif(weight),
     };
-    let mut energy = b.adjoint_of_squared_tif(weight);
     let largest = energy.iter().copied().fold(0.0, f64::max);
     let few: Vec<usize> =
         (0..energy.len()).filter(|j| energy[*j] < ESTIMATED_ENERGY_FRACTION * largest).collect();
@@ -104,11 +105,8 @@ impl<'a> BoundedProblem<'a> {
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);
         let cells = factorised.then(|| columns::on_cells(program.places, tif, grid, &weight, cell));
-        // diag H = sum of w B^2 less U^2, of which the cells lose little
-        let energy = match &cells {
-            Some(cells) => cells.iter().map(|column| column.dot(column)).collect(),
-            None => energies(&b, program.places, tif, grid, &weight),
-        };
+        // diag H = sum of w B^2 less U^2
+        let energy = energies(&b, cells.as_deref(), program.places, tif, grid, &weight);
         let mut diagonal: Vec<f64> = (0..n)
             .map(|j| (energy[j] - u.iter().map(|u| u[j] * u[j]).sum::<f64>()).max(0.0))
             .collect();
