@@ -314,7 +314,11 @@ mod tests {
     use planish_types::{Axis, Grid};
 
     fn bell() -> Tif {
-        let own = Axis::new(-2.0, 0.25, 17).unwrap();
+        bell_of(0.25)
+    }
+
+    fn bell_of(pitch_mm: f64) -> Tif {
+        let own = Axis::new(-2.0, pitch_mm, (4.0 / pitch_mm).round() as usize + 1).unwrap();
         let g = Grid { x: own, y: own };
         let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
             10.0 * (-(g.x.at(c).powi(2) + 1.3 * g.y.at(r).powi(2)) / 0.8).exp()
@@ -383,13 +387,10 @@ mod tests {
     fn the_normal_matrix_is_between_zero_and_the_curvature() {
         const N: usize = 600;
         // So many pixels under the TIF that some of them are taken together.
-        let axis = |start: f64, n: usize| Axis::new(start, 0.05, n).unwrap();
-        let own = Grid { x: axis(-2.0, 81), y: axis(-2.0, 81) };
-        let rate = Array2::from_shape_fn(own.shape(), |(r, c)| {
-            10.0 * (-(own.x.at(c).powi(2) + 1.3 * own.y.at(r).powi(2)) / 0.8).exp()
-        });
-        let tif = Tif::new(own, rate).unwrap();
-        let grid = Grid { x: axis(0.0, 161), y: axis(0.0, 101) };
+        let pitch_mm = 0.05;
+        let tif = bell_of(pitch_mm);
+        let axis = |n: usize| Axis::new(0.0, pitch_mm, n).unwrap();
+        let grid = Grid { x: axis(161), y: axis(101) };
         let z = Array2::from_shape_fn(grid.shape(), |(r, c)| match (r, c) {
             (13, 24) => f64::NAN,
             _ => 20.0,
@@ -411,9 +412,13 @@ mod tests {
                 let t: Vec<f64> = (0..N).map(|j| (0.08 * (i * j) as f64).cos()).collect();
                 let gradient = residual.evaluate(&t).gradient_nm2_per_s;
                 let moved: Vec<f64> = gradient.iter().zip(&zero).map(|(a, b)| a - b).collect();
-                let (found, curvature) = (dot(&normal.product(&t), &t), dot(&moved, &t));
                 // Rounding of the convolutions, some 1e-16 of the largest products.
                 let rounding = 1e-12 * N as f64 * strongest;
+                // f is quadratic.
+                for (found, moved) in residual.curvature(&t).iter().zip(&moved) {
+                    assert!((found - moved).abs() < rounding, "{free:?} {i}: {found} {moved}");
+                }
+                let (found, curvature) = (dot(&normal.product(&t), &t), dot(&moved, &t));
                 assert!(!below || found <= curvature + rounding, "{i}: {found} {curvature}");
                 assert!(found >= -rounding, "{free:?} {i}: {found}");
             }

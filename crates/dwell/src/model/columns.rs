@@ -543,14 +543,15 @@ mod tests {
         (Tif::new(g, rate).unwrap(), map)
     }
 
+    /// A map with pixels of these pitches.
+    fn of_pitch(x_mm: f64, y_mm: f64) -> Grid {
+        Grid { x: Axis::new(0.0, x_mm, 37).unwrap(), y: Axis::new(0.0, y_mm, 29).unwrap() }
+    }
+
     #[test]
     fn a_patch_is_the_tif_at_pixel_minus_tool() {
         let (tif, coarse) = rough();
         // Pixels of the pitch of the TIF, and of that pitch but for the digits that a file has lost.
-        let of_pitch = |x_mm: f64, y_mm: f64| Grid {
-            x: Axis::new(0.0, x_mm, 37).unwrap(),
-            y: Axis::new(0.0, y_mm, 29).unwrap(),
-        };
         let maps = [coarse, of_pitch(0.11, 0.09), of_pitch(0.11 * (1.0 + 2.5e-8), 0.09 + 1e-9)];
         let places = [[1.7, 1.3], [-1.0, 0.2], [3.9, 2.32], [0.0, 0.0], [99.0, 0.0]];
         for (map, p) in maps.iter().flat_map(|map| places.map(|p| (map, p))) {
@@ -609,10 +610,6 @@ mod tests {
     fn cells_summed_before_the_samples_are_those_of_the_pixels() {
         let (tif, coarse) = rough();
         // Pixels of another pitch than the TIF, of its pitch, and larger ones.
-        let of_pitch = |x_mm: f64, y_mm: f64| Grid {
-            x: Axis::new(0.0, x_mm, 37).unwrap(),
-            y: Axis::new(0.0, y_mm, 29).unwrap(),
-        };
         let place = |x: f64, y: f64, fraction: f64| Place { position_mm: [x, y], fraction };
         let columns = [
             vec![place(1.7, 1.3, 0.4), place(1.9, 1.3, 0.3), place(2.0, 1.45, 0.3)],
