@@ -143,7 +143,7 @@ impl<'a> BoundedProblem<'a> {
             }
             None => {
                 if penalty.least_alpha() >= MIN_TIKHONOV_TWO_LEVEL * strongest {
-                    splines_mm = surrogate::spline_pitch(program.places, &reached, tif, grid, cell);
+                    splines_mm = surrogate::spline_pitch(program.places, &reached, tif);
                 }
                 if splines_mm.is_none() {
                     cell = surrogate::cell_size(tif, grid, surrogate::MAX_LOSS_GRADIENT);

@@ -35,11 +35,11 @@ const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
 /// Longest column that a spline can be made of, over the pitch.
 const MAX_COLUMN_OVER_SPLINE_PITCH: f64 = 2.0;
 
-/// Most elements of the factor of the matrix of the splines (640 MB, twice that while it is made).
-const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
+/// Most elements of the factor of the matrix of the splines for which the pitch is not widened: it is made in seconds.
+const QUICK_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 
-/// Most elements of the removal by all splines (1.6 GB).
-const MAX_SPLINE_PATCH_ELEMENTS: f64 = 2e8;
+/// Most elements at all (2.8 GB, twice that while it is made).
+const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 7e8;
 
 /// Pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
@@ -69,13 +69,7 @@ pub fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<
 /// Pitch of splines that can say what the TIF resolves, mm; none where most columns are longer, or
 /// where their matrix would be too large, which depends on the area under the reached columns, not on
 /// their number.
-pub fn spline_pitch(
-    places: &[Vec<Place>],
-    reached: &[bool],
-    tif: &Tif,
-    map: &Grid,
-    cell: usize,
-) -> Option<f64> {
+pub fn spline_pitch(places: &[Vec<Place>], reached: &[bool], tif: &Tif) -> Option<f64> {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
     let width_mm = 1.0 / (along_x + along_y).sqrt();
     let of_reached =
@@ -85,35 +79,27 @@ pub fn spline_pitch(
     let count = |of: &[bool]| of.iter().filter(|of| **of).count();
     let spacing_mm = (size_mm[0] * size_mm[1] / count(reached) as f64).sqrt();
     let tif_mm = [&tif.grid().x, &tif.grid().y].map(|axis| axis.end_mm() - axis.start_mm());
-    let cells_mm = [&map.x, &map.y].map(|axis| cell as f64 * axis.step_mm());
-    let pitch_mm = affordable_pitch(width_mm, size_mm, tif_mm, cells_mm)?
+    let pitch_mm = affordable_pitch(width_mm, size_mm, tif_mm)?
         .max(MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm);
     let dense = count(&are_short(places, reached, pitch_mm)) * 2 > count(reached);
     dense.then_some(pitch_mm)
 }
 
 /// The least pitch, mm, for which the matrix is quickly factorised, or else is not too large, for a TIF of a width, over
-/// a rectangle; sizes of the rectangle, the TIF and a cell are [x, y].
-fn affordable_pitch(
-    width_mm: f64,
-    size_mm: [f64; 2],
-    tif_mm: [f64; 2],
-    cells_mm: [f64; 2],
-) -> Option<f64> {
-    let mut over_width = SPLINE_PITCH_OVER_TIF_WIDTH;
-    while over_width <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH {
-        let pitch_mm = over_width * width_mm;
-        let reach_mm = tif_mm.map(|size| size + 4.0 * pitch_mm);
-        let (nodes, row) = lattice_size(size_mm, reach_mm, pitch_mm);
-        let cells = |k: usize| reach_mm[k] / cells_mm[k] + 4.0;
-        if nodes * row <= MAX_SPLINE_FACTOR_ELEMENTS
-            && nodes * cells(0) * cells(1) <= MAX_SPLINE_PATCH_ELEMENTS
-        {
-            return Some(pitch_mm);
-        }
-        over_width *= WIDENED_BY;
+/// a rectangle; sizes of the rectangle and the TIF are [x, y].
+fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Option<f64> {
+    let elements = |pitch_mm: f64| {
+        let (nodes, row) =
+            lattice_size(size_mm, tif_mm.map(|size| size + 4.0 * pitch_mm), pitch_mm);
+        nodes * row
+    };
+    let mut pitch_mm = SPLINE_PITCH_OVER_TIF_WIDTH * width_mm;
+    while elements(pitch_mm) > QUICK_SPLINE_FACTOR_ELEMENTS
+        && WIDENED_BY * pitch_mm <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH * width_mm
+    {
+        pitch_mm *= WIDENED_BY;
     }
-    None
+    (elements(pitch_mm) <= MAX_SPLINE_FACTOR_ELEMENTS).then_some(pitch_mm)
 }
 
 /// Nodes of a lattice of splines over a rectangle of this size [x, y], and most elements of a row of its
@@ -142,19 +128,16 @@ mod tests {
 
     #[test]
     fn splines_are_wider_over_a_larger_part_and_none_over_one_that_is_too_large() {
-        let (width_mm, tif_mm, cells_mm) = (1.5, [8.0; 2], [0.25; 2]);
+        let (width_mm, tif_mm) = (1.5, [8.0; 2]);
         let over_width = |size_mm: f64| {
-            affordable_pitch(width_mm, [size_mm; 2], tif_mm, cells_mm).map(|pitch| pitch / width_mm)
+            affordable_pitch(width_mm, [size_mm; 2], tif_mm).map(|pitch| pitch / width_mm)
         };
-        // The elements of the factor are as the cube of the side of a square, those of the removal by all splines as its
-        // square.
+        // The elements of the factor are as the cube of the side of a square.
         let at_100_mm = over_width(100.0).unwrap();
         assert!((at_100_mm / SPLINE_PITCH_OVER_TIF_WIDTH - 1.0).abs() < 1e-12);
-        let at_250_mm = over_width(250.0).unwrap();
-        assert!(
-            at_250_mm > SPLINE_PITCH_OVER_TIF_WIDTH && at_250_mm <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH,
-            "{at_250_mm}"
-        );
-        assert_eq!(over_width(400.0), None);
+        let wider = [250.0, 500.0].map(|size_mm| over_width(size_mm).unwrap());
+        assert!(at_100_mm < wider[0] && wider[0] < wider[1], "{wider:?}");
+        assert!(wider[1] <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH, "{wider:?}");
+        assert_eq!(over_width(600.0), None);
     }
 }

@@ -1,6 +1,8 @@
 //! Symmetric matrices of the nodes of a lattice that couple only near ones: as they are made, an order of magnitude
 //! smaller than the skyline that their factor fills.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 /// Nodes of a lattice, numbered along the shorter side first.
@@ -44,12 +46,35 @@ impl Stencils {
         })
     }
 
-    /// Writes every element (i, k), k <= i, of near nodes.
-    pub fn fill(&mut self, write: impl Fn(usize, usize, &mut f64) + Sync) {
-        let (shorter, reach) = (self.shorter, self.reach);
-        self.values.par_chunks_mut(Self::len(reach)).enumerate().for_each(|(i, row)| {
+    /// Writes every element (i, k), k <= i, of near nodes with i in these rows.
+    pub fn fill(&mut self, rows: Range<usize>, write: impl Fn(usize, usize, &mut f64) + Sync) {
+        let (shorter, reach, len) = (self.shorter, self.reach, Self::len(self.reach));
+        let values = &mut self.values[rows.start * len..rows.end * len];
+        values.par_chunks_mut(len).zip(rows).for_each(|(row, i)| {
             Self::coupled(i, shorter, reach).for_each(|(k, at)| write(i, k, &mut row[at]));
         });
+    }
+
+    /// The rows in as many parts as leaves the rows coupled with one in it and in the part before.
+    pub fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        let (rows, part) = (self.rows(), self.reach[0].max(1) * self.shorter);
+        (0..rows).step_by(part).map(move |from| from..(from + part).min(rows))
+    }
+
+    fn rows(&self) -> usize {
+        self.values.len() / Self::len(self.reach)
+    }
+
+    /// Which rows are coupled with one of these, or one of these themselves.
+    pub fn coupled_with(&self, these: &[bool]) -> Vec<bool> {
+        let mut found = these.to_vec();
+        for i in 0..self.rows() {
+            for (k, _) in Self::coupled(i, self.shorter, self.reach) {
+                found[i] |= these[k];
+                found[k] |= these[i];
+            }
+        }
+        found
     }
 
     /// Adds to the element of two nodes, of which the second one does not come after the first: where they are along the
@@ -90,7 +115,10 @@ mod tests {
             i / shorter - k / shorter <= reach[0] && (i % shorter).abs_diff(k % shorter) <= reach[1]
         };
         let mut all = Stencils::zeros(nodes, shorter, reach);
-        all.fill(|i, k, v| *v = value(i, k));
+        // By parts of two lines, of which the last is half as long.
+        assert_eq!(all.parts().collect::<Vec<_>>(), [0..8, 8..16, 16..24, 24..28]);
+        let parts = all.parts();
+        parts.for_each(|rows| all.fill(rows, |i, k, v| *v = value(i, k)));
         let mut one = Stencils::zeros(nodes, shorter, reach);
         one.add([2, 1], [1, 0], 0.25);
         one.add([2, 1], [1, 2], 0.5);
@@ -110,5 +138,9 @@ mod tests {
                 assert_eq!(found, expected, "({i}, {k})");
             }
         }
+        let these: Vec<bool> = (0..nodes).map(|i| i == 9).collect();
+        let coupled = all.coupled_with(&these);
+        let expected = |i: usize| is_near(i.max(9), i.min(9));
+        assert!((0..nodes).all(|i| coupled[i] == expected(i)), "{coupled:?}");
     }
 }

@@ -78,6 +78,10 @@ const MAX_COUPLED_CELLS: u32 = 1;
 /// is small beside it keeps Q as good as exact.
 const SPLINE_RIDGE: f64 = 1e-3;
 
+/// Most elements of the removal by all splines that are kept from one set of free columns to the next (1.6 GB). With more,
+/// those near a spline that changes are computed anew.
+const MAX_KEPT_PATCH_ELEMENTS: usize = 200_000_000;
+
 impl Nodes {
     /// The lattice over the reached columns.
     pub fn new(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Self {
@@ -251,8 +255,9 @@ const PENALTY_REACH: usize = 3 + MAX_COUPLED_CELLS as usize;
 /// `V' B' W B V` of some free columns.
 pub struct Coarse {
     free: Vec<bool>,
-    /// `W^1/2 B V` of every row.
+    /// `W^1/2 B V` of every row: of all rows where they are kept, else of those that are at work.
     patches: Vec<Patch>,
+    keeps_patches: bool,
     matrix: Stencils,
     /// First column of every row of the factor.
     first: Vec<usize>,
@@ -305,9 +310,11 @@ impl Coarse {
             };
             near.find(are_coupled).unwrap_or(i)
         };
+        let cells: usize = extents.iter().map(|(rows, columns)| rows.len() * columns.len()).sum();
         Self {
             free: vec![false; reached.len()],
             patches: vec![Patch::default(); nodes.len()],
+            keeps_patches: cells <= MAX_KEPT_PATCH_ELEMENTS,
             matrix: nodes.stencils(reach),
             first: (0..nodes.len()).into_par_iter().map(first).collect(),
             last: None,
@@ -328,19 +335,33 @@ impl Coarse {
             nodes.over(&w).for_each(|i| changed[i] = true);
         }
         self.free.copy_from_slice(free);
-        let of_changed = self.patches.par_iter_mut().enumerate().filter(|(i, _)| changed[*i]);
-        of_changed.for_each(|(i, patch)| {
-            *patch = sums.patch(&nodes.under(i, free));
-            let ((r, c), (ny, nx)) = (patch.origin, patch.rate_nm_per_s.dim());
-            let weight = weight.slice(s![r..r + ny, c..c + nx]);
-            patch.rate_nm_per_s.zip_mut_with(&weight, |v, w| *v *= w.sqrt());
-        });
-        let patches = &self.patches;
-        self.matrix.fill(|i, k, v| {
-            if changed[i] || changed[k] {
-                *v = patches[i].dot(&patches[k]);
+        let is_needed = match self.keeps_patches {
+            true => changed.clone(),
+            false => self.matrix.coupled_with(&changed),
+        };
+        let mut before = 0..0;
+        for rows in self.matrix.parts() {
+            let patches = self.patches[rows.clone()].par_iter_mut().zip(rows.clone());
+            patches.filter(|(_, i)| is_needed[*i]).for_each(|(patch, i)| {
+                *patch = sums.patch(&nodes.under(i, free));
+                let ((r, c), (ny, nx)) = (patch.origin, patch.rate_nm_per_s.dim());
+                let weight = weight.slice(s![r..r + ny, c..c + nx]);
+                patch.rate_nm_per_s.zip_mut_with(&weight, |v, w| *v *= w.sqrt());
+            });
+            let patches = &self.patches;
+            self.matrix.fill(rows.clone(), |i, k, v| {
+                if changed[i] || changed[k] {
+                    *v = patches[i].dot(&patches[k]);
+                }
+            });
+            if !self.keeps_patches {
+                self.patches[before].fill(Patch::default());
             }
-        });
+            before = rows;
+        }
+        if !self.keeps_patches {
+            self.patches[before].fill(Patch::default());
+        }
     }
 
     /// `(V' H V)^-1` of the columns that [`Self::update`] was for; none where that is singular to rounding.
