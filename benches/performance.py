@@ -241,12 +241,13 @@ def limits(seconds):
     # Along the rows and the columns, there and back: each time the nodes are read and written.
     transforms = 4 * 2 * 8 * (8192 + 106) ** 2 / bytes_per_s
     rows = [
-        ("convolution 8192", f"memory, {bytes_per_s / 1e9:.0f} GB/s: four times over the nodes", transforms),
-        ("simulate_large (8192, 10000)", "one `convolution 8192`", seconds["convolution 8192"]),
-        ("simulate_large (8192, 1000000)", "one `convolution 8192`", seconds["convolution 8192"]),
-        ("simulate_large (1641, 10000)", "one `convolution 1641`", seconds["convolution 1641"]),
+        ("convolution f64 8192", f"memory, {bytes_per_s / 1e9:.0f} GB/s: four times over the nodes", transforms),
+        ("convolution f32 8192", "the same: its map and its result are in double precision", transforms),
+        ("simulate_large (8192, 10000)", "one `convolution f64 8192`", seconds["convolution f64 8192"]),
+        ("simulate_large (8192, 1000000)", "one `convolution f64 8192`", seconds["convolution f64 8192"]),
+        ("simulate_large (1641, 10000)", "one `convolution f64 1641`", seconds["convolution f64 1641"]),
         ("schedule_pvt_long false 1000000", "memory: 400 bytes a segment, counted in the loops", 4e8 / bytes_per_s),
-        ("dwell_lucy_richardson_large true", "two `convolution 1641`: what the points reach, and what is left", 2 * seconds["convolution 1641"]),
+        ("dwell_lucy_richardson_large true", "two `convolution f64 1641`: what the points reach, and what is left", 2 * seconds["convolution f64 1641"]),
     ]
     return table(
         ["work", "limit", "limit, ms", "median, ms", "ratio"],

@@ -73,7 +73,8 @@ pub(crate) struct CoarseMap {
     pixels: (usize, usize),
     /// Coarse nodes.
     shape: (usize, usize),
-    convolution: Convolution,
+    /// In single precision.
+    convolution: Convolution<f32>,
 }
 
 impl CoarseMap {

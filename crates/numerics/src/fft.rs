@@ -17,7 +17,7 @@ pub mod pair_convolution;
 pub mod tiles;
 pub mod transform;
 
-pub use rustfft::num_complex::Complex64;
+pub use rustfft::num_complex::{Complex, Complex64};
 
 /// Smallest `m >= n` without prime factors above 7.
 pub fn smooth_size(n: usize) -> usize {

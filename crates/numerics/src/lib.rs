@@ -11,6 +11,7 @@
 //! | [`motion`] | motions between states, and motions given by a law of time |
 //! | [`slope`] | slopes of a map over a base length |
 //! | [`spectrum`] | power spectral densities of a rectangle of samples |
+//! | [`precision`] | single precision where it is exact enough |
 //! | the others | interpolation, polynomials, quadrature, statistics, sorting by counting |
 
 pub mod bspline;
@@ -22,6 +23,7 @@ pub mod motion;
 pub mod orthogonal;
 pub mod pareto;
 pub mod polynomial;
+pub mod precision;
 pub mod qp;
 pub mod quadrature;
 pub mod slope;

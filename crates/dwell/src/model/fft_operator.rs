@@ -137,7 +137,7 @@ impl FftOperator {
     pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let squared = kernel(&self.samples.mapv(|r| r * r), self.spread);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
-        let field = Convolution::new(squared.view(), shape).adjoint(map.view());
+        let field = Convolution::<f64>::new(squared.view(), shape).adjoint(map.view());
         self.rows.gather(&field, self.columns)
     }
 }

@@ -14,7 +14,8 @@ use ndarray::{ArrayView2, ArrayViewMut2, Axis};
 use rayon::prelude::*;
 use rustfft::{Fft, FftPlanner};
 
-use super::Complex64;
+use super::{Complex, Complex64};
+use crate::precision::Real;
 
 /// Columns that are transformed together: 256 bytes of a row, which the processor fetches ahead.
 const COLUMNS: usize = 16;
@@ -33,51 +34,51 @@ pub fn quick_size(n: usize) -> usize {
     (n.max(1)..).find(|n| is_quick_size(*n)).expect("powers of two are unbounded")
 }
 
-struct Transform {
-    forward: Arc<dyn Fft<f64>>,
-    inverse: Arc<dyn Fft<f64>>,
+struct Transform<T> {
+    forward: Arc<dyn Fft<T>>,
+    inverse: Arc<dyn Fft<T>>,
     scratch: usize,
 }
 
-impl Transform {
-    fn new(planner: &mut FftPlanner<f64>, n: usize) -> Self {
+impl<T: Real> Transform<T> {
+    fn new(planner: &mut FftPlanner<T>, n: usize) -> Self {
         let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
         let scratch = forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len());
         Self { forward, inverse, scratch }
     }
 
-    fn scratch(&self) -> Vec<Complex64> {
-        vec![Complex64::default(); self.scratch]
+    fn scratch(&self) -> Vec<Complex<T>> {
+        vec![Complex::default(); self.scratch]
     }
 }
 
 /// Two-dimensional convolution with one kernel.
-pub struct PairConvolution {
+pub struct PairConvolution<T = f64> {
     kernel_rows: usize,
     size: (usize, usize),
-    x: Transform,
-    y: Transform,
+    x: Transform<T>,
+    y: Transform<T>,
     /// Spectrum of the kernel, [kx][ky], scaled by 1 / (number of elements).
-    spectrum: Vec<Complex64>,
+    spectrum: Vec<Complex<T>>,
 }
 
-impl PairConvolution {
+impl<T: Real> PairConvolution<T> {
     /// Plans for fields of shape `size`, at least as large as the kernel (gy, gx) on both axes.
     pub fn new(kernel: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(gy >= 1 && gx >= 1 && size.0 >= gy && size.1 >= gx, "kernel exceeds the field");
         let mut planner = FftPlanner::new();
         let (x, y) = (Transform::new(&mut planner, size.1), Transform::new(&mut planner, size.0));
-        let mut rows = vec![Complex64::default(); gy * size.1];
+        let mut rows = vec![Complex::<T>::default(); gy * size.1];
         rows.par_chunks_mut(size.1).zip(kernel.outer_iter().into_par_iter()).for_each_init(
             || x.scratch(),
             |scratch, (line, row)| {
-                line.iter_mut().zip(row).for_each(|(l, g)| l.re = *g);
+                line.iter_mut().zip(row).for_each(|(l, g)| l.re = T::rounded(*g));
                 x.forward.process_with_scratch(line, scratch);
             },
         );
-        let scale = 1.0 / (size.0 * size.1) as f64;
-        let mut spectrum = vec![Complex64::default(); size.0 * size.1];
+        let scale = T::rounded(1.0 / (size.0 * size.1) as f64);
+        let mut spectrum = vec![Complex::default(); size.0 * size.1];
         spectrum.par_chunks_mut(size.0).enumerate().for_each_init(
             || y.scratch(),
             |scratch, (k, column)| {
@@ -101,10 +102,10 @@ impl PairConvolution {
     /// are shared among the threads.
     pub fn convolve(
         &self,
-        mut field: ArrayViewMut2<Complex64>,
+        mut field: ArrayViewMut2<Complex<T>>,
         rows: usize,
         parallel: bool,
-        adjust: impl FnOnce(&mut [Complex64]),
+        adjust: impl FnOnce(&mut [Complex<T>]),
     ) {
         assert_eq!(field.dim(), self.size, "shape of the field");
         let shared = if parallel { 1 } else { usize::MAX };
@@ -118,7 +119,7 @@ impl PairConvolution {
             .map_init(
                 || self.x.scratch(),
                 |scratch, line| {
-                    let used = line.iter().any(|v| v.re != 0.0 || v.im != 0.0);
+                    let used = line.iter().any(|v| *v != Complex::default());
                     if used {
                         self.x.forward.process_with_scratch(line, scratch);
                     }
@@ -126,7 +127,7 @@ impl PairConvolution {
                 },
             )
             .collect();
-        let empty = Complex64::default();
+        let empty = Complex::<T>::default();
         field
             .axis_chunks_iter_mut(Axis(1), COLUMNS)
             .into_par_iter()
@@ -144,7 +145,7 @@ impl PairConvolution {
                         (0..width).for_each(|k| columns[k * ny + r] = row[k]);
                     }
                     self.y.forward.process_with_scratch(columns, scratch);
-                    columns.iter_mut().zip(spectrum).for_each(|(s, g)| *s *= g);
+                    columns.iter_mut().zip(spectrum).for_each(|(s, g)| *s = *s * *g);
                     self.y.inverse.process_with_scratch(columns, scratch);
                     for r in first..rows {
                         let mut row = part.row_mut(r);
@@ -166,7 +167,7 @@ impl PairConvolution {
 /// spectrum of a source serves all kernels.
 pub struct LineConvolution {
     size: usize,
-    transform: Transform,
+    transform: Transform<f64>,
     /// Spectra of the kernels, [j][k], scaled by 1 / (number of elements).
     spectrum: Vec<Complex64>,
 }

@@ -12,9 +12,10 @@ use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
 
 use super::{
-    Complex64,
+    Complex,
     pair_convolution::{PairConvolution, is_quick_size},
 };
+use crate::precision::Real;
 
 /// Elements of a transform that stays in the cache beside that of another core and the spectrum of the kernel: 12 MiB.
 const CACHED: usize = 3 << 18;
@@ -26,17 +27,17 @@ const UNCACHED_COST: f64 = 2.0;
 const CORES: usize = 2;
 
 /// The valid part of convolutions with one kernel, of one shape.
-pub struct Tiles {
-    convolution: PairConvolution,
+pub struct Tiles<T> {
+    convolution: PairConvolution<T>,
     kernel: (usize, usize),
     shape: (usize, usize),
     /// Rows of a band, columns of a strip.
     part: (usize, usize),
     /// Fields that no thread uses at the moment.
-    idle: Mutex<Vec<Array2<Complex64>>>,
+    idle: Mutex<Vec<Array2<Complex<T>>>>,
 }
 
-impl Tiles {
+impl<T: Real> Tiles<T> {
     /// Plans for valid parts of this `shape`; `None` where one real transform of `whole` elements is less work.
     pub fn new(kernel: ArrayView2<f64>, shape: (usize, usize), whole: usize) -> Option<Self> {
         if whole <= CACHED {
@@ -97,14 +98,14 @@ impl Tiles {
         at: (usize, usize),
         first: (usize, usize),
         mut tile: ArrayViewMut2<f64>,
-        field: &mut Array2<Complex64>,
+        field: &mut Array2<Complex<T>>,
     ) {
         let (gy, gx) = self.kernel;
         let rows = tile.nrows() + gy - 1;
         let left = self.part.1.min(tile.ncols());
         let widths = [left, tile.ncols() - left];
         for (r, mut line) in field.outer_iter_mut().enumerate().take(rows) {
-            line.fill(Complex64::default());
+            line.fill(Complex::default());
             let Some(row) = (first.0 + r).checked_sub(at.0).filter(|r| *r < map.nrows()) else {
                 continue;
             };
@@ -121,9 +122,9 @@ impl Tiles {
                 let (line, at) = (&mut line[begin..end], from + begin - at.1);
                 let values = row.slice(s![at..at + end - begin]);
                 if strip == 0 {
-                    line.iter_mut().zip(values).for_each(|(l, v)| l.re = *v);
+                    line.iter_mut().zip(values).for_each(|(l, v)| l.re = T::rounded(*v));
                 } else {
-                    line.iter_mut().zip(values).for_each(|(l, v)| l.im = *v);
+                    line.iter_mut().zip(values).for_each(|(l, v)| l.im = T::rounded(*v));
                 }
             }
         }
@@ -131,8 +132,8 @@ impl Tiles {
         for (mut row, line) in tile.outer_iter_mut().zip(field.outer_iter().skip(gy - 1)) {
             let (left, right) = row.as_slice_mut().expect("in C order").split_at_mut(left);
             let valid = &line.to_slice().expect("in C order")[gx - 1..];
-            left.iter_mut().zip(valid).for_each(|(o, v)| *o = v.re);
-            right.iter_mut().zip(valid).for_each(|(o, v)| *o = v.im);
+            left.iter_mut().zip(valid).for_each(|(o, v)| *o = v.re.into());
+            right.iter_mut().zip(valid).for_each(|(o, v)| *o = v.im.into());
         }
     }
 }

@@ -19,10 +19,12 @@
 //! Source: A. George and J. Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981,
 //! chapter 4; Golub and Van Loan, Matrix Computations, 4th ed., section 4.2.
 
-use std::ops::{Neg, Range};
+use std::ops::Range;
 
 use ndarray::{Array2, Axis, LinalgScalar, linalg::general_mat_mul, s};
 use rayon::prelude::*;
+
+use crate::precision::Real;
 
 /// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
 /// matrix products to run at full speed.
@@ -226,29 +228,18 @@ impl Skyline {
 }
 
 /// A number of a factor.
-pub trait Number: LinalgScalar + Default + Into<f64> + Neg<Output = Self> + Send + Sync {
+pub trait Number: Real + LinalgScalar {
     /// Least square of a pivot over the element of the diagonal that it is left of: below, it is rounding.
     const LEAST_PIVOT: f64;
-
-    /// The nearest number.
-    fn rounded(value: f64) -> Self;
 }
 
 impl Number for f64 {
     const LEAST_PIVOT: f64 = f64::EPSILON;
-
-    fn rounded(value: f64) -> Self {
-        value
-    }
 }
 
 impl Number for f32 {
     // Some hundred sums round by more than one of them.
     const LEAST_PIVOT: f64 = 16.0 * f32::EPSILON as f64;
-
-    fn rounded(value: f64) -> Self {
-        value as Self
-    }
 }
 
 /// Up to [`BLOCK`] rows of a factor, by columns.
