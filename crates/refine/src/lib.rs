@@ -23,6 +23,10 @@
 //! which falls from round to round to its last value: the
 //! first corrections are of a plan far from its own operator, the last ones are not.
 //!
+//! Where no part of a correction lowers the executed residual, although by B it was to fall by a tenth or more, t^ was
+//! beyond what B holds for, or asked for what the machine cannot do. The next one is smoother, and has what the machine
+//! needed at every try as lower bounds. Only where smoother ones fail, too, does the loop end.
+//!
 //! The result is the iterate of the smallest `e` that keeps the limits, never the last by
 //! accident. With a price `lambda` on the total time T the place of `e` is taken by
 //! `sqrt(e^2 + 2 lambda T)`, twice the objective of the dwell solver. With a noise level the first
@@ -206,6 +210,11 @@ const LEAST_STEP_FRACTION: f64 = 0.1;
 /// Part steps in a row without progress after which the loop ends; of full steps, one is enough.
 const PATIENCE: usize = 2;
 
+/// A correction that was to leave less than this fraction of the RMS, and is given up, asked for too much at once.
+const LARGE_PROMISE: f64 = 0.9;
+/// By what the next correction after such a one is smoother.
+const MORE_SMOOTHNESS: f64 = 10.0;
+
 /// A motion and what it needed.
 struct Motion {
     trajectory: Trajectory,
@@ -297,6 +306,8 @@ fn rounds(
     let mut best: Option<(usize, Trajectory, Option<Quadratic<'_>>)> = None;
     let (mut proposed_s, mut step_fraction, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
+    // What t^ promises, and what the machine needed where it was tried and did not hold.
+    let (mut promised_nm, mut needed_s, mut has_learnt) = (f64::INFINITY, lo.clone(), false);
     let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
@@ -341,6 +352,7 @@ fn rounds(
         tries += 1;
         let at_last = solver.smoothness <= last_smoothness || settings.dwell.noise_rms_nm.is_some();
         if better {
+            has_learnt = false;
             best = Some((round, motion.trajectory, quadratic));
             // The machine's need becomes a lower bound.
             for &(j, needed_s) in &motion.stretched {
@@ -360,8 +372,19 @@ fn rounds(
                 false => PATIENCE,
             };
         }
+        for &(j, took) in &motion.stretched {
+            needed_s[j] = needed_s[j].max(took.min(hi[j]));
+        }
         let spent = !better && 0.5 * step_fraction < LEAST_STEP_FRACTION;
-        if at_last && (spent || without_progress >= PATIENCE) {
+        let best_nm = best.as_ref().map_or(f64::INFINITY, |(b, ..)| iterates[*b].rms_nm);
+        let has_noise = settings.dwell.noise_rms_nm.is_some();
+        let learns = spent && !has_learnt && !has_noise && promised_nm < LARGE_PROMISE * best_nm;
+        if learns {
+            has_learnt = true;
+            lo.iter_mut().zip(&needed_s).for_each(|(lo, needed)| *lo = lo.max(*needed));
+            solver.smoothness *= MORE_SMOOTHNESS;
+        }
+        if at_last && (spent && !learns || without_progress >= PATIENCE) {
             end = End::NoImprovement;
             break;
         }
@@ -377,7 +400,7 @@ fn rounds(
             // correction that is given up is tried as rough as they get.
             if tries == 1 || spent {
                 step_fraction = f64::min(2.0 * step_fraction, 1.0);
-                if round > 0 && !at_last {
+                if round > 0 && !at_last && !learns {
                     solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
                 }
             }
@@ -399,6 +422,8 @@ fn rounds(
             if solver.noise_rms_nm.take().is_some() {
                 solver.smoothness = solution.report.smoothness;
             }
+            promised_nm = solution.report.model_rms_nm;
+            needed_s.clone_from(&program.lo);
             proposed_s = solution.dwell.dwell_s().to_vec();
             tries = 0;
         } else {

@@ -2,7 +2,7 @@
 //! say why it ends.
 
 use ndarray::Array2;
-use planish_dwell::bounded_least_squares::Bound;
+use planish_dwell::bounded_least_squares::{self as dwell_solver, Bound};
 use planish_refine::{RefineError, Refined, Scheduler, Settings, refine, trade_off};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
@@ -97,6 +97,31 @@ fn a_correction_that_bends_the_curve_too_far_is_taken_in_part() {
     // Regression bound: measured 0.27 of the best round before on this meander.
     assert!(rms[refined.best] < 0.5 * rms[..=worse + 1].iter().copied().fold(f64::MAX, f64::min));
     assert!(refined.iterates[refined.best].limits_respected);
+}
+
+#[test]
+fn a_correction_that_promises_much_and_holds_in_no_part_is_followed_by_a_smoother_one() {
+    let (desired, tif, path) = (desired(), tif(), meander());
+    let mut how = settings(pvt::Mode::Smooth);
+    let solver = dwell_solver::Settings { min_dwell: how.dwell.min_dwell, ..Default::default() };
+    let given = dwell_solver::solve(&desired, &tif, &path, None, &solver).unwrap().dwell;
+    let given = refine(&desired, &tif, &path, &machine(20.0, 80.0), Some(given), &how).unwrap();
+    how.dwell.min_dwell = Bound::SecondsPerMm(0.02);
+    let own = refine(&desired, &tif, &path, &machine(10.0, 40.0), None, &how).unwrap();
+    for refined in [given, own] {
+        let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
+        // No part of a correction was better than what was known, down to an eighth of it ...
+        let is_given_up = |k: usize| {
+            let least = rms[..k].iter().copied().fold(f64::MAX, f64::min);
+            (k..k + 3).all(|k| rms.get(k).is_some_and(|rms| *rms > least))
+        };
+        let first = (1..rms.len()).find(|k| is_given_up(*k)).expect("every one holds: no test");
+        // ... and then much was still to be gained. Regression bound: measured 0.35 and 0.51; 0.20 nm or less are left on
+        // this meander by machines that are as slow.
+        let before = rms[..first].iter().copied().fold(f64::MAX, f64::min);
+        assert!(rms[refined.best] < 0.7 * before && rms[refined.best] < 0.2, "{rms:?}");
+        assert!(refined.iterates[refined.best].limits_respected);
+    }
 }
 
 #[test]
