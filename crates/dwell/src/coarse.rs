@@ -20,7 +20,7 @@
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 
 use ndarray::{Array2, ArrayView2, s};
-use planish_numerics::fft::convolution::Convolution;
+use planish_numerics::{fft::convolution::Convolution, precision::Real};
 use planish_types::{Grid, Invalid, Surface, Tif};
 use rayon::prelude::*;
 
@@ -64,8 +64,8 @@ pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     ((x.min(y) / SQUARES_ON_RISE) as usize).clamp(1, MAX_SQUARE_PIXELS)
 }
 
-/// (1) and (2).
-pub(crate) struct CoarseMap {
+/// (1) and (2); what is summed is summed in the precision of `T`.
+pub(crate) struct CoarseMap<T: Real> {
     size: usize,
     /// Tool positions, all of them.
     nodes: Grid,
@@ -73,11 +73,10 @@ pub(crate) struct CoarseMap {
     pixels: (usize, usize),
     /// Coarse nodes.
     shape: (usize, usize),
-    /// In single precision.
-    convolution: Convolution<f32>,
+    convolution: Convolution<T>,
 }
 
-impl CoarseMap {
+impl<T: Real> CoarseMap<T> {
     /// The lattice for maps on `grid` in squares of `size` x `size` pixels.
     pub fn new(tif: &Tif, grid: &Grid, size: usize) -> Result<Self, Invalid> {
         let (samples, nodes) = lattice(tif, grid)?;
@@ -277,9 +276,9 @@ mod tests {
     #[test]
     fn coarse_removal_is_the_mean_of_the_removal_of_the_linear_map() {
         let (tif, grid) = case();
-        let fine = CoarseMap::new(&tif, &grid, 1).unwrap();
+        let fine = CoarseMap::<f64>::new(&tif, &grid, 1).unwrap();
         for size in 1..=5 {
-            let map = CoarseMap::new(&tif, &grid, size).unwrap();
+            let map = CoarseMap::<f64>::new(&tif, &grid, size).unwrap();
             let t = Array2::from_shape_fn(map.shape(), |(r, c)| {
                 1.0 + (0.9 * r as f64).sin() * (1.3 * c as f64).cos()
             });
@@ -298,7 +297,7 @@ mod tests {
     #[test]
     fn between_coarse_nodes_the_map_is_linear_and_keeps_the_time() {
         let (tif, grid) = case();
-        let map = CoarseMap::new(&tif, &grid, 3).unwrap();
+        let map = CoarseMap::<f64>::new(&tif, &grid, 3).unwrap();
         // 9 t at the coarse nodes: tau = t / 9.
         let t = Array2::from_shape_fn(map.shape(), |(r, c)| 27.0 * r as f64 + 9.0 * c as f64);
         let tau = map.prolong(t);
@@ -317,7 +316,7 @@ mod tests {
             let outside = (r as f64 - 8.0).hypot(c as f64 - 11.0) > 8.3;
             if outside { 0.0 } else { 1.0 + 0.1 * ((r * 5 + c * 3) % 7) as f64 }
         });
-        let map = CoarseMap::new(&tif, &grid, 3).unwrap();
+        let map = CoarseMap::<f64>::new(&tif, &grid, 3).unwrap();
         let (means, weight) = map.restrict(&(&e * &w.mapv(|w| f64::from(w > 0.0))), &w);
         assert!((weight.sum() / w.sum() - 1.0).abs() < 1e-14);
         let mut partial = 0;

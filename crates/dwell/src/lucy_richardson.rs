@@ -273,7 +273,8 @@ fn on_map(
 ) -> Result<(Vec<f64>, Report), DwellError> {
     let Problem { desired, tif, path, .. } = model.problem;
     let size = settings.pixels_per_cell.unwrap_or_else(|| coarse::automatic_size(tif, desired));
-    let map = CoarseMap::new(tif, desired.grid(), size)?;
+    // In single precision, whose error is far below what a step changes.
+    let map = CoarseMap::<f32>::new(tif, desired.grid(), size)?;
     let cells = Cells::new(path, map.nodes(), |p| counts(desired, &model.weight, p));
     let (e, weight) = map.restrict(e, &model.weight);
     let shape = map.shape();

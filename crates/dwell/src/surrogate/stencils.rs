@@ -6,6 +6,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 /// Nodes of a lattice, numbered along the shorter side first.
+#[cfg_attr(test, derive(Debug, PartialEq))]
 pub struct Stencils {
     /// Nodes along the shorter side.
     shorter: usize,

@@ -519,12 +519,19 @@ mod tests {
         let sums = Sums::new(&places, &tif, &map, 5.0, Spread::Keys);
         let nodes = Nodes::new(&places, &vec![true; n], 1.0);
         let mut coarse = Coarse::new(&nodes, &sums, &vec![true; n]);
+        let mut forgetful = Coarse::new(&nodes, &sums, &vec![true; n]);
+        assert!(coarse.keeps_patches);
+        forgetful.keeps_patches = false;
         // From one to the other only what changed is computed.
         let frees: [&dyn Fn(usize) -> bool; 4] =
             [&|_| true, &|j| j % 97 > 3, &|j| j % 97 > 3 && j > 300, &|j| j < 700];
         for free in frees {
             let free: Vec<bool> = (0..n).map(free).collect();
             let two = TwoLevel::new(&nodes, &mut coarse, (&sums, &weight), &penalty, &u, &free);
+            // The same matrix, of which nothing else is left.
+            forgetful.update(&nodes, &sums, &weight, &free);
+            assert_eq!(forgetful.matrix, coarse.matrix);
+            assert!(forgetful.patches.iter().all(|patch| patch.rate_nm_per_s.is_empty()));
             let c: Vec<f64> = (0..nodes.len()).map(|i| (1.7 * i as f64).sin()).collect();
             // Q H V c = V c
             let v_c = nodes.prolong(&c, &free);
