@@ -121,7 +121,7 @@ fn dwell_lucy_richardson_large<const ACCELERATED: bool>(bencher: Bencher) {
     bencher.bench_local(|| black_box(lucy_richardson::solve(&problem, &settings).unwrap()));
 }
 
-/// 1641 x 1641 pixels, 3.1e4 points: by gradient steps.
+/// 1641 x 1641 pixels, 3.1e4 points: by the two-level method, on 240 areas of the TIF.
 #[divan::bench(sample_count = 1)]
 fn dwell_large_map(bencher: Bencher) {
     let (surface, tif, path) = large_map(1641, 1.0);
