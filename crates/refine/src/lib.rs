@@ -179,7 +179,7 @@ pub struct Refined {
     pub end: End,
     /// How many dwell times of the best round are at a bound: the least that the floor or the machine allows.
     pub at_bound: usize,
-    /// Lower bounds after the last round: the floor, or what the machine was found to need, s.
+    /// Lower bounds after the best round: the floor, or what the machine was found to need, s.
     pub least_s: Vec<f64>,
 }
 
@@ -289,6 +289,7 @@ fn rounds(
     let mut solver = settings.dwell;
     let (floor_s, hi) = dwell_solver::bounds(path, &solver)?;
     let mut lo = start.least_s.unwrap_or(floor_s);
+    let mut lo_of_best = lo.clone();
     let last_smoothness = solver.smoothness;
     solver.smoothness = last_smoothness.max(settings.first_smoothness);
     let parts = settings.max_rounds.max(1);
@@ -366,6 +367,7 @@ fn rounds(
                 }
                 lo[j] = lo[j].max(needed_s);
             }
+            lo_of_best.clone_from(&lo);
             without_progress = match progress {
                 true => 0,
                 false if step_fraction < 1.0 => without_progress + 1,
@@ -384,7 +386,7 @@ fn rounds(
             lo.iter_mut().zip(&needed_s).for_each(|(lo, needed)| *lo = lo.max(*needed));
             solver.smoothness *= MORE_SMOOTHNESS;
         }
-        if at_last && (spent && !learns || without_progress >= PATIENCE) {
+        if at_last && !learns && (spent || without_progress >= PATIENCE) {
             end = End::NoImprovement;
             break;
         }
@@ -435,10 +437,9 @@ fn rounds(
     }
     let (best, trajectory, _) = best.expect("the first round is the best one so far");
     let dwell = DwellTime::new(iterates[best].dwell_s.clone())?;
-    let at_bound =
-        dwell.dwell_s().iter().enumerate().filter(|(j, t)| **t <= lo[*j] || **t >= hi[*j]);
-    let at_bound = at_bound.count();
-    Ok(Refined { dwell, trajectory, best, iterates, end, at_bound, least_s: lo })
+    let is_at_bound = |(j, t): &(usize, &f64)| **t <= lo_of_best[*j] || **t >= hi[*j];
+    let at_bound = dwell.dwell_s().iter().enumerate().filter(is_at_bound).count();
+    Ok(Refined { dwell, trajectory, best, iterates, end, at_bound, least_s: lo_of_best })
 }
 
 /// A map less m: what the fixed errors of a process remove more.
