@@ -307,8 +307,11 @@ fn rounds(
     let mut best: Option<(usize, Trajectory, Option<Quadratic<'_>>)> = None;
     let (mut proposed_s, mut step_fraction, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
-    // What t^ promises, and what the machine needed where it was tried and did not hold.
-    let (mut promised_nm, mut needed_s, mut has_learnt) = (f64::INFINITY, lo.clone(), false);
+    // RMS that t^ promises, and lower bounds by what the machine needed at every try of it.
+    let (mut promised_nm, mut tried_lo) = (f64::INFINITY, lo.clone());
+    // Whether a correction has been given up for a smoother one since the best round.
+    let mut is_smoother = false;
+    let has_noise = solver.noise_rms_nm.is_some();
     let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
@@ -351,9 +354,9 @@ fn rounds(
         });
         iterates.push(iterate);
         tries += 1;
-        let at_last = solver.smoothness <= last_smoothness || settings.dwell.noise_rms_nm.is_some();
+        let at_last = solver.smoothness <= last_smoothness || has_noise;
         if better {
-            has_learnt = false;
+            is_smoother = false;
             best = Some((round, motion.trajectory, quadratic));
             // The machine's need becomes a lower bound.
             for &(j, needed_s) in &motion.stretched {
@@ -375,18 +378,13 @@ fn rounds(
             };
         }
         for &(j, took) in &motion.stretched {
-            needed_s[j] = needed_s[j].max(took.min(hi[j]));
+            tried_lo[j] = tried_lo[j].max(took.min(hi[j]));
         }
         let spent = !better && 0.5 * step_fraction < LEAST_STEP_FRACTION;
         let best_nm = best.as_ref().map_or(f64::INFINITY, |(b, ..)| iterates[*b].rms_nm);
-        let has_noise = settings.dwell.noise_rms_nm.is_some();
-        let learns = spent && !has_learnt && !has_noise && promised_nm < LARGE_PROMISE * best_nm;
-        if learns {
-            has_learnt = true;
-            lo.iter_mut().zip(&needed_s).for_each(|(lo, needed)| *lo = lo.max(*needed));
-            solver.smoothness *= MORE_SMOOTHNESS;
-        }
-        if at_last && !learns && (spent || without_progress >= PATIENCE) {
+        let asked_too_much = promised_nm < LARGE_PROMISE * best_nm;
+        let gets_smoother = spent && asked_too_much && !is_smoother && !has_noise;
+        if at_last && !gets_smoother && (spent || without_progress >= PATIENCE) {
             end = End::NoImprovement;
             break;
         }
@@ -398,11 +396,15 @@ fn rounds(
             best.as_ref().expect("the first round is the best one so far");
         let best_s = &iterates[*b].dwell_s;
         if better || spent {
-            // A step that held at the first try may be longer, and rougher, the next time; a
-            // correction that is given up is tried as rough as they get.
+            // A step that held at the first try may be longer, and rougher, the next time; so is what follows a
+            // correction that is given up, unless that asked for too much.
             if tries == 1 || spent {
                 step_fraction = f64::min(2.0 * step_fraction, 1.0);
-                if round > 0 && !at_last && !learns {
+                if gets_smoother {
+                    is_smoother = true;
+                    lo.clone_from(&tried_lo);
+                    solver.smoothness *= MORE_SMOOTHNESS;
+                } else if round > 0 && !at_last {
                     solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
                 }
             }
@@ -425,7 +427,7 @@ fn rounds(
                 solver.smoothness = solution.report.smoothness;
             }
             promised_nm = solution.report.model_rms_nm;
-            needed_s.clone_from(&program.lo);
+            tried_lo.clone_from(&program.lo);
             proposed_s = solution.dwell.dwell_s().to_vec();
             tries = 0;
         } else {
