@@ -20,7 +20,7 @@
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 
 use ndarray::{Array2, ArrayView2, s};
-use planish_numerics::{fft::convolution::Convolution, precision::Real};
+use planish_numerics::{fft::convolution::Convolution, fft::lanes::Lanes};
 use planish_types::{Grid, Invalid, Surface, Tif};
 use rayon::prelude::*;
 
@@ -65,7 +65,7 @@ pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
 }
 
 /// (1) and (2); what is summed is summed in the precision of `T`.
-pub(crate) struct CoarseMap<T: Real> {
+pub(crate) struct CoarseMap<T: Lanes> {
     size: usize,
     /// Tool positions, all of them.
     nodes: Grid,
@@ -76,7 +76,7 @@ pub(crate) struct CoarseMap<T: Real> {
     convolution: Convolution<T>,
 }
 
-impl<T: Real> CoarseMap<T> {
+impl<T: Lanes> CoarseMap<T> {
     /// The lattice for maps on `grid` in squares of `size` x `size` pixels.
     pub fn new(tif: &Tif, grid: &Grid, size: usize) -> Result<Self, Invalid> {
         let (samples, nodes) = lattice(tif, grid)?;

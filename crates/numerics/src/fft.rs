@@ -12,6 +12,8 @@
 //! threads.
 
 pub mod convolution;
+pub mod lane_convolution;
+pub mod lanes;
 pub mod line;
 pub mod pair_convolution;
 pub mod tiles;

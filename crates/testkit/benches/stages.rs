@@ -13,7 +13,10 @@ use planish_dwell::{
     problem::Problem,
 };
 use planish_fixture::{Fixture, Recipe, make};
-use planish_numerics::{fft::convolution::Convolution, linear::skyline::Skyline, precision::Real};
+use planish_numerics::{
+    fft::{convolution::Convolution, lanes::Lanes},
+    linear::skyline::Skyline,
+};
 use planish_schedule::{
     pvt::{self, Mode},
     trig_spline,
@@ -169,7 +172,7 @@ fn simulate_resting(bencher: Bencher) {
 /// A map of dwell times on `side` x `side` pixels, and the TIF of 107 x 107 px: one transform there and
 /// one back, which a removal without approximation takes at least.
 #[divan::bench(types = [f64, f32], args = [1641, 4096, 8192], sample_count = 3)]
-fn convolution<T: Real>(bencher: Bencher, side: usize) {
+fn convolution<T: Lanes>(bencher: Bencher, side: usize) {
     let rate = CASE.tif.rate_nm_per_s();
     let seconds = Array2::<f64>::ones((side + rate.nrows() - 1, side + rate.ncols() - 1));
     let plan = Convolution::<T>::new(rate.view(), seconds.dim());

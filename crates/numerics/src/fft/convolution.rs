@@ -30,14 +30,13 @@ use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 
-use super::{Complex, smooth_size, tiles::Tiles};
-use crate::precision::Real;
+use super::{Complex, lanes::Lanes, smooth_size, tiles::Tiles};
 
 /// Columns that a thread transforms at a time: four cache lines of every row.
 const LINES: usize = 16;
 
 /// Convolution with one kernel for sources of one shape.
-pub struct Convolution<T: Real = f64> {
+pub struct Convolution<T: Lanes = f64> {
     source: (usize, usize),
     kernel: Array2<f64>,
     size: (usize, usize),
@@ -51,7 +50,7 @@ pub struct Convolution<T: Real = f64> {
     tiles: [OnceLock<Option<Tiles<T>>>; 2],
 }
 
-impl<T: Real> Convolution<T> {
+impl<T: Lanes> Convolution<T> {
     /// Plans for sources of shape `source`, at least as large as the kernel on both axes.
     pub fn new(kernel: ArrayView2<f64>, source: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();

@@ -1,4 +1,4 @@
-//! Convolution of a large map with a small kernel, tile by tile.
+//! Convolution of a map with a smaller kernel, tile by tile.
 //!
 //! The valid part of a convolution needs, for each of its elements, only what the kernel reaches: a tile of it is the
 //! valid part of a smaller convolution (overlap-save). What a thread works on stays in its cache, and nothing as large
@@ -8,69 +8,75 @@
 
 use std::sync::Mutex;
 
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
 use rayon::prelude::*;
 
 use super::{
-    Complex,
-    pair_convolution::{PairConvolution, is_quick_size},
+    lane_convolution::{LaneConvolution, Strips, Workspace, is_field_size},
+    lanes::{Lanes, round},
 };
-use crate::precision::Real;
-
-/// Elements of a transform that stays in the cache beside that of another core and the spectrum of the kernel: 12 MiB in
-/// double precision.
-const CACHED: usize = 3 << 18;
-
-/// How much slower an element of a transform is that does not: measured on 8192 x 8192 elements.
-const UNCACHED_COST: f64 = 2.0;
 
 /// Cores that the tiles are laid out for. The result may not depend on how many there are.
 const CORES: usize = 2;
 
 /// The valid part of convolutions with one kernel, of one shape.
 pub struct Tiles<T> {
-    convolution: PairConvolution<T>,
+    convolution: LaneConvolution<T>,
     kernel: (usize, usize),
     shape: (usize, usize),
     /// Rows of a band, columns of a strip.
     part: (usize, usize),
-    /// Fields that no thread uses at the moment.
-    idle: Mutex<Vec<Array2<Complex<T>>>>,
+    /// Buffers that no thread uses at the moment.
+    idle: Mutex<Vec<Workspace<T>>>,
 }
 
-impl<T: Real> Tiles<T> {
-    /// Plans for valid parts of this `shape`; `None` where one real transform of `whole` elements is less work.
+/// Work of the transforms there and back of a field, in units of an element once through the arithmetic of a transform.
+/// What is not arithmetic (reading, transposing, writing) takes as long as eight levels of it, and a field that is too
+/// large for the cache takes longer: measured in double precision on fields of 384 x 384 to 1536 x 1024 elements.
+pub fn field_work<T>((ny, nx): (usize, usize)) -> f64 {
+    let elements = (ny * nx) as f64;
+    let bytes = elements * 2.0 * size_of::<T>() as f64;
+    let memory = if bytes <= 6.5e6 {
+        1.0
+    } else if bytes <= 13e6 {
+        1.35
+    } else {
+        1.7
+    };
+    elements * (elements.log2() + 8.0) * memory
+}
+
+impl<T: Lanes> Tiles<T> {
+    /// Plans for valid parts of this `shape`; `None` where transforms of `whole` real elements are less work.
     pub fn new(kernel: ArrayView2<f64>, shape: (usize, usize), whole: usize) -> Option<Self> {
-        if whole <= CACHED {
-            return None;
-        }
         let (gy, gx) = kernel.dim();
-        let work = |n: usize| n as f64 * (n as f64).log2();
-        let mut least = 0.5 * UNCACHED_COST * work(whole) / CORES as f64;
+        // Two real elements for one complex, lines that are gathered and scattered, all cores.
+        let mut least = field_work::<T>((whole.div_ceil(2), 1)) * 2.0 / CORES as f64;
         let mut best = None;
-        for nx in (gx..=CACHED / gy).filter(|n| is_quick_size(*n)) {
+        let sizes = |g: usize, n: usize| (g..2 * (n + g) + 16).filter(|n| is_field_size(*n));
+        for nx in sizes(gx, shape.1) {
             let strips = shape.1.div_ceil(nx - gx + 1);
-            // A column is gathered from as many rows as a tile is high.
-            for ny in (gy..=nx.min(CACHED / nx)).filter(|n| is_quick_size(*n)) {
+            for ny in sizes(gy, shape.0) {
                 let bands = shape.0.div_ceil(ny - gy + 1);
                 let tiles = strips.div_ceil(2) * bands;
-                let cost = tiles.div_ceil(CORES) as f64 * work(ny * nx);
+                let cost = tiles.div_ceil(CORES) as f64 * field_work::<T>((ny, nx));
                 if cost < least {
                     // Parts of equal size.
-                    (least, best) = (
-                        cost,
-                        Some(((ny, nx), (shape.0.div_ceil(bands), shape.1.div_ceil(strips)))),
-                    );
+                    let part = (shape.0.div_ceil(bands), shape.1.div_ceil(strips));
+                    (least, best) = (cost, Some(((ny, nx), part)));
                 }
             }
         }
         let (size, part) = best?;
-        let convolution = PairConvolution::new(kernel, size);
+        let convolution = LaneConvolution::new(kernel, size);
         Some(Self { convolution, kernel: (gy, gx), shape, part, idle: Mutex::default() })
     }
 
     /// The valid part of the convolution of `map`, placed at `at` in a field of zeros.
     pub fn valid(&self, map: ArrayView2<f64>, at: (usize, usize)) -> Array2<f64> {
+        let map = map.as_standard_layout();
+        let data = map.as_slice().expect("in C order");
+        let source = Source { data, shape: map.dim(), at };
         let mut out = Array2::zeros(self.shape);
         let (rows, columns) = self.part;
         let mut jobs = vec![];
@@ -79,62 +85,82 @@ impl<T: Real> Tiles<T> {
                 let width = (2 * columns).min(rest.ncols());
                 let (tile, right) = rest.split_at(Axis(1), width);
                 rest = right;
-                jobs.push((band * rows, column, tile));
+                jobs.push(Tile { source, first: (band * rows, column), columns, out: tile });
             }
         }
         let idle = || self.idle.lock().expect("no thread panics with the lock");
-        jobs.into_par_iter().with_max_len(1).for_each(|(row, column, tile)| {
-            let field = idle().pop();
-            let mut field = field.unwrap_or_else(|| Array2::zeros(self.convolution.size()));
-            self.tile(map, at, (row, column), tile, &mut field);
-            idle().push(field);
+        let (gy, gx) = self.kernel;
+        jobs.into_par_iter().with_max_len(1).for_each(|mut tile| {
+            let mut work = idle().pop().unwrap_or_default();
+            let source = (tile.out.nrows() + gy - 1, columns.min(tile.out.ncols()) + gx - 1);
+            self.convolution.convolve(source, &mut tile, &mut work);
+            idle().push(work);
         });
         out
     }
+}
 
-    /// The tile whose first element is the one at `first`.
-    fn tile(
-        &self,
-        map: ArrayView2<f64>,
-        at: (usize, usize),
-        first: (usize, usize),
-        mut tile: ArrayViewMut2<f64>,
-        field: &mut Array2<Complex<T>>,
-    ) {
-        let (gy, gx) = self.kernel;
-        let rows = tile.nrows() + gy - 1;
-        let left = self.part.1.min(tile.ncols());
-        let widths = [left, tile.ncols() - left];
-        for (r, mut line) in field.outer_iter_mut().enumerate().take(rows) {
-            line.fill(Complex::default());
-            let Some(row) = (first.0 + r).checked_sub(at.0).filter(|r| *r < map.nrows()) else {
-                continue;
-            };
-            let row = map.row(row);
-            let line = line.as_slice_mut().expect("in C order");
-            for (strip, width) in widths.into_iter().enumerate() {
-                // Column c of the strip is column c + from of the source, which is that of the map less `at`.
-                let from = first.1 + strip * left;
-                let begin = at.1.saturating_sub(from);
-                let end = (width + gx - 1).min((at.1 + map.ncols()).saturating_sub(from));
-                if width == 0 || begin >= end {
-                    continue;
-                }
-                let (line, at) = (&mut line[begin..end], from + begin - at.1);
-                let values = row.slice(s![at..at + end - begin]);
-                if strip == 0 {
-                    line.iter_mut().zip(values).for_each(|(l, v)| l.re = T::rounded(*v));
-                } else {
-                    line.iter_mut().zip(values).for_each(|(l, v)| l.im = T::rounded(*v));
-                }
-            }
+/// A map in C order in a field of zeros.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    data: &'a [f64],
+    shape: (usize, usize),
+    at: (usize, usize),
+}
+
+impl Source<'_> {
+    /// Elements of the field from `column` on.
+    #[inline(always)]
+    fn read<T: Lanes>(&self, row: usize, column: usize, to: &mut [T]) {
+        let (rows, columns) = self.shape;
+        if row < self.at.0 || row - self.at.0 >= rows {
+            to.fill(T::default());
+            return;
         }
-        self.convolution.convolve(field.view_mut(), rows, false, |_| ());
-        for (mut row, line) in tile.outer_iter_mut().zip(field.outer_iter().skip(gy - 1)) {
-            let (left, right) = row.as_slice_mut().expect("in C order").split_at_mut(left);
-            let valid = &line.to_slice().expect("in C order")[gx - 1..];
-            left.iter_mut().zip(valid).for_each(|(o, v)| *o = v.re.into());
-            right.iter_mut().zip(valid).for_each(|(o, v)| *o = v.im.into());
+        let line = &self.data[(row - self.at.0) * columns..][..columns];
+        if column >= self.at.1
+            && let Some(values) = line.get(column - self.at.1..column - self.at.1 + to.len())
+        {
+            round(values, to);
+            return;
+        }
+        for (k, to) in to.iter_mut().enumerate() {
+            let value = (column + k).checked_sub(self.at.1).and_then(|c| line.get(c));
+            *to = T::rounded(value.copied().unwrap_or(0.0));
+        }
+    }
+}
+
+/// A part of the result.
+struct Tile<'a> {
+    source: Source<'a>,
+    /// Its first element.
+    first: (usize, usize),
+    /// Columns of its left strip.
+    columns: usize,
+    out: ArrayViewMut2<'a, f64>,
+}
+
+impl<T: Lanes> Strips<T> for Tile<'_> {
+    #[inline(always)]
+    fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]) {
+        let (row, column) = (self.first.0 + row, self.first.1 + column);
+        self.source.read(row, column, left);
+        self.source.read(row, column + self.columns, right);
+    }
+
+    #[inline(always)]
+    fn write(&mut self, row: usize, column: usize, left: &[T], right: &[T]) {
+        let mut row = self.out.row_mut(row);
+        let row = row.as_slice_mut().expect("in C order");
+        let (left_row, right_row) = row.split_at_mut(self.columns.min(row.len()));
+        for (to, value) in left_row[column..].iter_mut().zip(left) {
+            *to = (*value).into();
+        }
+        if let Some(right_row) = right_row.get_mut(column..) {
+            for (to, value) in right_row.iter_mut().zip(right) {
+                *to = (*value).into();
+            }
         }
     }
 }

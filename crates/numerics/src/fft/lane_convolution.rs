@@ -1,0 +1,312 @@
+//! Convolution of two real sources at once with a fixed real kernel, the lines of a transform in the lanes of vectors.
+//!
+//! A real kernel convolves the real and the imaginary part of a source independently: two sources, here two strips of a
+//! map, share one complex transform. A circular convolution of `n` elements contains the part that never leaves a
+//! source of `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
+//!
+//! The columns are transformed first, as many at a time as a vector has lanes, each block in its place. Then squares of
+//! lanes are transposed, so that as many rows are in the lanes, transformed, multiplied and transformed back while they
+//! stay in the cache, and returned. At last the columns are transformed back. A map is transposed twice and never
+//! reordered, because the order of the frequencies does not matter ([`super::lanes`]).
+//!
+//! Everything is the work of one thread. Many fields at once are the work of many.
+
+use ndarray::ArrayView2;
+use pulp::{Arch, Simd, WithSimd};
+
+use super::lanes::{Lanes, Transform, is_size, transpose};
+
+/// Every length is a multiple of the most lanes that a vector has, those of single precision in 64 bytes.
+const STEP: usize = 16;
+
+/// Rows of a map that are gone through together: few enough for the processor to fetch all of them ahead, and each of
+/// their blocks is written in one run.
+const ROWS: usize = 8;
+
+/// Whether fields may have `n` rows or columns.
+pub fn is_field_size(n: usize) -> bool {
+    n > 0 && n.is_multiple_of(STEP) && is_size(n)
+}
+
+/// The smallest of these sizes `>= n`.
+pub fn field_size(n: usize) -> usize {
+    (n.max(1).next_multiple_of(STEP)..)
+        .step_by(STEP)
+        .find(|n| is_field_size(*n))
+        .expect("powers of two are unbounded")
+}
+
+/// Two strips of sources, and where the valid parts of their convolutions go.
+pub trait Strips<T> {
+    /// Puts the elements from `column` on of a row of both sources into these: zero where there are none.
+    fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]);
+
+    /// Takes the elements from `column` on of a row of both valid parts.
+    fn write(&mut self, row: usize, column: usize, left: &[T], right: &[T]);
+}
+
+/// Two-dimensional convolution with one kernel.
+pub struct LaneConvolution<T = f64> {
+    kernel: (usize, usize),
+    x: Transform<T>,
+    y: Transform<T>,
+    /// Spectrum of the kernel, scaled by 1 / (number of elements): for each `lanes` frequencies along y the elements
+    /// along x, in the order of the transforms.
+    spectrum: Vec<T>,
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub struct Workspace<T> {
+    /// For each `lanes` columns the elements along y.
+    field: Vec<T>,
+    /// `lanes` lines along x.
+    lines: Vec<T>,
+}
+
+impl<T: Lanes> LaneConvolution<T> {
+    /// Plans for fields of shape `size`, each a size by [`is_field_size`], at least as large as the kernel (gy, gx).
+    pub fn new(kernel: ArrayView2<f64>, size: (usize, usize)) -> Self {
+        let (gy, gx) = kernel.dim();
+        assert!(gy >= 1 && gx >= 1 && size.0 >= gy && size.1 >= gx, "kernel exceeds the field");
+        assert!(is_field_size(size.0) && is_field_size(size.1), "no field of {size:?}");
+        let mut plan = Self {
+            kernel: (gy, gx),
+            x: Transform::new(size.1),
+            y: Transform::new(size.0),
+            spectrum: vec![T::default(); 2 * size.0 * size.1],
+        };
+        let mut spectrum = std::mem::take(&mut plan.spectrum);
+        let scale = 1.0 / (size.0 * size.1) as f64;
+        let mut strips = Kernel { samples: kernel, scale };
+        let to = Some(&mut spectrum);
+        plan.run((gy, gx), &mut strips, &mut Workspace::default(), to);
+        plan.spectrum = spectrum;
+        plan
+    }
+
+    /// The shape (ny, nx) of the fields.
+    pub fn size(&self) -> (usize, usize) {
+        (self.y.len(), self.x.len())
+    }
+
+    /// The valid parts for sources of shape `source`, at most that of the fields.
+    pub fn convolve(
+        &self,
+        source: (usize, usize),
+        strips: &mut impl Strips<T>,
+        work: &mut Workspace<T>,
+    ) {
+        self.run(source, strips, work, None);
+    }
+
+    fn run(
+        &self,
+        source: (usize, usize),
+        strips: &mut impl Strips<T>,
+        work: &mut Workspace<T>,
+        spectrum: Option<&mut Vec<T>>,
+    ) {
+        let (ny, nx) = self.size();
+        assert!(source.0 <= ny && source.1 <= nx, "source exceeds the field");
+        Arch::new().dispatch(Run { plan: self, source, strips, work, spectrum });
+    }
+}
+
+/// The kernel as a source.
+struct Kernel<'a> {
+    samples: ArrayView2<'a, f64>,
+    scale: f64,
+}
+
+impl<T: Lanes> Strips<T> for Kernel<'_> {
+    fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]) {
+        right.fill(T::default());
+        for (k, left) in left.iter_mut().enumerate() {
+            let sample = self.samples.get([row, column + k]);
+            *left = T::rounded(sample.map_or(0.0, |s| s * self.scale));
+        }
+    }
+
+    fn write(&mut self, _: usize, _: usize, _: &[T], _: &[T]) {}
+}
+
+/// A convolution, or only the spectrum of its strips.
+struct Run<'a, T: Lanes, X> {
+    plan: &'a LaneConvolution<T>,
+    source: (usize, usize),
+    strips: &'a mut X,
+    work: &'a mut Workspace<T>,
+    spectrum: Option<&'a mut Vec<T>>,
+}
+
+impl<T: Lanes, X: Strips<T>> WithSimd for Run<'_, T, X> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { plan, source, strips, work, spectrum } = self;
+        let lanes = T::lanes::<S>();
+        let element = 2 * lanes;
+        let (ny, nx) = plan.size();
+        // Blocks of columns are a few elements further apart than they are long: at a power of two, the squares of one
+        // group of rows would all fall on the same few lines of the cache.
+        let stride = (ny + lanes) * element;
+        work.field.resize(stride * (nx / lanes), T::default());
+        work.lines.resize(nx * element, T::default());
+        let blocks = source.1.div_ceil(lanes);
+        for rows in (0..source.0).step_by(ROWS) {
+            for b in 0..blocks {
+                for row in rows..(rows + ROWS).min(source.0) {
+                    let element = &mut work.field[b * stride + row * element..][..element];
+                    let (left, right) = element.split_at_mut(lanes);
+                    strips.read(row, b * lanes, left, right);
+                }
+            }
+        }
+        for (b, block) in work.field.chunks_exact_mut(stride).enumerate() {
+            let block = &mut block[..ny * element];
+            if b < blocks {
+                block[source.0 * element..].fill(T::default());
+                plan.y.forward::<S>(simd, elements::<T, S>(block));
+            } else {
+                block.fill(T::default());
+            }
+        }
+        let square = lanes * element;
+        if let Some(spectrum) = spectrum {
+            for (group, spectrum) in spectrum.chunks_exact_mut(nx * element).enumerate() {
+                for (b, to) in spectrum.chunks_exact_mut(square).enumerate() {
+                    let from = &work.field[b * stride + group * square..][..square];
+                    transpose_parts::<T, S>(from, to);
+                }
+                plan.x.forward::<S>(simd, elements::<T, S>(spectrum));
+            }
+            return;
+        }
+        // Blocks of columns before this one are spoilt by what a circular convolution takes from the other end.
+        let first = (plan.kernel.1 - 1) / lanes;
+        for (group, spectrum) in plan.spectrum.chunks_exact(nx * element).enumerate() {
+            for (b, to) in work.lines.chunks_exact_mut(square).enumerate() {
+                transpose_parts::<T, S>(&work.field[b * stride + group * square..][..square], to);
+            }
+            let lines = elements::<T, S>(&mut work.lines);
+            plan.x.convolve::<S>(simd, lines, T::vectors::<S>(spectrum).as_chunks::<2>().0);
+            for (b, from) in work.lines.chunks_exact(square).enumerate().skip(first) {
+                let to = &mut work.field[b * stride + group * square..][..square];
+                transpose_parts::<T, S>(from, to);
+            }
+        }
+        let (gy, gx) = plan.kernel;
+        let valid = first..blocks;
+        for block in work.field.chunks_exact_mut(stride).take(blocks).skip(first) {
+            plan.y.inverse::<S>(simd, elements::<T, S>(&mut block[..ny * element]));
+        }
+        for rows in (gy - 1..source.0).step_by(ROWS) {
+            for b in valid.clone() {
+                let column = b * lanes;
+                // Lanes of valid columns.
+                let (from, to) = ((gx - 1).saturating_sub(column), lanes.min(source.1 - column));
+                if from >= to {
+                    continue;
+                }
+                for row in rows..(rows + ROWS).min(source.0) {
+                    let element = &work.field[b * stride + row * element..][..element];
+                    let (left, right) = element.split_at(lanes);
+                    let (left, right) = (&left[from..to], &right[from..to]);
+                    strips.write(row + 1 - gy, column + from + 1 - gx, left, right);
+                }
+            }
+        }
+    }
+}
+
+/// Real and imaginary parts, one after the other.
+#[inline(always)]
+fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [[T::Vector<S>; 2]] {
+    T::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
+}
+
+/// Transposes the real and the imaginary parts of a square.
+#[inline(always)]
+fn transpose_parts<T: Lanes, S: Simd>(from: &[T], to: &mut [T]) {
+    let lanes = T::lanes::<S>();
+    transpose::<T, S>(from, to, 2 * lanes);
+    transpose::<T, S>(&from[lanes..], &mut to[lanes..], 2 * lanes);
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    fn random(shape: (usize, usize), seed: u64) -> Array2<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        Array2::from_shape_simple_fn(shape, || rng.random_range(-1.0..1.0))
+    }
+
+    struct Two {
+        source: [Array2<f64>; 2],
+        valid: [Array2<f64>; 2],
+    }
+
+    impl<T: Lanes> Strips<T> for Two {
+        fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]) {
+            for (part, to) in [left, right].into_iter().enumerate() {
+                for (k, to) in to.iter_mut().enumerate() {
+                    let value = self.source[part].get([row, column + k]);
+                    *to = T::rounded(value.copied().unwrap_or(0.0));
+                }
+            }
+        }
+
+        fn write(&mut self, row: usize, column: usize, left: &[T], right: &[T]) {
+            for (part, from) in [left, right].into_iter().enumerate() {
+                for (k, value) in from.iter().enumerate() {
+                    self.valid[part][[row, column + k]] += (*value).into();
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn both_parts_are_convolved() {
+        let mut work = Workspace::default();
+        let cases = [
+            ((1, 1), (1, 1), (16, 16)),
+            ((3, 4), (11, 13), (16, 32)),
+            ((5, 2), (5, 9), (16, 16)),
+            ((2, 19), (31, 75), (48, 80)),
+        ];
+        for (g, s, n) in cases {
+            let (g, source) = (random(g, 1), [random(s, 2), random(s, 3)]);
+            let plan = LaneConvolution::<f64>::new(g.view(), n);
+            let (gy, gx) = g.dim();
+            let shape = (s.0 + 1 - gy, s.1 + 1 - gx);
+            let mut two = Two { source, valid: [Array2::zeros(shape), Array2::zeros(shape)] };
+            plan.convolve(s, &mut two, &mut work);
+            for (source, valid) in two.source.iter().zip(&two.valid) {
+                for ((i, j), found) in valid.indexed_iter() {
+                    // the definition
+                    let term = |((a, b), v): ((usize, usize), &f64)| {
+                        v * source[[i + gy - 1 - a, j + gx - 1 - b]]
+                    };
+                    let expected: f64 = g.indexed_iter().map(term).sum();
+                    // Sums of at most 38 products of order 1; each element is written once.
+                    assert!((found - expected).abs() < 1e-13, "{found} {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn field_sizes() {
+        assert_eq!(
+            [0, 1, 17, 276, 355, 601, 1025].map(field_size),
+            [16, 16, 32, 288, 384, 640, 1152]
+        );
+    }
+}

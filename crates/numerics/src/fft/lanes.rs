@@ -1,0 +1,741 @@
+//! Transforms of as many lines at a time as a vector of the processor has lanes.
+//!
+//! A line in every lane needs no shuffling within a vector, whatever its length, and what a convolution needs of its
+//! spectra is only that those of the map and of the kernel are in the same order. So the transform there leaves the
+//! order of its frequencies reversed in the digits of the radices (decimation in frequency), and the one back takes
+//! them so (decimation in time): both are in place. With the radices `r` and the rest `m = n / r` of a level
+//!
+//! ```text
+//! y[p m' + j] = exp(-2 pi i j p / n) sum_q exp(-2 pi i p q / r) x[q m + j],   j < m, p < r         (1)
+//! ```
+//!
+//! and then each of the `r` blocks of `m` elements by itself. Blocks that fit into the fastest cache are gone through
+//! level by level, larger ones are divided first.
+//!
+//! `pulp` chooses the vectors when the program runs. Each lane is computed by itself: a result does not depend on the
+//! number of lanes but for the rounding of processors that multiply and add in one step.
+
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+
+use pulp::{NullaryFnOnce, Simd};
+
+use crate::precision::Real;
+
+/// Elements of all lanes that are gone through level by level: 16 KiB with vectors of 64 bytes.
+const BLOCK: usize = 128;
+
+/// Whether there is a transform of `n` elements: 2^a 3^b 5^c.
+pub fn is_size(n: usize) -> bool {
+    let mut rest = n;
+    for p in [2, 3, 5] {
+        while rest > 0 && rest % p == 0 {
+            rest /= p;
+        }
+    }
+    rest == 1
+}
+
+/// Arithmetic of a number in every lane.
+pub trait Lanes: Real {
+    /// A vector of the processor.
+    type Vector<S: Simd>: Copy;
+
+    /// Lanes of a vector.
+    fn lanes<S: Simd>() -> usize;
+    /// A number in every lane.
+    fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
+    /// `a + b`.
+    fn sum<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    /// `a - b`.
+    fn difference<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    /// `a b`.
+    fn product<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    /// `a b + c`.
+    fn mul_add<S: Simd>(
+        simd: S,
+        a: Self::Vector<S>,
+        b: Self::Vector<S>,
+        c: Self::Vector<S>,
+    ) -> Self::Vector<S>;
+    /// `c - a b`.
+    fn negate_mul_add<S: Simd>(
+        simd: S,
+        a: Self::Vector<S>,
+        b: Self::Vector<S>,
+        c: Self::Vector<S>,
+    ) -> Self::Vector<S>;
+    /// Numbers as vectors; a multiple of [`Self::lanes`].
+    fn vectors<S: Simd>(numbers: &[Self]) -> &[Self::Vector<S>];
+    /// The same, to be changed.
+    fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [Self::Vector<S>];
+}
+
+macro_rules! lanes {
+    ($number:ty, $vector:ident, $lanes:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident,
+     $negate_mul_add:ident, $vectors:ident, $vectors_mut:ident) => {
+        impl Lanes for $number {
+            type Vector<S: Simd> = S::$vector;
+
+            #[inline(always)]
+            fn lanes<S: Simd>() -> usize {
+                S::$lanes
+            }
+
+            #[inline(always)]
+            fn splat<S: Simd>(simd: S, value: Self) -> S::$vector {
+                simd.$splat(value)
+            }
+
+            #[inline(always)]
+            fn sum<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$add(a, b)
+            }
+
+            #[inline(always)]
+            fn difference<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$sub(a, b)
+            }
+
+            #[inline(always)]
+            fn product<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$mul(a, b)
+            }
+
+            #[inline(always)]
+            fn mul_add<S: Simd>(
+                simd: S,
+                a: S::$vector,
+                b: S::$vector,
+                c: S::$vector,
+            ) -> S::$vector {
+                simd.$mul_add(a, b, c)
+            }
+
+            #[inline(always)]
+            fn negate_mul_add<S: Simd>(
+                simd: S,
+                a: S::$vector,
+                b: S::$vector,
+                c: S::$vector,
+            ) -> S::$vector {
+                simd.$negate_mul_add(a, b, c)
+            }
+
+            #[inline(always)]
+            fn vectors<S: Simd>(numbers: &[Self]) -> &[S::$vector] {
+                S::$vectors(numbers).0
+            }
+
+            #[inline(always)]
+            fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [S::$vector] {
+                S::$vectors_mut(numbers).0
+            }
+        }
+    };
+}
+
+lanes!(
+    f64,
+    f64s,
+    F64_LANES,
+    splat_f64s,
+    add_f64s,
+    sub_f64s,
+    mul_f64s,
+    mul_add_e_f64s,
+    negate_mul_add_e_f64s,
+    as_simd_f64s,
+    as_mut_simd_f64s
+);
+lanes!(
+    f32,
+    f32s,
+    F32_LANES,
+    splat_f32s,
+    add_f32s,
+    sub_f32s,
+    mul_f32s,
+    mul_add_e_f32s,
+    negate_mul_add_e_f32s,
+    as_simd_f32s,
+    as_mut_simd_f32s
+);
+
+/// An element of a line in every lane: the real and the imaginary parts.
+pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];
+
+/// Transforms of lines of one length.
+pub struct Transform<T> {
+    len: usize,
+    levels: Vec<Level<T>>,
+}
+
+/// (1) for blocks of `radix rest` elements.
+struct Level<T> {
+    radix: usize,
+    rest: usize,
+    /// exp(-2 pi i j p / n), [j][p - 1].
+    twiddles: Vec<[T; 2]>,
+}
+
+impl<T: Lanes> Transform<T> {
+    /// Plans for lines of `len` elements, a size by [`is_size`].
+    pub fn new(len: usize) -> Self {
+        assert!(is_size(len), "no transform of {len} elements");
+        let mut size = len;
+        let levels = radices(len).into_iter().map(|radix| {
+            let rest = size / radix;
+            let twiddle = |j: usize, p: usize| {
+                let (sin, cos) = (-TAU * (j * p) as f64 / size as f64).sin_cos();
+                [T::rounded(cos), T::rounded(sin)]
+            };
+            let twiddles =
+                (0..rest).flat_map(|j| (1..radix).map(move |p| (j, p))).map(|(j, p)| twiddle(j, p));
+            let level = Level { radix, rest, twiddles: twiddles.collect() };
+            size = rest;
+            level
+        });
+        Self { len, levels: levels.collect() }
+    }
+
+    /// Elements of a line.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// There is always one.
+    pub fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// The transforms of lines, their frequencies in the order of this type.
+    #[inline(always)]
+    pub fn forward<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
+        Step { simd, levels: &self.levels, lines, what: What::<T, S>::Forward }.run();
+    }
+
+    /// The lines of such transforms, times the number of their elements.
+    #[inline(always)]
+    pub fn inverse<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
+        Step { simd, levels: &self.levels, lines, what: What::<T, S>::Inverse }.run();
+    }
+
+    /// There, times a spectrum in the order of this type, and back.
+    #[inline(always)]
+    pub fn convolve<S: Simd>(
+        &self,
+        simd: S,
+        lines: &mut [Element<T, S>],
+        spectrum: &[Element<T, S>],
+    ) {
+        Step { simd, levels: &self.levels, lines, what: What::<T, S>::Convolve(spectrum) }.run();
+    }
+}
+
+/// Eights first, so that the blocks are soon small.
+fn radices(len: usize) -> Vec<usize> {
+    let (mut twos, mut rest) = (len.trailing_zeros(), len >> len.trailing_zeros());
+    let mut radices = vec![];
+    match twos % 3 {
+        1 if twos >= 4 => {
+            radices.extend([4, 4]);
+            twos -= 4;
+        }
+        1 => {
+            radices.push(2);
+            twos -= 1;
+        }
+        2 => {
+            radices.push(4);
+            twos -= 2;
+        }
+        _ => {}
+    }
+    radices.extend((0..twos / 3).map(|_| 8));
+    for p in [5, 3] {
+        while rest % p == 0 {
+            radices.push(p);
+            rest /= p;
+        }
+    }
+    radices.sort_by(|a, b| b.cmp(a));
+    radices
+}
+
+/// What is done to lines.
+enum What<'a, T: Lanes, S: Simd> {
+    Forward,
+    Inverse,
+    Convolve(&'a [Element<T, S>]),
+}
+
+/// Some levels of a transform, on lines that have the features of a processor.
+struct Step<'a, T: Lanes, S: Simd> {
+    simd: S,
+    levels: &'a [Level<T>],
+    lines: &'a mut [Element<T, S>],
+    what: What<'a, T, S>,
+}
+
+impl<T: Lanes, S: Simd> Step<'_, T, S> {
+    fn run(self) {
+        self.simd.vectorize(self);
+    }
+}
+
+impl<T: Lanes, S: Simd> NullaryFnOnce for Step<'_, T, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { simd, levels, lines, what } = self;
+        let (forward, inverse) =
+            (!matches!(what, What::Inverse), !matches!(what, What::<T, S>::Forward));
+        if lines.len() <= BLOCK {
+            if forward {
+                for level in levels {
+                    for block in lines.chunks_exact_mut(level.radix * level.rest) {
+                        level.pass::<S, false>(simd, block);
+                    }
+                }
+            }
+            if let What::Convolve(spectrum) = what {
+                for (element, g) in lines.iter_mut().zip(spectrum) {
+                    *element = times::<T, S>(simd, *element, *g);
+                }
+            }
+            if inverse {
+                for level in levels.iter().rev() {
+                    for block in lines.chunks_exact_mut(level.radix * level.rest) {
+                        level.pass::<S, true>(simd, block);
+                    }
+                }
+            }
+            return;
+        }
+        let Some((level, levels)) = levels.split_first() else { return };
+        if forward {
+            level.pass::<S, false>(simd, lines);
+        }
+        for (i, lines) in lines.chunks_exact_mut(level.rest).enumerate() {
+            let what = match what {
+                What::Forward => What::Forward,
+                What::Inverse => What::Inverse,
+                What::Convolve(spectrum) => {
+                    What::Convolve(&spectrum[i * level.rest..][..level.rest])
+                }
+            };
+            Step { simd, levels, lines, what }.run();
+        }
+        if inverse {
+            level.pass::<S, true>(simd, lines);
+        }
+    }
+}
+
+impl<T: Lanes> Level<T> {
+    /// (1) within a block, or its inverse. With real and imaginary parts exchanged, the transform is its own inverse.
+    #[inline(always)]
+    fn pass<S: Simd, const INVERSE: bool>(&self, simd: S, block: &mut [Element<T, S>]) {
+        match self.radix {
+            2 => self.butterflies::<S, Two, 2, 1, INVERSE>(simd, block),
+            3 => self.butterflies::<S, Three, 3, 2, INVERSE>(simd, block),
+            4 => self.butterflies::<S, Four, 4, 3, INVERSE>(simd, block),
+            5 => self.butterflies::<S, Five, 5, 4, INVERSE>(simd, block),
+            _ => self.butterflies::<S, Eight, 8, 7, INVERSE>(simd, block),
+        }
+    }
+
+    #[inline(always)]
+    fn butterflies<
+        S: Simd,
+        B: Butterfly<RADIX>,
+        const RADIX: usize,
+        const OTHERS: usize,
+        const INVERSE: bool,
+    >(
+        &self,
+        simd: S,
+        block: &mut [Element<T, S>],
+    ) {
+        if self.rest == 1 {
+            for block in block.as_chunks_mut::<RADIX>().0 {
+                let mut v = *block;
+                if INVERSE {
+                    for v in &mut v {
+                        *v = [v[1], v[0]];
+                    }
+                }
+                v = B::dft::<T, S>(simd, v);
+                if INVERSE {
+                    for v in &mut v {
+                        *v = [v[1], v[0]];
+                    }
+                }
+                *block = v;
+            }
+            return;
+        }
+        let m = self.rest;
+        let mut parts = block.chunks_exact_mut(m);
+        let mut x = [(); RADIX].map(|()| parts.next().expect("one for each root"));
+        for x in &mut x {
+            *x = &mut std::mem::take(x)[..m];
+        }
+        let twiddles = &self.twiddles.as_chunks::<OTHERS>().0[..m];
+        for j in 0..m {
+            let mut v = [x[0][j]; RADIX];
+            for q in 0..RADIX {
+                let [re, im] = x[q][j];
+                v[q] = if INVERSE { [im, re] } else { [re, im] };
+            }
+            if INVERSE {
+                for p in 1..RADIX {
+                    v[p] = times::<T, S>(
+                        simd,
+                        v[p],
+                        [
+                            T::splat(simd, twiddles[j][p - 1][0]),
+                            T::splat(simd, twiddles[j][p - 1][1]),
+                        ],
+                    );
+                }
+                v = B::dft::<T, S>(simd, v);
+            } else {
+                v = B::dft::<T, S>(simd, v);
+                for p in 1..RADIX {
+                    v[p] = times::<T, S>(
+                        simd,
+                        v[p],
+                        [
+                            T::splat(simd, twiddles[j][p - 1][0]),
+                            T::splat(simd, twiddles[j][p - 1][1]),
+                        ],
+                    );
+                }
+            }
+            for q in 0..RADIX {
+                let [re, im] = v[q];
+                x[q][j] = if INVERSE { [im, re] } else { [re, im] };
+            }
+        }
+    }
+}
+
+/// `a b`.
+#[inline(always)]
+pub fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Element<T, S> {
+    let [re, im] = [T::product(simd, a[0], b[0]), T::product(simd, a[0], b[1])];
+    [T::negate_mul_add(simd, a[1], b[1], re), T::mul_add(simd, a[1], b[0], im)]
+}
+
+/// A discrete Fourier transform of a few elements.
+trait Butterfly<const RADIX: usize> {
+    fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; RADIX]) -> [Element<T, S>; RADIX];
+}
+
+struct Two;
+struct Three;
+struct Four;
+struct Five;
+struct Eight;
+
+/// a + b, a - b.
+#[inline(always)]
+fn sum_and_difference<T: Lanes, S: Simd>(
+    simd: S,
+    a: Element<T, S>,
+    b: Element<T, S>,
+) -> [Element<T, S>; 2] {
+    [
+        [T::sum(simd, a[0], b[0]), T::sum(simd, a[1], b[1])],
+        [T::difference(simd, a[0], b[0]), T::difference(simd, a[1], b[1])],
+    ]
+}
+
+/// a - i b, a + i b.
+#[inline(always)]
+fn turned<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> [Element<T, S>; 2] {
+    [
+        [T::sum(simd, a[0], b[1]), T::difference(simd, a[1], b[0])],
+        [T::difference(simd, a[0], b[1]), T::sum(simd, a[1], b[0])],
+    ]
+}
+
+impl Butterfly<2> for Two {
+    #[inline(always)]
+    fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 2]) -> [Element<T, S>; 2] {
+        sum_and_difference::<T, S>(simd, x[0], x[1])
+    }
+}
+
+impl Butterfly<3> for Three {
+    #[inline(always)]
+    fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 3]) -> [Element<T, S>; 3] {
+        let (half, sine) =
+            (T::splat(simd, T::rounded(0.5)), T::splat(simd, T::rounded((TAU / 3.0).sin())));
+        let [sum, difference] = sum_and_difference::<T, S>(simd, x[1], x[2]);
+        let [all, _] = sum_and_difference::<T, S>(simd, x[0], sum);
+        let a = [
+            T::negate_mul_add(simd, sum[0], half, x[0][0]),
+            T::negate_mul_add(simd, sum[1], half, x[0][1]),
+        ];
+        let b = [T::product(simd, difference[0], sine), T::product(simd, difference[1], sine)];
+        let [y1, y2] = turned::<T, S>(simd, a, b);
+        [all, y1, y2]
+    }
+}
+
+impl Butterfly<4> for Four {
+    #[inline(always)]
+    fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 4]) -> [Element<T, S>; 4] {
+        let [a, b] = sum_and_difference::<T, S>(simd, x[0], x[2]);
+        let [c, d] = sum_and_difference::<T, S>(simd, x[1], x[3]);
+        let [y0, y2] = sum_and_difference::<T, S>(simd, a, c);
+        let [y1, y3] = turned::<T, S>(simd, b, d);
+        [y0, y1, y2, y3]
+    }
+}
+
+impl Butterfly<5> for Five {
+    #[inline(always)]
+    fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 5]) -> [Element<T, S>; 5] {
+        let number = |v: f64| T::splat(simd, T::rounded(v));
+        let (c1, c2) = (number((TAU / 5.0).cos()), number((2.0 * TAU / 5.0).cos()));
+        let (s1, s2) = (number((TAU / 5.0).sin()), number((2.0 * TAU / 5.0).sin()));
+        let [p1, d1] = sum_and_difference::<T, S>(simd, x[1], x[4]);
+        let [p2, d2] = sum_and_difference::<T, S>(simd, x[2], x[3]);
+        let [p, _] = sum_and_difference::<T, S>(simd, p1, p2);
+        let [all, _] = sum_and_difference::<T, S>(simd, x[0], p);
+        let mut a = [x[0]; 2];
+        let mut b = [x[0]; 2];
+        for part in 0..2 {
+            let (p1, p2, d1, d2) = (p1[part], p2[part], d1[part], d2[part]);
+            a[0][part] = T::mul_add(simd, p2, c2, T::mul_add(simd, p1, c1, x[0][part]));
+            a[1][part] = T::mul_add(simd, p2, c1, T::mul_add(simd, p1, c2, x[0][part]));
+            b[0][part] = T::mul_add(simd, d2, s2, T::product(simd, d1, s1));
+            b[1][part] = T::negate_mul_add(simd, d2, s1, T::product(simd, d1, s2));
+        }
+        let [y1, y4] = turned::<T, S>(simd, a[0], b[0]);
+        let [y2, y3] = turned::<T, S>(simd, a[1], b[1]);
+        [all, y1, y2, y3, y4]
+    }
+}
+
+impl Butterfly<8> for Eight {
+    #[inline(always)]
+    fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 8]) -> [Element<T, S>; 8] {
+        let even = Four::dft::<T, S>(simd, [x[0], x[2], x[4], x[6]]);
+        let odd = Four::dft::<T, S>(simd, [x[1], x[3], x[5], x[7]]);
+        let h = T::splat(simd, T::rounded(FRAC_1_SQRT_2));
+        let [y0, y4] = sum_and_difference::<T, S>(simd, even[0], odd[0]);
+        let [y2, y6] = turned::<T, S>(simd, even[2], odd[2]);
+        // exp(-i pi/4) (a + i b) = h (a + b) + i h (b - a), and -i times that for exp(-3 i pi/4).
+        let first = [T::sum(simd, odd[1][0], odd[1][1]), T::difference(simd, odd[1][1], odd[1][0])];
+        let third = [T::difference(simd, odd[3][1], odd[3][0]), T::sum(simd, odd[3][0], odd[3][1])];
+        let y1 =
+            [T::mul_add(simd, first[0], h, even[1][0]), T::mul_add(simd, first[1], h, even[1][1])];
+        let y5 = [
+            T::negate_mul_add(simd, first[0], h, even[1][0]),
+            T::negate_mul_add(simd, first[1], h, even[1][1]),
+        ];
+        let y3 = [
+            T::mul_add(simd, third[0], h, even[3][0]),
+            T::negate_mul_add(simd, third[1], h, even[3][1]),
+        ];
+        let y7 = [
+            T::negate_mul_add(simd, third[0], h, even[3][0]),
+            T::mul_add(simd, third[1], h, even[3][1]),
+        ];
+        [y0, y1, y2, y3, y4, y5, y6, y7]
+    }
+}
+
+/// Puts numbers in the precision of a transform, as many at a time as the compiler has vectors for.
+#[inline(always)]
+pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
+    const AT_A_TIME: usize = 4;
+    let (from, from_rest) = from.as_chunks::<AT_A_TIME>();
+    let (to, to_rest) = to.as_chunks_mut::<AT_A_TIME>();
+    for (from, to) in from.iter().zip(to) {
+        // All of them are read before the first is written.
+        let (from, mut rounded) = (*from, [T::default(); AT_A_TIME]);
+        for k in 0..AT_A_TIME {
+            rounded[k] = T::rounded(from[k]);
+        }
+        *to = rounded;
+    }
+    for (from, to) in from_rest.iter().zip(to_rest) {
+        *to = T::rounded(*from);
+    }
+}
+
+/// Exchanges rows and columns of a square of as many numbers on a side as a vector has lanes: row `i` begins at
+/// `from[i step]` and becomes the column `i` of the rows that begin at `to[j step]`.
+#[inline(always)]
+pub fn transpose<T: Lanes, S: Simd>(from: &[T], to: &mut [T], step: usize) {
+    match T::lanes::<S>() {
+        16 => transpose_square::<T, 16>(from, to, step),
+        8 => transpose_square::<T, 8>(from, to, step),
+        4 => transpose_square::<T, 4>(from, to, step),
+        lanes => {
+            for i in 0..lanes {
+                for j in 0..lanes {
+                    to[j * step + i] = from[i * step + j];
+                }
+            }
+        }
+    }
+}
+
+/// By squares of four, for which the compiler has vectors.
+#[inline(always)]
+fn transpose_square<T: Lanes, const N: usize>(from: &[T], to: &mut [T], step: usize) {
+    const SIDE: usize = 4;
+    let (from, to) = (&from[..(N - 1) * step + N], &mut to[..(N - 1) * step + N]);
+    for i in 0..N / SIDE {
+        for j in 0..N / SIDE {
+            let mut v = [[T::default(); SIDE]; SIDE];
+            for k in 0..SIDE {
+                let row = from[(SIDE * i + k) * step + SIDE * j..].first_chunk();
+                v[k] = *row.expect("squares are whole");
+            }
+            for k in 0..SIDE {
+                let column = to[(SIDE * j + k) * step + SIDE * i..].first_chunk_mut();
+                *column.expect("squares are whole") = [v[0][k], v[1][k], v[2][k], v[3][k]];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use pulp::{Arch, Scalar, WithSimd};
+
+    use super::*;
+
+    /// Transforms `line` in every lane, scaled by the number of the lane, and says what one of them gives, and what a
+    /// convolution with a spectrum of ones leaves of it.
+    struct Lane<'a> {
+        line: &'a [[f64; 2]],
+        lane: usize,
+    }
+
+    impl WithSimd for Lane<'_> {
+        type Output = Option<[Vec<[f64; 2]>; 3]>;
+
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            let (n, lanes) = (self.line.len(), f64::lanes::<S>());
+            if self.lane >= lanes {
+                return None;
+            }
+            let mut numbers = vec![0.0; 2 * n * lanes];
+            for (element, value) in numbers.chunks_mut(2 * lanes).zip(self.line) {
+                for k in 0..lanes {
+                    (element[k], element[lanes + k]) =
+                        ((1 + k) as f64 * value[0], (1 + k) as f64 * value[1]);
+                }
+            }
+            let scale = 1.0 / (1 + self.lane) as f64;
+            let of = |numbers: &[f64]| -> Vec<[f64; 2]> {
+                numbers
+                    .chunks(2 * lanes)
+                    .map(|e| [scale * e[self.lane], scale * e[lanes + self.lane]])
+                    .collect()
+            };
+            let plan = Transform::<f64>::new(n);
+            let mut one = numbers.clone();
+            let spectrum = [vec![1.0; lanes], vec![0.0; lanes]].concat().repeat(n);
+            let spectrum = f64::vectors::<S>(&spectrum).as_chunks::<2>().0;
+            plan.convolve(simd, f64::vectors_mut::<S>(&mut one).as_chunks_mut::<2>().0, spectrum);
+            plan.forward(simd, f64::vectors_mut::<S>(&mut numbers).as_chunks_mut::<2>().0);
+            let there = of(&numbers);
+            plan.inverse(simd, f64::vectors_mut::<S>(&mut numbers).as_chunks_mut::<2>().0);
+            Some([there, of(&numbers), of(&one)])
+        }
+    }
+
+    /// Frequencies in the order of a transform: digits of the radices, the last one first.
+    fn order(n: usize) -> Vec<usize> {
+        let radices = radices(n);
+        (0..n)
+            .map(|mut at| {
+                let (mut size, mut factor, mut frequency) = (n, 1, 0);
+                for r in &radices {
+                    size /= r;
+                    frequency += factor * (at / size);
+                    at %= size;
+                    factor *= r;
+                }
+                frequency
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_lane_is_transformed_by_the_definition_and_back() {
+        for n in [1, 2, 3, 5, 8, 12, 16, 45, 48, 96, 240, 400, 2048] {
+            let line: Vec<_> =
+                (0..n).map(|i| [(1.3 * i as f64).sin(), (0.7 * i as f64).cos()]).collect();
+            let exact: Vec<_> = order(n)
+                .into_iter()
+                .map(|k| {
+                    let term = |(j, v): (usize, &[f64; 2])| {
+                        let (sin, cos) = (-TAU * ((j * k) % n) as f64 / n as f64).sin_cos();
+                        [v[0] * cos - v[1] * sin, v[0] * sin + v[1] * cos]
+                    };
+                    let terms = line.iter().enumerate().map(term);
+                    terms.fold([0.0; 2], |s, t| [s[0] + t[0], s[1] + t[1]])
+                })
+                .collect();
+            let near = |a: &[[f64; 2]], b: &[[f64; 2]], scale: f64| {
+                let far = |(a, b): (&[f64; 2], &[f64; 2])| {
+                    (a[0] - scale * b[0]).abs().max((a[1] - scale * b[1]).abs())
+                };
+                a.iter().zip(b).map(far).fold(0.0, f64::max)
+            };
+            for lane in [0, 1, 7] {
+                let of = |found: Option<[Vec<[f64; 2]>; 3]>| {
+                    let Some([there, back, one]) = found else { return };
+                    // Sums of n terms of order 1.
+                    let tolerance = 1e-15 * (n as f64).powf(1.5);
+                    let error = near(&there, &exact, 1.0);
+                    assert!(error <= tolerance, "{n} elements, lane {lane}: {error}");
+                    assert!(near(&back, &line, n as f64) <= tolerance);
+                    assert!(near(&one, &line, n as f64) <= tolerance);
+                };
+                of(Arch::new().dispatch(Lane { line: &line, lane }));
+                of(Lane { line: &line, lane }.with_simd(Scalar::new()));
+            }
+        }
+    }
+
+    #[test]
+    fn squares_are_transposed() {
+        fn transposed<const N: usize>() {
+            let step = N + 3;
+            let from: Vec<f64> = (0..N * step).map(|v| v as f64).collect();
+            let mut to = vec![0.0; N * step];
+            transpose_square::<f64, N>(&from, &mut to, step);
+            for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
+                assert_eq!(to[j * step + i], from[i * step + j]);
+            }
+            assert!((0..N).all(|i| to.get(i * step + N..(i + 1) * step).unwrap() == [0.0; 3]));
+        }
+        transposed::<4>();
+        transposed::<8>();
+        transposed::<16>();
+    }
+
+    #[test]
+    fn sizes() {
+        assert!([1, 2, 3, 5, 45, 48, 1000].into_iter().all(is_size));
+        assert!(![0, 7, 14, 22].into_iter().any(is_size));
+        assert_eq!(radices(768), [8, 8, 4, 3]);
+        assert!(
+            [2, 16, 32, 48, 80, 640, 1152]
+                .into_iter()
+                .all(|n| radices(n).iter().product::<usize>() == n)
+        );
+    }
+}
