@@ -4,9 +4,11 @@
 //! |---|---|
 //! | [`transform`] | a map of any size, for its spectrum |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
-//! | [`tiles`] | the same, where the map is too large for the cache |
-//! | [`pair_convolution`] | two real maps or lines at a time, as one complex one |
-//! | [`mod@line`] | lines whose products with several kernels are summed before the inverse |
+//! | [`tiles`] | the same, tile by tile |
+//! | [`lane_convolution`] | two strips of a tile, as the real and imaginary parts of one field |
+//! | [`lanes`] | as many lines at a time as a vector of the processor has lanes |
+//! | [`line_convolution`] | pairs of lines whose products with several kernels are summed before the inverse |
+//! | [`mod@line`] | the same for single real lines |
 //!
 //! Rows and columns are independent transforms everywhere, so no result depends on the number of
 //! threads.
@@ -15,7 +17,7 @@ pub mod convolution;
 pub mod lane_convolution;
 pub mod lanes;
 pub mod line;
-pub mod pair_convolution;
+pub mod line_convolution;
 pub mod tiles;
 pub mod transform;
 

@@ -34,7 +34,7 @@
 use std::f64::consts::PI;
 
 use ndarray::{Array2, s};
-use planish_numerics::fft::{pair_convolution::quick_size, transform};
+use planish_numerics::fft::{smooth_size, transform};
 use planish_types::Grid;
 use serde::Serialize;
 
@@ -83,7 +83,7 @@ impl Covariance {
         fields: &[Array2<f64>],
     ) -> Self {
         let (ny, nx) = rest.dim();
-        let size = (quick_size(2 * ny), quick_size(2 * nx));
+        let size = (smooth_size(2 * ny), smooth_size(2 * nx));
         let pairs = |map: &Array2<f64>| {
             let power = transform::forward(padded(map, size).view());
             transform::inverse(power.mapv(|v| (v.norm_sqr()).into()))

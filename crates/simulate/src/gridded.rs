@@ -50,7 +50,10 @@
 use std::{ops::Range, sync::Mutex};
 
 use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft::pair_convolution::{is_quick_size, quick_size};
+use planish_numerics::fft::{
+    lane_convolution::{field_size, is_field_size},
+    tiles::field_work,
+};
 use planish_types::{Grid, Invalid, Tif, Trajectory, budget, progress::Pieces};
 use rayon::prelude::*;
 
@@ -227,28 +230,26 @@ pub fn removal_nm(
 /// Cores that the tiles are laid out for. The result may not depend on how many there are.
 const CORES: usize = 2;
 
-/// Elements of a field of seconds above which transforms wait for memory (16 MiB), and by how much.
-const CACHED: usize = 1 << 20;
-const UNCACHED_COST: f64 = 2.0;
+/// Work of what spills, in the unit of [`field_work`], for each element of a line of pixels and each level of its
+/// transform: four transforms there and one back, of one line at a time, and the sums between them.
+const SPILL_WORK: f64 = 4.0;
 
 /// Pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the
 /// least work for the busiest core.
 fn layout(x: &Lattice, y: &Lattice, spills: bool) -> ([usize; 2], (usize, usize)) {
     // Elements of a transform that holds all, and so for a part of the pixels.
-    let whole = |l: &Lattice| quick_size(l.source_nodes());
+    let whole = |l: &Lattice| field_size(l.source_nodes());
     let choices = |l: &Lattice| -> Vec<(usize, usize)> {
-        let fits = |n: &usize| is_quick_size(*n) && *n >= l.samples();
+        let fits = |n: &usize| is_field_size(*n) && *n >= l.samples();
         let part = |n: usize| ((n - l.samples()) / l.subdivision + 1).min(l.pixels);
         (1..=whole(l)).filter(fits).map(|n| (n, part(n))).collect()
     };
     let cost = |nx: usize, px: usize, ny: usize, py: usize| {
         let tiles = x.pixels.div_ceil(px).div_ceil(2) * y.pixels.div_ceil(py);
-        let log = |n: usize| (n as f64).log2().max(1.0);
-        let (fx, fy) = (nx as f64 * log(nx), ny as f64 * log(ny));
-        let convolution = 2.0 * (ny as f64 * fx + nx as f64 * fy);
-        let border = if spills { 7.0 * (py as f64 * fx + px as f64 * fy) } else { 0.0 };
-        let memory = if nx * ny > CACHED { UNCACHED_COST } else { 1.0 };
-        tiles.div_ceil(CORES) as f64 * (convolution * memory + border)
+        let line = |n: usize| n as f64 * (n as f64).log2().max(1.0);
+        let border =
+            if spills { SPILL_WORK * (py as f64 * line(nx) + px as f64 * line(ny)) } else { 0.0 };
+        tiles.div_ceil(CORES) as f64 * (field_work::<f64>((ny, nx)) + border)
     };
     let mut best = (f64::INFINITY, [0, 0], (0, 0));
     for &(nx, px) in &choices(x) {

@@ -1,7 +1,7 @@
 //! The TIF on the lattice, ready to be convolved with a field of seconds.
 
 use ndarray::{ArrayView2, Axis as NdAxis};
-use planish_numerics::fft::pair_convolution::{LineConvolution, PairConvolution};
+use planish_numerics::fft::{lane_convolution::LaneConvolution, line_convolution::LineConvolution};
 
 use crate::lattice::{BorderNode, Lattice};
 
@@ -12,7 +12,7 @@ pub struct Kernel {
     /// The lattice along y.
     pub y: Lattice,
     /// With the samples on the lattice.
-    pub convolution: PairConvolution,
+    pub convolution: LaneConvolution,
     /// `None` where nothing spills.
     pub border: Option<Border>,
 }
@@ -26,7 +26,7 @@ impl Kernel {
         size: (usize, usize),
         spills: bool,
     ) -> Self {
-        let convolution = PairConvolution::new(samples, size);
+        let convolution = LaneConvolution::new(samples, size);
         let border = spills.then(|| Border::new(&x, &y, samples, size));
         Self { x, y, convolution, border }
     }

@@ -61,17 +61,18 @@ struct Group {
 }
 
 impl Lines<'_> {
-    /// Subtracts the spill on the pixels 0 .. `count` across the lines from their spectra, `stride` elements apart.
-    /// `sources` is a buffer.
+    /// The spectra of the spill on the lines of pixels 0 .. `count`, with the opposite sign. `sources` is a buffer.
     pub fn subtract(
         &self,
         pieces: &impl Pieces,
         count: usize,
-        (spectra, stride): (&mut [Complex64], usize),
+        spectra: &mut Vec<Complex64>,
         sources: &mut [Vec<Complex64>; BLOCKS],
     ) {
         let least = if self.parallel { 1 } else { usize::MAX };
         let size = self.edge.convolution.size();
+        spectra.clear();
+        spectra.resize(count * size, Complex64::default());
         let lines = if count == 0 {
             0
         } else {
@@ -103,8 +104,8 @@ impl Lines<'_> {
             if first >= end {
                 continue;
             }
-            spectra[first * stride..]
-                .par_chunks_mut(stride)
+            spectra[first * size..]
+                .par_chunks_mut(size)
                 .take(end - first)
                 .enumerate()
                 .with_min_len(least)
@@ -129,7 +130,7 @@ impl Lines<'_> {
                             );
                         }
                     }
-                    self.edge.convolution.subtract(&mut spectrum[..size], terms);
+                    self.edge.convolution.subtract(spectrum, terms);
                 });
         }
     }

@@ -1,12 +1,15 @@
 //! A tile of the map: the work of one thread.
 //!
-//! Its two strips of columns are the real and the imaginary part of every array here. Node 0 of a
+//! Its two strips of columns are the real and the imaginary part of every transform here. Node 0 of a
 //! strip, or of the band of rows, is the first from which the tool reaches it.
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
-use planish_numerics::fft::Complex64;
+use ndarray::{ArrayViewMut2, Axis as NdAxis};
+use planish_numerics::fft::{
+    Complex64,
+    lane_convolution::{self, Strips},
+};
 use planish_types::Trajectory;
 use rayon::prelude::*;
 
@@ -22,11 +25,13 @@ const COLUMNS: usize = 8;
 
 /// Buffers of a thread.
 pub struct Workspace {
-    field: Array2<Complex64>,
+    /// The seconds on the nodes of each strip, in rows as long as those of the transform.
+    seconds: [Vec<f64>; 2],
+    transform: lane_convolution::Workspace<f64>,
     cutter: Cutter,
     kept: Kept,
-    /// Spectra of what is subtracted from the columns.
-    columns: Vec<Complex64>,
+    /// Spectra of what is subtracted from the rows or the columns.
+    spilt: Vec<Complex64>,
     /// Of [`Lines::subtract`].
     sources: [Vec<Complex64>; BLOCKS],
 }
@@ -46,10 +51,11 @@ impl Workspace {
     /// For any tile of `kernel`.
     pub fn new(kernel: &Kernel) -> Self {
         Self {
-            field: Array2::zeros(kernel.convolution.size()),
+            seconds: Default::default(),
+            transform: Default::default(),
             cutter: Cutter::new([kernel.x.cells(), kernel.y.cells()]),
             kept: Kept::default(),
-            columns: Vec::new(),
+            spilt: Vec::new(),
             sources: Default::default(),
         }
     }
@@ -102,32 +108,28 @@ impl<'a> Tile<'a> {
             return points;
         }
         // R = E - E ly - E lx + E ly lx                                              (2)
-        let Workspace { field, kept, columns, sources, .. } = work;
+        let Workspace { seconds, transform, kept, spilt, sources, .. } = work;
         let (x, y) = (&self.kernel.x, &self.kernel.y);
-        let border = self.kernel.border.as_ref();
-        let rows = y.nodes_of(&self.rows);
-        self.kernel.convolution.convolve(field.view_mut(), rows, alone, |spectra| {
-            let Some(Border { rows: edge, .. }) = border else { return };
+        let nodes = (y.nodes_of(&self.rows), x.nodes_of(&self.strips[0]));
+        let mut strips = Seconds {
+            seconds,
+            width: self.kernel.convolution.size().1,
+            left: self.strips[0].len(),
+            subdivision: [x.subdivision, y.subdivision],
+            out: out.view_mut(),
+        };
+        self.kernel.convolution.convolve(nodes, &mut strips, transform);
+        if let Some(border) = &self.kernel.border {
+            let lines = Lines { edge: &border.rows, across: y, parallel: alone };
             let blocks = kept.blocks(1, y.window(&self.rows));
-            let lines = Lines { edge, across: y, parallel: alone };
             let pieces = Rows { tile: self, kept, blocks };
-            let stride = y.subdivision * edge.convolution.size();
-            lines.subtract(&pieces, self.rows.len(), (spectra, stride), sources);
-        });
-        let valid = field.outer_iter().skip(y.samples() - 1).step_by(y.subdivision);
-        for (mut row, line) in out.outer_iter_mut().zip(valid) {
-            self.add_row(row.as_slice_mut().expect("in C order"), line.as_slice().expect("too"));
-        }
-        if let Some(border) = border {
-            let edge = &border.columns;
+            lines.subtract(&pieces, self.rows.len(), spilt, sources);
+            self.add_rows(&lines, spilt, out.view_mut());
+            let lines = Lines { edge: &border.columns, across: x, parallel: alone };
             let blocks = [0, 1].map(|s| kept.blocks(0, x.window(&self.strips[s])));
-            let lines = Lines { edge, across: x, parallel: alone };
             let pieces = Columns { tile: self, kept, blocks };
-            let size = edge.convolution.size();
-            columns.clear();
-            columns.resize(self.strips[0].len() * size, Complex64::default());
-            lines.subtract(&pieces, self.strips[0].len(), (columns, size), sources);
-            self.add_columns(&lines, columns, out.view_mut());
+            lines.subtract(&pieces, self.strips[0].len(), spilt, sources);
+            self.add_columns(&lines, spilt, out.view_mut());
             if let Some(corners) = &border.corners {
                 self.add_corners(border, corners, kept, out);
             }
@@ -143,14 +145,19 @@ impl<'a> Tile<'a> {
         segments: &[Reach],
         work: &mut Workspace,
     ) -> (usize, bool) {
-        let Workspace { field, cutter, kept: Kept { seconds: kept, cells, kinds }, .. } = work;
+        let Workspace {
+            seconds: nodes, cutter, kept: Kept { seconds: kept, cells, kinds }, ..
+        } = work;
         let border = self.kernel.border.as_ref();
-        let width = field.ncols();
-        field.fill(Complex64::default());
+        let width = self.kernel.convolution.size().1;
+        let rows = self.kernel.y.nodes_of(&self.rows);
+        for nodes in &mut *nodes {
+            nodes.clear();
+            nodes.resize(rows * width, 0.0);
+        }
         kept.clear();
         cells.clear();
         kinds.clear();
-        let nodes = field.as_slice_mut().expect("in C order");
         let x = self.window.low[0]..self.window.high[0];
         let (mut points, mut reached) = (0, false);
         for reach in segments.iter().filter(|r| r.is_in(0, &x)) {
@@ -161,11 +168,11 @@ impl<'a> Tile<'a> {
                     let Some(cx) = self.column(piece.cell[0], part) else { continue };
                     for (b, seconds) in piece.seconds.iter().enumerate() {
                         let r = self.row(piece.cell[1]) + b as i64 - 1;
-                        if r < 0 || r >= (nodes.len() / width) as i64 {
+                        if r < 0 || r >= rows as i64 {
                             continue;
                         }
-                        let line = &mut nodes[r as usize * width..][..width];
-                        add(line, part, cx, *seconds);
+                        let line = &mut nodes[part][r as usize * width..][..width];
+                        add_to(line, cx, *seconds, |v| v);
                     }
                 }
                 if let Some(Border { rows, columns, .. }) = border {
@@ -200,19 +207,28 @@ impl<'a> Tile<'a> {
         (nodes > 0 && c >= -2 && c <= nodes).then_some(c)
     }
 
-    /// Adds the valid part of a convolved line to a row of the tile.
-    fn add_row(&self, row: &mut [f64], line: &[Complex64]) {
+    /// Adds the valid parts of the rows of both strips, given by their spectra.
+    fn add_rows(&self, lines: &Lines, rows: &mut [Complex64], mut out: ArrayViewMut2<f64>) {
+        let convolution = &lines.edge.convolution;
         let x = &self.kernel.x;
-        let (left, right) = row.split_at_mut(self.strips[0].len());
-        let valid = &line[x.samples() - 1..];
-        if x.subdivision == 1 {
-            left.iter_mut().zip(valid).for_each(|(o, v)| *o += v.re);
-            right.iter_mut().zip(valid).for_each(|(o, v)| *o += v.im);
-        } else {
-            let valid = valid.iter().step_by(x.subdivision);
-            left.iter_mut().zip(valid.clone()).for_each(|(o, v)| *o += v.re);
-            right.iter_mut().zip(valid).for_each(|(o, v)| *o += v.im);
-        }
+        out.axis_iter_mut(NdAxis(0))
+            .into_par_iter()
+            .zip(rows.par_chunks_mut(convolution.size()))
+            .with_min_len(if lines.parallel { 1 } else { usize::MAX })
+            .for_each_init(
+                || convolution.scratch(),
+                |scratch, (mut row, line)| {
+                    if line.iter().all(|v| *v == Complex64::default()) {
+                        return; // the transform of zeros
+                    }
+                    convolution.inverse(line, scratch);
+                    let row = row.as_slice_mut().expect("in C order");
+                    let (left, right) = row.split_at_mut(self.strips[0].len());
+                    let valid = line[x.samples() - 1..].iter().step_by(x.subdivision);
+                    left.iter_mut().zip(valid.clone()).for_each(|(o, v)| *o += v.re);
+                    right.iter_mut().zip(valid).for_each(|(o, v)| *o += v.im);
+                },
+            );
     }
 
     /// Adds the valid parts of the `columns` of both strips, given by their spectra.
@@ -293,6 +309,49 @@ impl<'a> Tile<'a> {
     }
 }
 
+/// The seconds of both strips as the sources of a convolution, and the pixels to which their removal is added.
+struct Seconds<'a> {
+    seconds: &'a [Vec<f64>; 2],
+    width: usize,
+    /// Pixels of a row in the left strip.
+    left: usize,
+    /// Nodes for each pixel along [x, y].
+    subdivision: [usize; 2],
+    out: ArrayViewMut2<'a, f64>,
+}
+
+impl Strips<f64> for Seconds<'_> {
+    #[inline(always)]
+    fn read(&self, row: usize, column: usize, left: &mut [f64], right: &mut [f64]) {
+        let at = row * self.width + column;
+        left.copy_from_slice(&self.seconds[0][at..at + left.len()]);
+        right.copy_from_slice(&self.seconds[1][at..at + right.len()]);
+    }
+
+    #[inline(always)]
+    fn write(&mut self, row: usize, column: usize, left: &[f64], right: &[f64]) {
+        let [nx, ny] = self.subdivision;
+        if !row.is_multiple_of(ny) {
+            return;
+        }
+        // The first pixel at one of these nodes.
+        let (pixel, first) = (column.div_ceil(nx), column.next_multiple_of(nx) - column);
+        let (Some(left), Some(right)) = (left.get(first..), right.get(first..)) else { return };
+        let mut out = self.out.row_mut(row / ny);
+        let (to_left, to_right) = out.as_slice_mut().expect("in C order").split_at_mut(self.left);
+        let add = |to: &mut [f64], from: &[f64]| {
+            let to = to.get_mut(pixel..).unwrap_or_default();
+            if nx == 1 {
+                to.iter_mut().zip(from).for_each(|(to, v)| *to += v);
+            } else {
+                to.iter_mut().zip(from.iter().step_by(nx)).for_each(|(to, v)| *to += v);
+            }
+        };
+        add(to_left, left);
+        add(to_right, right);
+    }
+}
+
 /// The pieces by rows of cells, for `E ly`.
 struct Rows<'a> {
     tile: &'a Tile<'a>,
@@ -348,12 +407,7 @@ fn add(line: &mut [Complex64], part: usize, c: i64, seconds: [f64; 4]) {
 }
 
 #[inline(always)]
-fn add_to(
-    line: &mut [Complex64],
-    c: i64,
-    seconds: [f64; 4],
-    part: impl Fn(&mut Complex64) -> &mut f64,
-) {
+fn add_to<V>(line: &mut [V], c: i64, seconds: [f64; 4], part: impl Fn(&mut V) -> &mut f64) {
     let first = usize::try_from(c - 1).unwrap_or(usize::MAX - 4);
     if let Some([n0, n1, n2, n3]) = line.get_mut(first..first + 4) {
         *part(n0) += seconds[0];
