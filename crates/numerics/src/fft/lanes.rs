@@ -28,7 +28,7 @@ const BLOCK: usize = 128;
 pub fn is_size(n: usize) -> bool {
     let mut rest = n;
     for p in [2, 3, 5] {
-        while rest > 0 && rest % p == 0 {
+        while rest > 0 && rest.is_multiple_of(p) {
             rest /= p;
         }
     }
@@ -253,7 +253,7 @@ fn radices(len: usize) -> Vec<usize> {
     }
     radices.extend((0..twos / 3).map(|_| 8));
     for p in [5, 3] {
-        while rest % p == 0 {
+        while rest.is_multiple_of(p) {
             radices.push(p);
             rest /= p;
         }

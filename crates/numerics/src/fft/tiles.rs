@@ -12,7 +12,7 @@ use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
 use rayon::prelude::*;
 
 use super::{
-    lane_convolution::{LaneConvolution, Strips, Workspace, is_field_size},
+    lane_convolution::{LaneConvolution, Strips, Workspace, field_size, is_field_size},
     lanes::{Lanes, round},
 };
 
@@ -53,10 +53,13 @@ impl<T: Lanes> Tiles<T> {
         // Two real elements for one complex, lines that are gathered and scattered, all cores.
         let mut least = field_work::<T>((whole.div_ceil(2), 1)) * 2.0 / CORES as f64;
         let mut best = None;
-        let sizes = |g: usize, n: usize| (g..2 * (n + g) + 16).filter(|n| is_field_size(*n));
-        for nx in sizes(gx, shape.1) {
+        let sizes = |g: usize, valid: usize| -> Vec<usize> {
+            (g..=field_size(valid + g - 1)).filter(|n| is_field_size(*n)).collect()
+        };
+        let (nys, nxs) = (sizes(gy, shape.0), sizes(gx, shape.1));
+        for nx in nxs {
             let strips = shape.1.div_ceil(nx - gx + 1);
-            for ny in sizes(gy, shape.0) {
+            for &ny in &nys {
                 let bands = shape.0.div_ceil(ny - gy + 1);
                 let tiles = strips.div_ceil(2) * bands;
                 let cost = tiles.div_ceil(CORES) as f64 * field_work::<T>((ny, nx));
