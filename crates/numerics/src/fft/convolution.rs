@@ -9,11 +9,12 @@
 //! the part of the convolution that never leaves the source. A circular convolution of the
 //! source's size (rounded up to 2^a 3^b 5^c 7^d) contains it unspoilt: the wrapped part falls on
 //! the first g-1 elements, which are not used. Rows and columns are independent transforms, so
-//! the result does not depend on the number of threads. Large sources are convolved tile by tile
-//! ([`super::tiles`]).
+//! the result does not depend on the number of threads. Where tiles are less work, as with most maps and tools,
+//! sources are convolved tile by tile ([`super::tiles`]).
 //!
 //! In single precision (`T` = f32) a convolution takes two thirds of the time, and its transforms half of the memory;
-//! maps come and go in double precision. With the unit roundoff `u`, the `N` elements of the transform and the 1-norm of the kernel
+//! maps come and go in double precision. With the unit roundoff `u`, the `N` elements of the transform and the 1-norm
+//! of the kernel
 //!
 //! ```text
 //! rms(error) <= 20 log2(N) u |g|_1 rms(s)                                               (1)

@@ -11,6 +11,8 @@
 //!
 //! Everything is the work of one thread. Many fields at once are the work of many.
 
+use std::ops::Range;
+
 use ndarray::ArrayView2;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -140,6 +142,34 @@ struct Run<'a, T: Lanes, X> {
     spectrum: Option<&'a mut Vec<T>>,
 }
 
+/// Where the numbers of a field are.
+#[derive(Clone, Copy)]
+struct Places {
+    lanes: usize,
+    /// Numbers of an element in all lanes.
+    element: usize,
+    /// Numbers from a block of columns to the next.
+    stride: usize,
+    /// Numbers of as many elements as there are lanes.
+    square: usize,
+    /// Blocks with columns of the source.
+    blocks: usize,
+}
+
+impl Places {
+    /// The square of a block and a group of rows.
+    fn square(&self, block: usize, group: usize) -> Range<usize> {
+        let from = block * self.stride + group * self.square;
+        from..from + self.square
+    }
+
+    /// The element of a block and a row.
+    fn element(&self, block: usize, row: usize) -> Range<usize> {
+        let from = block * self.stride + row * self.element;
+        from..from + self.element
+    }
+}
+
 impl<T: Lanes, X: Strips<T>> WithSimd for Run<'_, T, X> {
     type Output = ();
 
@@ -149,58 +179,104 @@ impl<T: Lanes, X: Strips<T>> WithSimd for Run<'_, T, X> {
         let lanes = T::lanes::<S>();
         let element = 2 * lanes;
         let (ny, nx) = plan.size();
-        // Blocks of columns are a few elements further apart than they are long: at a power of two, the squares of one
-        // group of rows would all fall on the same few lines of the cache.
-        let stride = (ny + lanes) * element;
-        work.field.resize(stride * (nx / lanes), T::default());
+        let places = Places {
+            lanes,
+            element,
+            // A few elements more than a block is long: at a power of two, the squares of one group of rows would all
+            // fall on the same few lines of the cache.
+            stride: (ny + lanes) * element,
+            square: lanes * element,
+            blocks: source.1.div_ceil(lanes),
+        };
+        work.field.resize(places.stride * (nx / lanes), T::default());
         work.lines.resize(nx * element, T::default());
-        let blocks = source.1.div_ceil(lanes);
-        for rows in (0..source.0).step_by(ROWS) {
-            for b in 0..blocks {
-                for row in rows..(rows + ROWS).min(source.0) {
-                    let element = &mut work.field[b * stride + row * element..][..element];
-                    let (left, right) = element.split_at_mut(lanes);
-                    strips.read(row, b * lanes, left, right);
+        plan.columns_of(simd, source.0, strips, &mut work.field, places);
+        match spectrum {
+            Some(spectrum) => plan.rows_of_spectrum(simd, &work.field, spectrum, places),
+            None => {
+                plan.convolve_rows(simd, work, places);
+                plan.columns_back(simd, source, strips, &mut work.field, places);
+            }
+        }
+    }
+}
+
+/// The steps of a convolution: all are made part of the one function that may use the vectors of the processor.
+impl<T: Lanes> LaneConvolution<T> {
+    /// Reads the rows of the strips and transforms their columns.
+    #[inline(always)]
+    fn columns_of<S: Simd>(
+        &self,
+        simd: S,
+        rows: usize,
+        strips: &impl Strips<T>,
+        field: &mut [T],
+        places: Places,
+    ) {
+        for from in (0..rows).step_by(ROWS) {
+            for b in 0..places.blocks {
+                for row in from..(from + ROWS).min(rows) {
+                    let element = &mut field[places.element(b, row)];
+                    let (left, right) = element.split_at_mut(places.lanes);
+                    strips.read(row, b * places.lanes, left, right);
                 }
             }
         }
-        for (b, block) in work.field.chunks_exact_mut(stride).enumerate() {
-            let block = &mut block[..ny * element];
-            if b < blocks {
-                block[source.0 * element..].fill(T::default());
-                plan.y.forward::<S>(simd, elements::<T, S>(block));
+        for (b, block) in field.chunks_exact_mut(places.stride).enumerate() {
+            let block = &mut block[..self.y.len() * places.element];
+            if b < places.blocks {
+                block[rows * places.element..].fill(T::default());
+                self.y.forward::<S>(simd, elements::<T, S>(block));
             } else {
                 block.fill(T::default());
             }
         }
-        let square = lanes * element;
-        if let Some(spectrum) = spectrum {
-            for (group, spectrum) in spectrum.chunks_exact_mut(nx * element).enumerate() {
-                for (b, to) in spectrum.chunks_exact_mut(square).enumerate() {
-                    let from = &work.field[b * stride + group * square..][..square];
-                    transpose_parts::<T, S>(from, to);
-                }
-                plan.x.forward::<S>(simd, elements::<T, S>(spectrum));
+    }
+
+    /// Transforms the rows of a field whose columns are.
+    #[inline(always)]
+    fn rows_of_spectrum<S: Simd>(&self, simd: S, field: &[T], spectrum: &mut [T], places: Places) {
+        for (group, lines) in spectrum.chunks_exact_mut(self.x.len() * places.element).enumerate() {
+            for (b, to) in lines.chunks_exact_mut(places.square).enumerate() {
+                transpose_parts::<T, S>(&field[places.square(b, group)], to);
             }
-            return;
+            self.x.forward::<S>(simd, elements::<T, S>(lines));
         }
-        // Blocks of columns before this one are spoilt by what a circular convolution takes from the other end.
-        let first = (plan.kernel.1 - 1) / lanes;
-        for (group, spectrum) in plan.spectrum.chunks_exact(nx * element).enumerate() {
-            for (b, to) in work.lines.chunks_exact_mut(square).enumerate() {
-                transpose_parts::<T, S>(&work.field[b * stride + group * square..][..square], to);
+    }
+
+    /// Convolves these rows.
+    #[inline(always)]
+    fn convolve_rows<S: Simd>(&self, simd: S, work: &mut Workspace<T>, places: Places) {
+        let Workspace { field, lines } = work;
+        let groups = self.spectrum.chunks_exact(self.x.len() * places.element);
+        for (group, spectrum) in groups.enumerate() {
+            for (b, to) in lines.chunks_exact_mut(places.square).enumerate() {
+                transpose_parts::<T, S>(&field[places.square(b, group)], to);
             }
-            let lines = elements::<T, S>(&mut work.lines);
-            plan.x.convolve::<S>(simd, lines, T::vectors::<S>(spectrum).as_chunks::<2>().0);
-            for (b, from) in work.lines.chunks_exact(square).enumerate().skip(first) {
-                let to = &mut work.field[b * stride + group * square..][..square];
-                transpose_parts::<T, S>(from, to);
+            let spectrum = T::vectors::<S>(spectrum).as_chunks::<2>().0;
+            self.x.convolve::<S>(simd, elements::<T, S>(lines), spectrum);
+            let valid = lines.chunks_exact(places.square).enumerate().skip(self.spoilt(places));
+            for (b, from) in valid {
+                transpose_parts::<T, S>(from, &mut field[places.square(b, group)]);
             }
         }
-        let (gy, gx) = plan.kernel;
-        let valid = first..blocks;
-        for block in work.field.chunks_exact_mut(stride).take(blocks).skip(first) {
-            plan.y.inverse::<S>(simd, elements::<T, S>(&mut block[..ny * element]));
+    }
+
+    /// Transforms the columns back and writes the valid parts.
+    #[inline(always)]
+    fn columns_back<S: Simd>(
+        &self,
+        simd: S,
+        source: (usize, usize),
+        strips: &mut impl Strips<T>,
+        field: &mut [T],
+        places: Places,
+    ) {
+        let ((gy, gx), lanes) = (self.kernel, places.lanes);
+        let valid = self.spoilt(places)..places.blocks;
+        for block in field.chunks_exact_mut(places.stride).take(valid.end).skip(valid.start) {
+            let block = &mut block[..self.y.len() * places.element];
+            self.y.inverse::<S>(simd, elements::<T, S>(block));
         }
         for rows in (gy - 1..source.0).step_by(ROWS) {
             for b in valid.clone() {
@@ -211,13 +287,17 @@ impl<T: Lanes, X: Strips<T>> WithSimd for Run<'_, T, X> {
                     continue;
                 }
                 for row in rows..(rows + ROWS).min(source.0) {
-                    let element = &work.field[b * stride + row * element..][..element];
-                    let (left, right) = element.split_at(lanes);
+                    let (left, right) = field[places.element(b, row)].split_at(lanes);
                     let (left, right) = (&left[from..to], &right[from..to]);
                     strips.write(row + 1 - gy, column + from + 1 - gx, left, right);
                 }
             }
         }
+    }
+
+    /// Blocks of columns that a circular convolution spoils as a whole by what it takes from the other end.
+    fn spoilt(&self, places: Places) -> usize {
+        (self.kernel.1 - 1) / places.lanes
     }
 }
 
