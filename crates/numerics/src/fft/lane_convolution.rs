@@ -89,7 +89,7 @@ impl<T: Lanes> LaneConvolution<T> {
 
     /// The shape (ny, nx) of the fields.
     pub fn size(&self) -> (usize, usize) {
-        (self.y.len(), self.x.len())
+        (self.y.size(), self.x.size())
     }
 
     /// The valid parts for sources of shape `source`, at most that of the fields.
@@ -223,7 +223,7 @@ impl<T: Lanes> LaneConvolution<T> {
             }
         }
         for (b, block) in field.chunks_exact_mut(places.stride).enumerate() {
-            let block = &mut block[..self.y.len() * places.element];
+            let block = &mut block[..self.y.size() * places.element];
             if b < places.blocks {
                 block[rows * places.element..].fill(T::default());
                 self.y.forward::<S>(simd, elements::<T, S>(block));
@@ -236,7 +236,8 @@ impl<T: Lanes> LaneConvolution<T> {
     /// Transforms the rows of a field whose columns are.
     #[inline(always)]
     fn rows_of_spectrum<S: Simd>(&self, simd: S, field: &[T], spectrum: &mut [T], places: Places) {
-        for (group, lines) in spectrum.chunks_exact_mut(self.x.len() * places.element).enumerate() {
+        for (group, lines) in spectrum.chunks_exact_mut(self.x.size() * places.element).enumerate()
+        {
             for (b, to) in lines.chunks_exact_mut(places.square).enumerate() {
                 transpose_parts::<T, S>(&field[places.square(b, group)], to);
             }
@@ -248,7 +249,7 @@ impl<T: Lanes> LaneConvolution<T> {
     #[inline(always)]
     fn convolve_rows<S: Simd>(&self, simd: S, work: &mut Workspace<T>, places: Places) {
         let Workspace { field, lines } = work;
-        let groups = self.spectrum.chunks_exact(self.x.len() * places.element);
+        let groups = self.spectrum.chunks_exact(self.x.size() * places.element);
         for (group, spectrum) in groups.enumerate() {
             for (b, to) in lines.chunks_exact_mut(places.square).enumerate() {
                 transpose_parts::<T, S>(&field[places.square(b, group)], to);
@@ -275,7 +276,7 @@ impl<T: Lanes> LaneConvolution<T> {
         let ((gy, gx), lanes) = (self.kernel, places.lanes);
         let valid = self.spoilt(places)..places.blocks;
         for block in field.chunks_exact_mut(places.stride).take(valid.end).skip(valid.start) {
-            let block = &mut block[..self.y.len() * places.element];
+            let block = &mut block[..self.y.size() * places.element];
             self.y.inverse::<S>(simd, elements::<T, S>(block));
         }
         for rows in (gy - 1..source.0).step_by(ROWS) {

@@ -166,7 +166,7 @@ pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];
 
 /// Transforms of lines of one length.
 pub struct Transform<T> {
-    len: usize,
+    size: usize,
     levels: Vec<Level<T>>,
 }
 
@@ -195,17 +195,12 @@ impl<T: Lanes> Transform<T> {
             size = rest;
             level
         });
-        Self { len, levels: levels.collect() }
+        Self { size: len, levels: levels.collect() }
     }
 
     /// Elements of a line.
-    pub fn len(&self) -> usize {
-        self.len
-    }
-
-    /// There is always one.
-    pub fn is_empty(&self) -> bool {
-        false
+    pub fn size(&self) -> usize {
+        self.size
     }
 
     /// The transforms of lines, their frequencies in the order of this type.
