@@ -2,9 +2,10 @@
 
 use std::{
     fs::{self, File, OpenOptions, TryLockError},
-    io::{ErrorKind, Read, Write},
+    io::{ErrorKind, Read, Seek, Write},
     path::{Path, PathBuf},
-    process,
+    process, thread,
+    time::Duration,
 };
 
 use clap::Args;
@@ -16,6 +17,11 @@ const OWNER: &str = "run.json";
 /// Locked while a run has the directory; says which process that is. It stays when the run is over:
 /// to remove it would let two runs lock two files of the same name.
 const LOCK: &str = "run.lock";
+
+/// How often a run that finds the directory locked reads which process has it, and how long it waits in between: a
+/// second in all, for a slow disk.
+const READS_OF_HOLDER: usize = 20;
+const BETWEEN_READS: Duration = Duration::from_millis(50);
 
 #[derive(Args)]
 pub struct Start {
@@ -168,10 +174,7 @@ fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> 
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
-            let mut holder = String::new();
-            let read = lock.read_to_string(&mut holder);
-            let holder =
-                if read.is_ok() && !holder.is_empty() { holder.trim() } else { "another run" };
+            let holder = holder(&mut lock);
             return Err(Failure::new(format!(
                 "{} is in use by {holder}; wait until it has ended, or give another out",
                 out.display()
@@ -188,6 +191,20 @@ fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> 
         .and_then(|()| lock.write_all(holder.as_bytes()))
         .map_err(|e| failed("write in it", e))?;
     Ok(lock)
+}
+
+/// Who holds a lock: it says so a moment after it has taken it, when `run.json` is on the disk.
+fn holder(lock: &mut File) -> String {
+    for _ in 0..READS_OF_HOLDER {
+        let mut holder = String::new();
+        if lock.rewind().and_then(|()| lock.read_to_string(&mut holder)).is_ok()
+            && !holder.is_empty()
+        {
+            return holder.trim().into();
+        }
+        thread::sleep(BETWEEN_READS);
+    }
+    "another run".into()
 }
 
 /// Whether the directory is the owner's already; `false` where it is nobody's, an error where it is
