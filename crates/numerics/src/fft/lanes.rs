@@ -356,17 +356,9 @@ impl<T: Lanes> Level<T> {
         if self.rest == 1 {
             for block in block.as_chunks_mut::<RADIX>().0 {
                 let mut v = *block;
-                if INVERSE {
-                    for v in &mut v {
-                        *v = [v[1], v[0]];
-                    }
-                }
+                exchange::<T, S, INVERSE>(&mut v);
                 v = B::dft::<T, S>(simd, v);
-                if INVERSE {
-                    for v in &mut v {
-                        *v = [v[1], v[0]];
-                    }
-                }
+                exchange::<T, S, INVERSE>(&mut v);
                 *block = v;
             }
             return;
@@ -380,46 +372,46 @@ impl<T: Lanes> Level<T> {
         let twiddles = &self.twiddles.as_chunks::<OTHERS>().0[..m];
         for j in 0..m {
             let mut v = [x[0][j]; RADIX];
-            for q in 0..RADIX {
-                let [re, im] = x[q][j];
-                v[q] = if INVERSE { [im, re] } else { [re, im] };
+            for q in 1..RADIX {
+                v[q] = x[q][j];
             }
+            exchange::<T, S, INVERSE>(&mut v);
             if INVERSE {
-                for p in 1..RADIX {
-                    v[p] = times::<T, S>(
-                        simd,
-                        v[p],
-                        [
-                            T::splat(simd, twiddles[j][p - 1][0]),
-                            T::splat(simd, twiddles[j][p - 1][1]),
-                        ],
-                    );
-                }
-                v = B::dft::<T, S>(simd, v);
-            } else {
-                v = B::dft::<T, S>(simd, v);
-                for p in 1..RADIX {
-                    v[p] = times::<T, S>(
-                        simd,
-                        v[p],
-                        [
-                            T::splat(simd, twiddles[j][p - 1][0]),
-                            T::splat(simd, twiddles[j][p - 1][1]),
-                        ],
-                    );
-                }
+                twiddle::<T, S>(simd, &mut v[1..], &twiddles[j]);
             }
+            v = B::dft::<T, S>(simd, v);
+            if !INVERSE {
+                twiddle::<T, S>(simd, &mut v[1..], &twiddles[j]);
+            }
+            exchange::<T, S, INVERSE>(&mut v);
             for q in 0..RADIX {
-                let [re, im] = v[q];
-                x[q][j] = if INVERSE { [im, re] } else { [re, im] };
+                x[q][j] = v[q];
             }
         }
     }
 }
 
+/// Exchanges real and imaginary parts on the way back.
+#[inline(always)]
+fn exchange<T: Lanes, S: Simd, const INVERSE: bool>(v: &mut [Element<T, S>]) {
+    if INVERSE {
+        for [re, im] in v {
+            std::mem::swap(re, im);
+        }
+    }
+}
+
+/// Multiplies by a root of unity each.
+#[inline(always)]
+fn twiddle<T: Lanes, S: Simd>(simd: S, v: &mut [Element<T, S>], roots: &[[T; 2]]) {
+    for (v, [re, im]) in v.iter_mut().zip(roots) {
+        *v = times::<T, S>(simd, *v, [T::splat(simd, *re), T::splat(simd, *im)]);
+    }
+}
+
 /// `a b`.
 #[inline(always)]
-pub fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Element<T, S> {
+fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Element<T, S> {
     let [re, im] = [T::product(simd, a[0], b[0]), T::product(simd, a[0], b[1])];
     [T::negate_mul_add(simd, a[1], b[1], re), T::mul_add(simd, a[1], b[0], im)]
 }
