@@ -23,6 +23,32 @@ pub mod transform;
 
 pub use rustfft::num_complex::{Complex, Complex64};
 
+use crate::vectors::vectorised;
+
+/// `sum += a b`, element by element.
+pub fn add_products(sum: &mut [Complex64], a: &[Complex64], b: &[Complex64]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+                *sum += a * b;
+            }
+        },
+    );
+}
+
+/// `sum += a b*`, element by element.
+pub fn add_conjugate_products(sum: &mut [Complex64], a: &[Complex64], b: &[Complex64]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+                *sum += a * b.conj();
+            }
+        },
+    );
+}
+
 /// Smallest `m >= n` without prime factors above 7.
 pub fn smooth_size(n: usize) -> usize {
     (n.max(1)..)

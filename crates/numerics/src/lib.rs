@@ -29,3 +29,4 @@ pub mod quadrature;
 pub mod slope;
 pub mod spectrum;
 pub mod statistics;
+pub mod vectors;

@@ -18,6 +18,7 @@ use planish_numerics::{
     keys,
     linear::skyline::{Sums, dot},
     quadrature::gauss_legendre,
+    vectors::vectorised,
 };
 use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
@@ -498,13 +499,19 @@ impl Patch {
         if r0 >= r1 || c0 >= c1 {
             return 0.0;
         }
-        let row = |p: &'_ Self, r: usize| -> Range<usize> {
-            let start = (r - p.origin.0) * p.rate_nm_per_s.ncols() + c0 - p.origin.1;
-            start..start + (c1 - c0)
-        };
-        let (a, b) = (self.all(), other.all());
+        // Of the first of the common rows on.
+        let (a, b) =
+            (&self.all()[(r0 - self.origin.0) * nx..], &other.all()[(r0 - other.origin.0) * mx..]);
+        let (left_a, left_b, width) = (c0 - self.origin.1, c0 - other.origin.1, c1 - c0);
         let mut sums = Sums::default();
-        (r0..r1).for_each(|r| sums.add_products(&a[row(self, r)], &b[row(other, r)]));
+        vectorised(
+            #[inline(always)]
+            || {
+                for (a, b) in a.chunks_exact(nx).zip(b.chunks_exact(mx)).take(r1 - r0) {
+                    sums.add_products(&a[left_a..left_a + width], &b[left_b..left_b + width]);
+                }
+            },
+        );
         sums.total()
     }
 

@@ -12,6 +12,7 @@ use ndarray::ArrayView2;
 use rustfft::{Fft, FftPlanner};
 
 use super::Complex64;
+use crate::vectors::vectorised;
 
 /// Products that are summed in one pass over a line.
 const TERMS: usize = 3;
@@ -85,13 +86,18 @@ impl LineConvolution {
             let (j, source) = terms[t];
             (&self.spectrum[j * n..][..n], &source[..n])
         });
-        for k in 0..n {
-            let mut rest = sum[k];
-            for (g, s) in &factors {
-                rest -= g[k] * s[k];
-            }
-            sum[k] = rest;
-        }
+        vectorised(
+            #[inline(always)]
+            || {
+                for k in 0..n {
+                    let mut rest = sum[k];
+                    for (g, s) in &factors {
+                        rest -= g[k] * s[k];
+                    }
+                    sum[k] = rest;
+                }
+            },
+        );
     }
 }
 

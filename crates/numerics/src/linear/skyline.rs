@@ -24,7 +24,7 @@ use std::ops::Range;
 use ndarray::{Array2, Axis, LinalgScalar, linalg::general_mat_mul, s};
 use rayon::prelude::*;
 
-use crate::precision::Real;
+use crate::{precision::Real, vectors::vectorised};
 
 /// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
 /// matrix products to run at full speed.
@@ -154,12 +154,17 @@ impl Skyline {
             BLOCK * self.blocks.iter().map(is_first_half).take_while(|first| *first).count();
         let of = |rows: Range<usize>| {
             let mut y = vec![0.0; self.len()];
-            for i in rows {
-                let row = self.row(i);
-                let (left, from) = (&row[..row.len() - 1], self.first[i]);
-                y[i] += dot(left, &x[from..i]) + row[left.len()] * x[i];
-                axpy(x[i], left, &mut y[from..i]);
-            }
+            vectorised(
+                #[inline(always)]
+                || {
+                    for i in rows {
+                        let row = self.row(i);
+                        let (left, from) = (&row[..row.len() - 1], self.first[i]);
+                        y[i] += dot(left, &x[from..i]) + row[left.len()] * x[i];
+                        axpy(x[i], left, &mut y[from..i]);
+                    }
+                },
+            );
             y
         };
         let parallel = self.elements() >= MIN_ELEMENTS_PARALLEL;
@@ -400,7 +405,16 @@ impl<T: Number> Factor<T> {
             let middle = y.len() / 2;
             let product = |from: usize, to: usize| {
                 let mut sums = [0.0; BLOCK];
-                add_products(&left[from * rows..to * rows], &y[from..to], &mut sums[..rows]);
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        add_products(
+                            &left[from * rows..to * rows],
+                            &y[from..to],
+                            &mut sums[..rows],
+                        );
+                    },
+                );
                 sums
             };
             let (early, late) = both(parallel, || product(0, middle), || product(middle, y.len()));
@@ -426,8 +440,14 @@ impl<T: Number> Factor<T> {
             let (before, after) = y.split_at_mut(middle);
             let (left_before, left_after) = left.split_at(middle * rows);
             let subtract = |left: &[T], y: &mut [f64]| {
-                let columns = left.chunks_exact(rows).zip(y);
-                columns.for_each(|(column, y)| *y -= dot(column, x));
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for (column, y) in left.chunks_exact(rows).zip(y) {
+                            *y -= dot(column, x);
+                        }
+                    },
+                );
             };
             both(parallel, || subtract(left_before, before), || subtract(left_after, after));
         }
@@ -435,6 +455,7 @@ impl<T: Number> Factor<T> {
 }
 
 /// `sums += columns y`, of as many rows as there are sums.
+#[inline(always)]
 fn add_products<T: Number>(columns: &[T], y: &[f64], sums: &mut [f64]) {
     let rows = sums.len();
     // Two columns at once: the sums are read and written half as often.
@@ -463,6 +484,7 @@ fn both<R: Send>(
 }
 
 /// Sum of products.
+#[inline(always)]
 pub fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
     let mut sums = Sums::default();
     sums.add_products(a, b);
@@ -475,7 +497,7 @@ pub struct Sums([f64; 8]);
 
 impl Sums {
     /// Adds the products of the elements of two slices of the same length.
-    #[inline]
+    #[inline(always)]
     pub fn add_products<T: Copy + Into<f64>>(&mut self, a: &[T], b: &[f64]) {
         let ((a8, a_rest), (b8, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
         for (a, b) in a8.iter().zip(b8) {
@@ -489,14 +511,18 @@ impl Sums {
     }
 
     /// The sum.
+    #[inline(always)]
     pub fn total(&self) -> f64 {
         self.0.iter().sum()
     }
 }
 
 /// `y += a x`.
+#[inline(always)]
 pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
-    y.iter_mut().zip(x).for_each(|(y, x)| *y += a * (*x).into());
+    for (y, x) in y.iter_mut().zip(x) {
+        *y += a * (*x).into();
+    }
 }
 
 /// X of `L X = 1`, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.

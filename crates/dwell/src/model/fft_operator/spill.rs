@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis};
 use planish_numerics::{
-    fft::{Complex64, line},
+    fft::{Complex64, add_conjugate_products, add_products, line},
     keys,
 };
 use rayon::prelude::*;
@@ -49,6 +49,9 @@ impl Under {
         on.for_each(|(v, w)| *v += w * seconds);
     }
 }
+
+/// Rows of the samples that what spills over one edge is made of, at most: the edge may be between two of them.
+const MAX_CORNER_ROWS: usize = 4;
 
 /// Lines that one thread takes at a time.
 pub const LINES_PER_TASK: usize = 32;
@@ -225,9 +228,7 @@ impl Across {
                                     let r = (line - range.start) as usize;
                                     used[r] = true;
                                     let sum = &mut sums[r * half..(r + 1) * half];
-                                    for ((sum, s), g) in sum.iter_mut().zip(&*seconds).zip(g) {
-                                        *sum += s * g;
-                                    }
+                                    add_products(sum, seconds, g);
                                 }
                             }
                         }
@@ -265,38 +266,39 @@ impl Across {
         mut add: impl FnMut(usize, usize, f64),
     ) {
         let (wy, wx) = (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]));
-        let along = &self.along;
-        let [low, high] = along.spills(p.offset[1]);
-        let mut of_pixel = |c: isize, from: isize, to: isize| {
-            let pixel = p.cell[1] as isize + c;
-            if pixel < 0 || pixel >= along.pixels as isize {
-                return;
-            }
-            let mut lines = [(0, 0.0); 8];
-            let mut count = 0;
-            for (k, d) in self.pairs(group, upper) {
-                let line = group.cell + k;
-                if !range.contains(&line) {
-                    continue;
-                }
-                let row = samples.row((k - d + 1) as usize);
-                let rate: f64 =
-                    (from..=to).map(|e| wx[(e + 1) as usize] * row[(c - e + 1) as usize]).sum();
-                if count == 0 || lines[count - 1].0 != line {
-                    lines[count] = (line, 0.0);
-                    count += 1;
-                }
-                lines[count - 1].1 += wy[(d + 1) as usize] * rate;
-            }
-            for (line, rate) in &lines[..count] {
-                add(*line as usize, pixel as usize, *rate);
-            }
+        let (width, all) = (samples.ncols(), samples.as_slice().expect("in C order"));
+        let last = self.across.last;
+        // Lines k, and rows j = k - d of the samples that they get something from.
+        let (lines, rows) = if upper {
+            (group.spills[1]..=last + 2, group.spills[1] - 2..=last)
+        } else {
+            (-2..=group.spills[0], -1..=group.spills[0] + 1)
         };
-        for c in -2..=low {
-            of_pixel(c, -1, (c + 1).min(2));
-        }
-        for c in high..=along.last + 2 {
-            of_pixel(c, (c - along.last).max(-1), 2);
+        let first_row = *rows.start();
+        let [low, high] = self.along.spills(p.offset[1]);
+        let before = (-2..=low).map(|c| (c, -1, (c + 1).min(2)));
+        let after = (high..=self.along.last + 2).map(|c| (c, (c - self.along.last).max(-1), 2));
+        for (c, from, to) in before.chain(after) {
+            let pixel = p.cell[1] as isize + c;
+            if pixel < 0 || pixel >= self.along.pixels as isize {
+                continue;
+            }
+            // h[j] = sum_e w_e g[j, c - e]
+            let weights = &wx[(from + 1) as usize..=(to + 1) as usize];
+            let mut h = [0.0; MAX_CORNER_ROWS];
+            for (h, j) in h.iter_mut().zip(rows.clone()) {
+                let at = (j + 1) as usize * width;
+                let g = &all[at + (c - to + 1) as usize..=at + (c - from + 1) as usize];
+                *h = weights.iter().zip(g.iter().rev()).map(|(w, g)| w * g).sum();
+            }
+            for k in lines.clone().filter(|k| range.contains(&(group.cell + k))) {
+                let d = if upper { (k - last).max(-1)..=2 } else { -1..=(k + 1).min(2) };
+                let mut rate = 0.0;
+                for d in d {
+                    rate += wy[(d + 1) as usize] * h[(k - d - first_row) as usize];
+                }
+                add((group.cell + k) as usize, pixel as usize, rate);
+            }
         }
     }
 
@@ -352,9 +354,7 @@ impl Across {
                                     spectra.len() - 1
                                 });
                                 used = true;
-                                for ((sum, m), g) in sum.iter_mut().zip(&spectra[at].1).zip(g) {
-                                    *sum += m * g.conj();
-                                }
+                                add_conjugate_products(sum, &spectra[at].1, g);
                             }
                         }
                         if used {
