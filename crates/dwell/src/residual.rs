@@ -86,9 +86,18 @@ impl<'a> Residual<'a> {
 
     /// f and its gradient for the times at the places (n), s.
     pub fn evaluate(&self, time_s: &[f64]) -> Evaluation {
-        let removal_nm = self.operator.apply(time_s);
+        self.evaluate_removal(&self.removal_nm(time_s))
+    }
+
+    /// B t for the times at the places (n), s; (ny, nx), nm.
+    pub fn removal_nm(&self, time_s: &[f64]) -> Array2<f64> {
+        self.operator.apply(time_s)
+    }
+
+    /// f and its gradient where the removal (ny, nx), nm, is this one in the place of B t.
+    pub fn evaluate_removal(&self, removal_nm: &Array2<f64>) -> Evaluation {
         let mut r = Zip::from(self.desired.height_nm())
-            .and(&removal_nm)
+            .and(removal_nm)
             .and(&self.weight)
             .par_map_collect(|z, b, w| if *w > 0.0 { z - b } else { 0.0 });
         self.basis.project(&self.weight, &mut r);

@@ -39,7 +39,7 @@ use planish_numerics::{
     },
     qp::bounded::Quadratic,
 };
-use planish_types::{End, progress};
+use planish_types::{End, Invalid, progress};
 
 use crate::{
     certificate,
@@ -108,9 +108,10 @@ const NEAR_THE_MINIMUM: f64 = 0.3;
 /// Least steps of an [`approach`], in which dual variables that were those of other rows become those of these.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
-/// What the free functions must leave of the matrix at least ([`Woodbury::least_left`]) for a factor in single precision:
-/// ten times the rounding of their products. Where they leave less the factor is made in double precision.
-const LEFT_TO_SINGLE: f64 = 1e-6;
+/// What the free functions must leave of the matrix at least ([`Woodbury::least_left`]) for a factor in single precision
+/// as it is: a thousand times the rounding of their products. Where they leave less, it is refined, and where that fails the
+/// factor is made in double precision.
+const LEFT_TO_SINGLE: f64 = 1e-4;
 
 /// Before any step.
 const FIRST: Progress = Progress { iteration: 0, complementarity: f64::INFINITY };
@@ -146,9 +147,19 @@ impl<'a> Program<'a> {
         }
         added.sort_unstable_by_key(|e| (e.row, e.column));
         let Quadratic { k, u } = &self.normal.matrix;
-        let single = k.factorise_in_single(&added);
-        let single = single.and_then(|factor| Woodbury::new(factor, u.clone()));
-        let single = single.filter(|woodbury| woodbury.least_left() >= LEFT_TO_SINGLE);
+        let product = |x: &[f64]| {
+            let mut product = k.product(x);
+            for e in &added {
+                product[e.row] += e.value * x[e.column];
+                if e.column != e.row {
+                    product[e.column] += e.value * x[e.row];
+                }
+            }
+            product
+        };
+        let single = k
+            .factorise_in_single(&added)
+            .and_then(|factor| Woodbury::refined(factor, u.clone(), LEFT_TO_SINGLE, product));
         let by_rows = match single {
             Some(woodbury) => ByRows::Single(woodbury),
             None => {
@@ -261,13 +272,13 @@ pub struct Start {
 }
 
 /// Minimises (1) from densities strictly inside. The objective may change from step to step while its price is still
-/// being found; nothing is proven, or compared, before it is.
+/// being found; nothing is proven, or compared, before it is. `None` where the matrix is singular to rounding.
 pub fn solve(
     program: &Program<'_>,
     start: Start,
     stop: &Stop,
     merit: &mut Merit<'_>,
-) -> Option<Solution> {
+) -> Result<Option<Solution>, Invalid> {
     let row_of = program.normal.row_of();
     let (f, mut settled) = merit.evaluate(FIRST, &start.density);
     let mut at = Iterate::new(program, start, f);
@@ -290,7 +301,7 @@ pub fn solve(
             && (at.kept.is_some() || complementarity <= kept_below * enough && !falls);
         let last = iteration >= stop.max_iterations;
         if near || last || complementarity <= REFERRED_AGAIN * referred_at {
-            merit.refer_to(&at.density);
+            merit.refer_to(there, &at.density, at.kept.is_some())?;
             at.f = merit.evaluate(there, &at.density).0;
             referred_at = complementarity;
         }
@@ -300,7 +311,10 @@ pub fn solve(
         }
         if near || last {
             if near && of_curvature.is_none() {
-                of_curvature = Some(program.inverse(&row_of, program.chain)?);
+                of_curvature = program.inverse(&row_of, program.chain);
+                if of_curvature.is_none() {
+                    return Ok(None);
+                }
             }
             let gap = at.gap(of_curvature.as_ref().filter(|_| near), stop.relative_gap, merit);
             let executable = at.executable(gap);
@@ -326,14 +340,21 @@ pub fn solve(
                 at.keep_tangents(gap);
             }
         }
-        let step = at.step(&row_of)?;
+        let Some(step) = at.step(&row_of) else { return Ok(None) };
         let complementarity = at.advance(&step);
         iteration += 1;
         (at.f, settled) = merit.evaluate(Progress { iteration, complementarity }, &at.density);
     };
-    let Executable { density, relative_gap, .. } = best?;
     let duals = [at.z, at.y];
-    Some(Solution { density, objective: values, duals, iterations: iteration, relative_gap, end })
+    let solution = |Executable { density, relative_gap, .. }| Solution {
+        density,
+        objective: values,
+        duals,
+        iterations: iteration,
+        relative_gap,
+        end,
+    };
+    Ok(best.map(solution))
 }
 
 /// Where the method is when it has come near the minimum.
@@ -352,12 +373,13 @@ pub struct Approach {
 }
 
 /// Goes towards the minimum of (1) without proving anything: to where the mesh of the densities can be judged.
+/// `None` where the matrix is singular to rounding.
 pub fn approach(
     program: &Program<'_>,
     start: Start,
     max_iterations: usize,
     merit: &mut Merit<'_>,
-) -> Option<Approach> {
+) -> Result<Option<Approach>, Invalid> {
     let row_of = program.normal.row_of();
     let f = merit.evaluate(FIRST, &start.density).0;
     let mut at = Iterate::new(program, start, f);
@@ -368,20 +390,20 @@ pub fn approach(
         && (iterations < LEAST_STEPS_OF_AN_APPROACH
             || complementarity > NEAR_THE_MINIMUM * at.f.value)
     {
-        let step = at.step(&row_of)?;
+        let Some(step) = at.step(&row_of) else { return Ok(None) };
         let by_tangents = at.advance(&step);
         iterations += 1;
         let there = Progress { iteration: iterations, complementarity: by_tangents };
         complementarity = at.complementarity();
         if complementarity <= REFERRED_AGAIN * referred_at {
-            merit.refer_to(&at.density);
+            merit.refer_to(there, &at.density, true)?;
             referred_at = complementarity;
         }
         at.f = merit.evaluate(there, &at.density).0;
     }
     let mean_product = complementarity / (at.c.len() + at.room.len()) as f64;
     let Iterate { density, z, y, f, .. } = at;
-    Some(Approach { density, duals: [z, y], value: f.value, mean_product, iterations })
+    Ok(Some(Approach { density, duals: [z, y], value: f.value, mean_product, iterations }))
 }
 
 /// An iterate that keeps the rows themselves.
@@ -791,7 +813,7 @@ mod tests {
             let chain = (&chain.0[..], &chain.1[..]);
             let program = Program { normal: &normal, chain, lo: &lo, rows: &rows };
             let start = Start { density: density.clone(), duals: None };
-            let solution = solve(&program, start, &stop, &mut merit).unwrap();
+            let solution = solve(&program, start, &stop, &mut merit).unwrap().unwrap();
             assert_eq!(solution.end, End::Optimal);
             let d = &solution.density;
             // Where it ended f is that of the removal itself; far from there what the cells lose is missing, some percent

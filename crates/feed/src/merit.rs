@@ -15,9 +15,21 @@
 //! ```
 //!
 //! and the price is the one for which x is as asked.
+//!
+//! The residual is that of the motion. Its removal M(D) is not linear in the densities: between two nodes the motion has
+//! the times and feeds of D at both, but not D itself. So near the minimum, at some densities D_k,
+//!
+//! ```text
+//! removal(D) = B D + M(D_k) - B D_k                                                      (3)
+//! ```
+//!
+//! takes the place of B D. The difference is simulated again until it ceases to change the mean square, so what is
+//! minimised in the end is the residual of what will be executed, by the gradient of the linear model.
 
+use ndarray::Array2;
 use planish_dwell::residual::{Normal, Residual};
 use planish_numerics::linear::skyline::dot;
+use planish_types::Invalid;
 use serde::Serialize;
 
 use crate::mesh::Mesh;
@@ -31,6 +43,10 @@ const NEARLY_SOLVED: f64 = 0.03;
 /// Steps in which the price is looked for.
 const PRICE_STEPS: usize = 40;
 
+/// Complementarity over half the mean square from which on the motion is simulated: before that the densities are far from
+/// those that will be executed.
+const SIMULATED_BELOW: f64 = 0.3;
+
 /// What a second costs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -40,6 +56,9 @@ pub enum Price {
     /// (2): by how many percent one percent more time lowers the mean square, where the plan ends.
     Elasticity(f64),
 }
+
+/// The removal of the motion for densities (nodes), nm: a map like the desired removal.
+pub type Executed<'a> = &'a dyn Fn(&[f64]) -> Result<Array2<f64>, Invalid>;
 
 /// How a method came to densities.
 #[derive(Clone, Copy, Debug)]
@@ -78,6 +97,11 @@ pub struct Merit<'a> {
     pub price: f64,
     price_is_found: bool,
     reference: Reference,
+    executed: Option<Executed<'a>>,
+    /// M(D_k) - B D_k of (3), nm, once the motion was simulated.
+    beyond_nm: Option<Array2<f64>>,
+    /// Half the mean square where (1) was computed last.
+    last_half_mean_square_nm2: f64,
 }
 
 /// Where the mean square f was last computed with the removal itself. Elsewhere it is, with the normal matrix H, which is on
@@ -95,8 +119,14 @@ struct Reference {
 }
 
 impl Reference {
-    fn new(residual: &Residual<'_>, mesh: &Mesh, density: &[f64]) -> Self {
-        let at = residual.evaluate(&mesh.times_s(density));
+    /// For densities and their removal.
+    fn new(
+        residual: &Residual<'_>,
+        mesh: &Mesh,
+        density: &[f64],
+        removal_nm: &Array2<f64>,
+    ) -> Self {
+        let at = residual.evaluate_removal(removal_nm);
         Self {
             density: density.to_vec(),
             half_mean_square_nm2: at.half_mean_square_nm2,
@@ -137,8 +167,21 @@ impl<'a> Merit<'a> {
             wanted,
             price,
             price_is_found,
-            reference: Reference::new(residual, mesh, density),
+            reference: Reference::new(
+                residual,
+                mesh,
+                density,
+                &residual.removal_nm(&mesh.times_s(density)),
+            ),
+            executed: None,
+            beyond_nm: None,
+            last_half_mean_square_nm2: f64::INFINITY,
         }
+    }
+
+    /// With the removal of the motion itself, (3).
+    pub fn of_motion(self, executed: Executed<'a>) -> Self {
+        Self { executed: Some(executed), ..self }
     }
 
     /// The curvature of (1) without that of the residual: diagonal (nodes), and element (j, j - 1) for every j.
@@ -153,9 +196,31 @@ impl<'a> Merit<'a> {
         (diagonal, below)
     }
 
-    /// Computes the mean square and its gradient at densities with the removal itself.
-    pub fn refer_to(&mut self, density: &[f64]) {
-        self.reference = Reference::new(self.residual, self.mesh, density);
+    /// Computes the mean square and its gradient at densities with the removal itself: near the minimum with that of their
+    /// motion, unless (3) `stays` what it is.
+    pub fn refer_to(&mut self, at: Progress, density: &[f64], stays: bool) -> Result<(), Invalid> {
+        let near = at.complementarity <= SIMULATED_BELOW * self.last_half_mean_square_nm2;
+        let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
+        if let Some(executed) = self.executed.filter(|_| near && !stays) {
+            self.beyond_nm = Some(executed(density)? - &model_nm);
+        }
+        self.reference = self.reference_at(density, model_nm);
+        Ok(())
+    }
+
+    /// By (3).
+    fn reference_at(&self, density: &[f64], model_nm: Array2<f64>) -> Reference {
+        let mut removal_nm = model_nm;
+        if let Some(beyond_nm) = &self.beyond_nm {
+            removal_nm += beyond_nm;
+        }
+        Reference::new(self.residual, self.mesh, density, &removal_nm)
+    }
+
+    /// Half the mean square of the residual by (3), nm^2.
+    pub fn half_mean_square_nm2(&self, density: &[f64]) -> f64 {
+        let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
+        self.reference_at(density, model_nm).half_mean_square_nm2
     }
 
     /// (1) and its gradient, and whether the price is found: while it is looked for it changes from step to step.
@@ -166,6 +231,7 @@ impl<'a> Merit<'a> {
         let half_mean_square_nm2 = reference.half_mean_square_nm2
             + dot(&reference.gradient, &off)
             + 0.5 * dot(&curved, &off);
+        self.last_half_mean_square_nm2 = half_mean_square_nm2;
         let mut gradient: Vec<f64> =
             reference.gradient.iter().zip(&curved).map(|(g, c)| g + c).collect();
         let total_s = dot(&self.lengths_mm, density);

@@ -5,7 +5,6 @@
 //! -> motion -> its removal (simulated) and its limits (proven)
 //! ```
 
-use planish_dwell::residual::Free;
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
@@ -18,7 +17,6 @@ use crate::{
     FeedError,
     curve::{self, Curve, Rounding, Smooth},
     jerk::Average,
-    merit::Price,
     mesh::Mesh,
     problem::{Asked, Found, Meshes, Solved, solve},
     settings::Settings,
@@ -36,9 +34,6 @@ const RADIUS_OVER_TIF_WIDTH: f64 = 1.0;
 
 /// By how much a motion that keeps a limit on jerk may leave the one that was planned, over the width of the TIF.
 const JERK_DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
-
-/// Most times that the desired removal is corrected by what averaging adds.
-const MAX_CORRECTIONS: usize = 3;
 
 /// Least spacing over the width of the TIF; what is smaller is a mistake in the units.
 const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
@@ -183,36 +178,30 @@ pub fn plan(
             (mesh, (taken_mm > spacing_mm).then_some(widened))
         }
     };
-    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
-    let case = Case { desired, tif, path, curves: &curves, limits, average };
     // Where the first nodes are as many as can be afforded there is none to add.
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
-    let mut best = case.executed(
+    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
+    let averaged = |planned: &Trajectory| match average {
+        None => Ok(planned.clone()),
+        Some(average) => average.of(planned),
+    };
+    let asked = Asked {
         desired,
-        Meshes { first: mesh, refinements, most_work },
-        &simulation,
-        settings,
-    )?;
+        tif,
+        path,
+        curves: &curves,
+        limits: &average.map_or(Ok(limits.clone()), |a| a.limits(limits))?,
+        executed: &|planned| Ok(simulation.removal_nm(&averaged(planned)?)?.0),
+    };
+    let Solved { mesh, nodes_of_meshes, found } =
+        solve(&asked, Meshes { first: mesh, refinements, most_work }, settings)?;
+    let Found { solution, motion, mut refused, model_rms_nm, price, iterations, rounds } = found;
+    let trajectory = averaged(&motion.trajectory)?;
     if average.is_some() {
-        // At the same price, so that the objectives can be compared.
-        let fixed = Settings { price: Price::Nm2PerS(best.solved.found.price), ..*settings };
-        for _ in 0..MAX_CORRECTIONS {
-            let asked = best.corrected(desired, &simulation)?;
-            let first = best.solved.mesh.clone();
-            let same = Meshes { first, refinements: 0, most_work };
-            let next = case.executed(&asked, same, &simulation, &fixed)?;
-            if next.refused.is_some()
-                || next.objective_nm2(settings) >= best.objective_nm2(settings)
-            {
-                break;
-            }
-            best = next;
-        }
+        refused = verify(&trajectory, limits, &VerifySettings::default())?.reason();
     }
-    let Executed { solved, trajectory, refused, removal } = best;
-    let Solved { mesh, nodes_of_meshes, found } = solved;
-    let Found { solution, motion, model_rms_nm, price, iterations, rounds, .. } = found;
+    let removal = simulation.predict(&trajectory, desired)?.removal;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let corners = || curves.iter().flat_map(Curve::corners);
     let report = Report {
@@ -241,70 +230,6 @@ pub fn plan(
         rounds,
     };
     Ok(Plan { dwell, trajectory, removal, refused, report })
-}
-
-/// What stays the same while the desired removal is corrected.
-struct Case<'a> {
-    desired: &'a Surface,
-    tif: &'a Tif,
-    path: &'a ToolPath,
-    curves: &'a [Curve],
-    limits: &'a Limits,
-    average: Option<Average>,
-}
-
-/// A solution, and its motion as it will be executed.
-struct Executed {
-    solved: Solved,
-    trajectory: Trajectory,
-    /// Why the judge refuses it.
-    refused: Option<String>,
-    removal: Removal,
-}
-
-impl Case<'_> {
-    /// Plans for the removal `asked`; what is left is judged by the one that is desired.
-    fn executed(
-        &self,
-        asked: &Surface,
-        meshes: Meshes,
-        simulation: &Simulation,
-        settings: &Settings,
-    ) -> Result<Executed, FeedError> {
-        let Self { desired, tif, path, curves, limits, average } = *self;
-        let planned_with = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
-        let asked = Asked { desired: asked, tif, path, curves, limits: &planned_with };
-        let solved = solve(&asked, meshes, settings)?;
-        let (trajectory, refused) = match average {
-            None => (solved.found.motion.trajectory.clone(), solved.found.refused.clone()),
-            Some(average) => {
-                let trajectory = average.of(&solved.found.motion.trajectory)?;
-                let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
-                (trajectory, verdict.reason())
-            }
-        };
-        let removal = simulation.predict(&trajectory, desired)?.removal;
-        Ok(Executed { solved, trajectory, refused, removal })
-    }
-}
-
-impl Executed {
-    /// Half the mean square of the executed residual and the price of its time, nm^2.
-    fn objective_nm2(&self, settings: &Settings) -> f64 {
-        let rms = Rms::of(self.removal.residual());
-        let left_nm = match settings.free {
-            Free::Piston => rms.rms_nm,
-            Free::Plane => rms.detilted_nm,
-        };
-        0.5 * left_nm * left_nm + self.solved.found.price * self.trajectory.total_time_s()
-    }
-
-    /// The removal to ask for so that the averaged motion removes what is desired: less what averaging adds.
-    fn corrected(&self, desired: &Surface, simulation: &Simulation) -> Result<Surface, FeedError> {
-        let planned = simulation.predict(&self.solved.found.motion.trajectory, desired)?.removal;
-        let added = self.removal.removal_nm() - planned.removal_nm();
-        Ok(Surface::new(*desired.grid(), desired.height_nm() - &added)?)
-    }
 }
 
 /// How corners are rounded, and the distance of the nodes (mm), for the width of the TIF.

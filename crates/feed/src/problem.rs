@@ -5,8 +5,9 @@
 //!                                                             ^------ spans that exceed a limit: tighter
 //! ```
 
+use ndarray::Array2;
 use planish_dwell::residual::{Known, Normal, Residual};
-use planish_types::{Limits, Surface, Tif, ToolPath, progress};
+use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory, progress};
 use planish_verify::{VerifySettings, verify};
 
 use crate::{
@@ -43,6 +44,8 @@ pub struct Asked<'a> {
     pub path: &'a ToolPath,
     pub curves: &'a [Curve],
     pub limits: &'a Limits,
+    /// What the machine removes with a motion that was planned (a map like `desired`, nm).
+    pub executed: &'a dyn Fn(&Trajectory) -> Result<Array2<f64>, Invalid>,
 }
 
 /// On which meshes the densities are found.
@@ -68,7 +71,7 @@ pub struct Found {
     pub motion: Motion,
     /// Why the judge refuses the motion.
     pub refused: Option<String>,
-    /// RMS (without what is free) of the residual in the removal model of the solver, nm.
+    /// RMS (without what is free) of the residual in the removal model of the solver, see [`crate::merit`], nm.
     pub model_rms_nm: f64,
     /// nm^2/s.
     pub price: f64,
@@ -124,7 +127,7 @@ pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<S
         let mut posed = Posed::new(asked, &mesh, given.floors(&rows), known, settings)?;
         posed.normal = posed.normal.as_last();
         let from = start.unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
-        posed.solve(&given, rows, from, settings.max_iterations - iterations, settings)
+        posed.solve(asked, rows, from, settings.max_iterations - iterations, settings)
     })?;
     let iterations = iterations + found.iterations;
     Ok(Solved { mesh, nodes_of_meshes, found: Found { iterations, ..found } })
@@ -160,7 +163,7 @@ impl<'a> Posed<'a> {
         Start { density, duals: None }
     }
 
-    fn merit(&self, density: &[f64], settings: &Settings) -> Merit<'_> {
+    fn merit<'m>(&'m self, density: &[f64], settings: &Settings) -> Merit<'m> {
         let weights = (settings.tikhonov, settings.smoothness);
         let Self { mesh, residual, normal, lo } = self;
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
@@ -181,29 +184,32 @@ impl<'a> Posed<'a> {
         let mut merit = self.merit(&start.density, settings);
         let (diagonal, below) = merit.chain();
         let program = self.program((&diagonal, &below), rows);
-        interior_point::approach(&program, start, max_iterations, &mut merit)
+        interior_point::approach(&program, start, max_iterations, &mut merit)?
             .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })
     }
 
     /// Rounds of the solver until the judge finds the limits of the motion kept.
     fn solve(
         &self,
-        given: &Given<'_>,
+        asked: &Asked<'_>,
         mut rows: Rows<'_>,
         mut start: Start,
         max_iterations: usize,
         settings: &Settings,
     ) -> Result<Found, FeedError> {
-        let Given { curves, path, limits, .. } = *given;
+        let Asked { path, curves, limits, executed, .. } = *asked;
         let mesh = self.mesh;
         let stop = Stop { relative_gap: settings.relative_gap, max_iterations };
-        let mut merit = self.merit(&start.density, settings);
+        let executed = |density: &[f64]| {
+            executed(&motion::motion(curves, mesh, path, limits, density)?.trajectory)
+        };
+        let mut merit = self.merit(&start.density, settings).of_motion(&executed);
         let (diagonal, below) = merit.chain();
         let (mut iterations, mut rounds) = (0, 0);
         let (solution, motion, refused) = loop {
             rounds += 1;
             let program = self.program((&diagonal, &below), &rows);
-            let solution = interior_point::solve(&program, start, &stop, &mut merit)
+            let solution = interior_point::solve(&program, start, &stop, &mut merit)?
                 .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
             iterations += solution.iterations;
             let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
@@ -221,8 +227,7 @@ impl<'a> Posed<'a> {
             let density = solution.density.iter().map(|d| d * factor).collect();
             start = Start { density, duals: Some(solution.duals) };
         };
-        let times_s = mesh.times_s(&solution.density);
-        let model_rms_nm = (2.0 * self.residual.evaluate(&times_s).half_mean_square_nm2).sqrt();
+        let model_rms_nm = (2.0 * merit.half_mean_square_nm2(&solution.density)).sqrt();
         let price = merit.price;
         Ok(Found { solution, motion, refused, model_rms_nm, price, iterations, rounds })
     }

@@ -5,16 +5,22 @@
 //! ```
 //!
 //! K keeps its skyline, which the outer products would fill. `K - U U'` is positive definite exactly
-//! when K and S are. Source: Golub and Van Loan, Matrix Computations, 4th ed., section 2.1.4.
+//! when K and S are. Where U U' leaves little of K, S is the small difference of 1 and what has the rounding of the factor
+//! of K: one in single precision needs V to be refined ([`Woodbury::refined`]). Source: Golub and Van Loan, Matrix Computations, 4th ed., section 2.1.4.
 
 use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
+
+/// Most steps of a refinement: each leaves a thousandth or less of the error, if the factor is of any use.
+const MOST_REFINEMENTS: usize = 4;
+
+/// What the last step of a refinement may still change S by, over what is left ([`Woodbury::least_left`]).
+const REFINED_TO: f64 = 1e-3;
 
 /// `(K - U U')^-1`.
 #[derive(Clone, Debug)]
 pub struct Woodbury<T = f64> {
     /// Of K.
     factor: Factor<T>,
-    u: Vec<Vec<f64>>,
     v: Vec<Vec<f64>>,
     /// Of S.
     small: Factor,
@@ -26,15 +32,39 @@ impl<T: Number> Woodbury<T> {
         // V = K^-1 U
         let mut v = u.clone();
         v.iter_mut().for_each(|v| factor.solve(v));
-        // S = 1 - U' V
-        let mut small = Skyline::zeros(vec![0; u.len()]);
-        small.fill(|i, row| {
-            for (j, s) in row.iter_mut().enumerate() {
-                *s = f64::from(i == j) - dot(&u[i], &v[j]);
+        let small = small(&u, &v)?;
+        Some(Self { factor, v, small })
+    }
+
+    /// The same with a V that the rounding of the factor does not limit where less than `enough` is left of K along the
+    /// directions of U; `product` is K times a vector. `None` also when the factor is too far from K for that.
+    pub fn refined(
+        factor: Factor<T>,
+        u: Vec<Vec<f64>>,
+        enough: f64,
+        product: impl Fn(&[f64]) -> Vec<f64>,
+    ) -> Option<Self> {
+        let mut v = u.clone();
+        v.iter_mut().for_each(|v| factor.solve(v));
+        if let Some(small) = small(&u, &v).filter(|small| small.least_pivot() >= enough) {
+            return Some(Self { factor, v, small });
+        }
+        for _ in 0..MOST_REFINEMENTS {
+            // V += K^-1 (U - K V)
+            let mut change = 0.0f64;
+            for (u_i, v) in u.iter().zip(&mut v) {
+                let mut e: Vec<f64> = u_i.iter().zip(product(v)).map(|(u, kv)| u - kv).collect();
+                factor.solve(&mut e);
+                axpy(1.0, &e, v);
+                change = u.iter().map(|u| dot(u, &e).abs()).fold(change, f64::max);
             }
-        });
-        let small = small.factorise()?;
-        Some(Self { factor, u, v, small })
+            if let Some(small) = small(&u, &v)
+                && change <= REFINED_TO * small.least_pivot()
+            {
+                return Some(Self { factor, v, small });
+            }
+        }
+        None
     }
 
     /// The least square of a pivot of S: what the outer products leave of K along the directions of U,
@@ -45,14 +75,25 @@ impl<T: Number> Woodbury<T> {
 
     /// Solves `(K - U U') x = b` in place.
     pub fn solve(&self, b: &mut [f64]) {
-        // x = K^-1 b + V S^-1 U' K^-1 b,  which is (1) because V' b = U' K^-1 b
-        self.factor.solve(b);
-        let mut c: Vec<f64> = self.u.iter().map(|u| dot(u, b)).collect();
+        // x = K^-1 b + V S^-1 V' b
+        let mut c: Vec<f64> = self.v.iter().map(|v| dot(v, b)).collect();
         self.small.solve(&mut c);
+        self.factor.solve(b);
         for (v, c) in self.v.iter().zip(&c) {
             axpy(*c, v, b);
         }
     }
+}
+
+/// The factor of `S = 1 - U' V`.
+fn small(u: &[Vec<f64>], v: &[Vec<f64>]) -> Option<Factor> {
+    let mut small = Skyline::zeros(vec![0; u.len()]);
+    small.fill(|i, row| {
+        for (j, s) in row.iter_mut().enumerate() {
+            *s = f64::from(i == j) - dot(&u[i], &v[j]);
+        }
+    });
+    small.factorise()
 }
 
 #[cfg(test)]
@@ -100,6 +141,38 @@ mod tests {
                 assert!((found - planted).abs() < 1e-13, "{count}: {found} {planted}");
             }
         }
+    }
+
+    /// A factor in single precision alone would not see the 1e-11 that is left here.
+    #[test]
+    fn a_factor_in_single_precision_is_refined() {
+        let (k, u, _) = case(1.0);
+        let u = &u[0];
+        let mut v = u.clone();
+        k.clone().factorise().unwrap().solve(&mut v);
+        let left = 1e-11;
+        let scale = ((1.0 - left) / dot(u, &v)).sqrt();
+        let u: Vec<f64> = u.iter().map(|u| scale * u).collect();
+        let planted: Vec<f64> = (0..90).map(|i| f64::from(i).cos() + 0.3).collect();
+        let mut b = k.product(&planted);
+        axpy(-dot(&u, &planted), &u, &mut b);
+        let error = |inverse: &Woodbury<f32>| {
+            let mut x = b.clone();
+            inverse.solve(&mut x);
+            let off = x.iter().zip(&planted).map(|(x, p)| (x - p).abs());
+            off.fold(0.0, f64::max)
+        };
+        let single = || k.factorise_in_single(&[]).unwrap();
+        let refined = |enough: f64| {
+            Woodbury::refined(single(), vec![u.clone()], enough, |x| k.product(x)).unwrap()
+        };
+        let found = refined(1e-4);
+        // What is left, to what the last step may change it by; the planted part along V is of order 1, and in b it is as
+        // small as what is left, so rounding of 1e-16 in b is 1e-5 of it.
+        assert!((found.least_left() / left - 1.0).abs() < 1e-3, "{}", found.least_left());
+        assert!(error(&found) < 1e-3, "{}", error(&found));
+        let alone = Woodbury::new(single(), vec![u.clone()]);
+        assert!(alone.is_none_or(|alone| error(&alone) > 0.1));
     }
 
     #[test]
