@@ -23,8 +23,9 @@
 //! removal(D) = B D + M(D_k) - B D_k                                                      (3)
 //! ```
 //!
-//! takes the place of B D. The difference is simulated again until it ceases to change the mean square, so what is
-//! minimised in the end is the residual of what will be executed, by the gradient of the linear model.
+//! takes the place of B D. The motion is simulated at every iterate at which the mean square is computed exactly, up to the
+//! one of which something is proven: the residual that is minimised in the end is that of what will be executed, by the
+//! gradient of the linear model.
 
 use ndarray::Array2;
 use planish_dwell::residual::{Normal, Residual};
