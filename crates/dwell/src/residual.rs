@@ -109,14 +109,14 @@ impl<'a> Residual<'a> {
 
     /// The curvature of f times some times at the places (n), s: what the gradient changes by with them, nm^2/s.
     pub fn curvature(&self, time_s: &[f64]) -> Vec<f64> {
-        let mut r = self.operator.apply(time_s);
+        let mut r = self.removal_nm(time_s);
         self.basis.project(&self.weight, &mut r);
         self.operator.adjoint(&(&r * &self.weight))
     }
 
     /// Mean removal for the times at the places (n), s, over the weighted pixels, nm.
     pub fn mean_removal_nm(&self, time_s: &[f64]) -> f64 {
-        (&self.operator.apply(time_s) * &self.weight).sum()
+        (&self.removal_nm(time_s) * &self.weight).sum()
     }
 
     /// The normal matrix of columns (m), each a sum of some places by their indices, with a time at each; it has room
@@ -436,7 +436,7 @@ mod tests {
             (0..N).for_each(|i| more.add(i, i, 1e-9 * strongest));
             let is_definite = |u: Vec<Vec<f64>>| {
                 let factor = more.clone().factorise().unwrap();
-                Woodbury::new(factor, u).is_some()
+                Woodbury::new(factor, &u).is_some()
             };
             assert!(is_definite(u.clone()), "{free:?}");
             // With the free functions on all pixels beside columns on cells it would not be.

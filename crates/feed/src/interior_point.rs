@@ -159,13 +159,13 @@ impl<'a> Program<'a> {
         };
         let single = k
             .factorise_in_single(&added)
-            .and_then(|factor| Woodbury::refined(factor, u.clone(), LEFT_TO_SINGLE, product));
+            .and_then(|factor| Woodbury::refined(factor, u, LEFT_TO_SINGLE, product));
         let by_rows = match single {
             Some(woodbury) => ByRows::Single(woodbury),
             None => {
                 let mut k = k.clone();
                 added.iter().for_each(|e| k.add(e.row, e.column, e.value));
-                ByRows::Double(Woodbury::new(k.factorise()?, u.clone())?)
+                ByRows::Double(Woodbury::new(k.factorise()?, u)?)
             }
         };
         Some(Inverse { order: &self.normal.order, by_rows })

@@ -182,25 +182,28 @@ pub fn plan(
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
     let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
-    let averaged = |planned: &Trajectory| match average {
-        None => Ok(planned.clone()),
-        Some(average) => average.of(planned),
-    };
+    let averaged = |planned: &Trajectory| average.map(|average| average.of(planned)).transpose();
     let asked = Asked {
         desired,
         tif,
         path,
         curves: &curves,
         limits: &average.map_or(Ok(limits.clone()), |a| a.limits(limits))?,
-        executed: &|planned| Ok(simulation.removal_nm(&averaged(planned)?)?.0),
+        executed: &|planned| {
+            let averaged = averaged(planned)?;
+            Ok(simulation.removal_nm(averaged.as_ref().unwrap_or(planned))?.0)
+        },
     };
     let Solved { mesh, nodes_of_meshes, found } =
         solve(&asked, Meshes { first: mesh, refinements, most_work }, settings)?;
-    let Found { solution, motion, mut refused, model_rms_nm, price, iterations, rounds } = found;
-    let trajectory = averaged(&motion.trajectory)?;
-    if average.is_some() {
-        refused = verify(&trajectory, limits, &VerifySettings::default())?.reason();
-    }
+    let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
+    let (trajectory, refused) = match averaged(&motion.trajectory)? {
+        None => (motion.trajectory, refused),
+        Some(trajectory) => {
+            let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
+            (trajectory, verdict.reason())
+        }
+    };
     let removal = simulation.predict(&trajectory, desired)?.removal;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let corners = || curves.iter().flat_map(Curve::corners);

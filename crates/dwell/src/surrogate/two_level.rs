@@ -391,8 +391,8 @@ impl Coarse {
             h.add(i, i, if stands_alone { 1.0 } else { SPLINE_RIDGE * square });
         }
         // V' H V = K - U U', with the K of `h` and U restricted to the lattice
-        let u = u.iter().map(|u| nodes.restrict(u, free)).collect();
-        h.factorise_to_single().and_then(|factor| Woodbury::new(factor, u))
+        let u: Vec<Vec<f64>> = u.iter().map(|u| nodes.restrict(u, free)).collect();
+        h.factorise_to_single().and_then(|factor| Woodbury::new(factor, &u))
     }
 }
 

@@ -29,11 +29,9 @@ pub struct Woodbury<T = f64> {
 
 impl<T: Number> Woodbury<T> {
     /// From the factor of K and the columns of U; `None` when `K - U U'` is not positive definite.
-    pub fn new(factor: Factor<T>, u: Vec<Vec<f64>>) -> Option<Self> {
-        // V = K^-1 U
-        let mut v = u.clone();
-        v.iter_mut().for_each(|v| factor.solve(v));
-        let small = small(&u, &v)?;
+    pub fn new(factor: Factor<T>, u: &[Vec<f64>]) -> Option<Self> {
+        let v = solutions(&factor, u);
+        let small = small(u, &v)?;
         Some(Self { factor, v, small })
     }
 
@@ -41,13 +39,12 @@ impl<T: Number> Woodbury<T> {
     /// directions of U; `product` is K times a vector. `None` also when the factor is too far from K for that.
     pub fn refined(
         factor: Factor<T>,
-        u: Vec<Vec<f64>>,
+        u: &[Vec<f64>],
         enough: f64,
         product: impl Fn(&[f64]) -> Vec<f64>,
     ) -> Option<Self> {
-        let mut v = u.clone();
-        v.iter_mut().for_each(|v| factor.solve(v));
-        if let Some(small) = small(&u, &v).filter(|small| small.least_pivot() >= enough) {
+        let mut v = solutions(&factor, u);
+        if let Some(small) = small(u, &v).filter(|small| small.least_pivot() >= enough) {
             return Some(Self { factor, v, small });
         }
         for _ in 0..MOST_REFINEMENTS {
@@ -59,7 +56,7 @@ impl<T: Number> Woodbury<T> {
                 axpy(1.0, &e, v);
                 change = u.iter().map(|u| dot(u, &e).abs()).fold(change, f64::max);
             }
-            if let Some(small) = small(&u, &v)
+            if let Some(small) = small(u, &v)
                 && change <= REFINED_TO * small.least_pivot()
             {
                 return Some(Self { factor, v, small });
@@ -84,6 +81,13 @@ impl<T: Number> Woodbury<T> {
             axpy(*c, v, b);
         }
     }
+}
+
+/// V = K^-1 U.
+fn solutions<T: Number>(factor: &Factor<T>, u: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let mut v = u.to_vec();
+    v.iter_mut().for_each(|v| factor.solve(v));
+    v
 }
 
 /// The factor of `S = 1 - U' V`.
@@ -133,7 +137,7 @@ mod tests {
             for u in &u[count..] {
                 expected += &Array2::from_shape_fn(whole.dim(), |(i, j)| u[i] * u[j]);
             }
-            let inverse = Woodbury::new(k.clone().factorise().unwrap(), u[..count].to_vec());
+            let inverse = Woodbury::new(k.clone().factorise().unwrap(), &u[..count]);
             let planted: Vec<f64> = (0..90).map(|i| f64::from(i).cos()).collect();
             let mut x = expected.dot(&ndarray::aview1(&planted)).to_vec();
             inverse.unwrap().solve(&mut x);
@@ -165,14 +169,14 @@ mod tests {
         };
         let single = || k.factorise_in_single(&[]).unwrap();
         let refined = |enough: f64| {
-            Woodbury::refined(single(), vec![u.clone()], enough, |x| k.product(x)).unwrap()
+            Woodbury::refined(single(), std::slice::from_ref(&u), enough, |x| k.product(x)).unwrap()
         };
         let found = refined(1e-4);
         // What is left, to what the last step may change it by. The planted part along V is of order 1 and appears in b as
         // small as what is left, so rounding of 1e-16 in b is 1e-5 of it; that of single precision is far more.
         assert!((found.least_left() / left - 1.0).abs() < 1e-3, "{}", found.least_left());
         assert!(error(&found) < 1e-4, "{}", error(&found));
-        let alone = Woodbury::new(single(), vec![u.clone()]).map(|alone| error(&alone));
+        let alone = Woodbury::new(single(), std::slice::from_ref(&u)).map(|alone| error(&alone));
         assert!(alone.is_none_or(|error| error > 1e-3), "{alone:?}");
     }
 
@@ -180,6 +184,6 @@ mod tests {
     fn what_is_not_positive_definite_is_refused() {
         // Squared length 45, above the largest eigenvalue of K.
         let (k, u, _) = case(1.0);
-        assert!(Woodbury::new(k.factorise().unwrap(), u).is_none());
+        assert!(Woodbury::new(k.factorise().unwrap(), &u).is_none());
     }
 }

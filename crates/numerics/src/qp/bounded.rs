@@ -67,8 +67,9 @@ impl Quadratic {
     /// x of `H_II x = r` with I = `keep`; `None` when H_II is not positive definite.
     fn solve(&self, keep: &[usize], mut r: Vec<f64>) -> Option<Vec<f64>> {
         let factor = self.k.principal(keep).factorise()?;
-        let u = self.u.iter().map(|u| keep.iter().map(|j| u[*j]).collect()).collect();
-        Woodbury::new(factor, u)?.solve(&mut r);
+        let u: Vec<Vec<f64>> =
+            self.u.iter().map(|u| keep.iter().map(|j| u[*j]).collect()).collect();
+        Woodbury::new(factor, &u)?.solve(&mut r);
         Some(r)
     }
 }

@@ -1,7 +1,7 @@
 //! Dwell times spread on lines across one axis, and what Keys' interpolation lets spill over the two
 //! borders of the TIF on that axis: (2) of [`crate::model::fft_operator`] and its adjoint.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis};
 use planish_numerics::{
@@ -175,14 +175,20 @@ impl Across {
         sums
     }
 
+    /// The lines k on which a group spills, over its lower or its upper edge.
+    fn lines_beyond(&self, group: &Group, upper: bool) -> RangeInclusive<isize> {
+        if upper { group.spills[1]..=self.across.last + 2 } else { -2..=group.spills[0] }
+    }
+
+    /// The weights d by which it spills on the line k.
+    fn weights_of(&self, k: isize, upper: bool) -> RangeInclusive<isize> {
+        if upper { (k - self.across.last).max(-1)..=2 } else { -1..=(k + 1).min(2) }
+    }
+
     /// The pairs (k, d) at which a group spills, of its lower or its upper edge.
     fn pairs(&self, group: &Group, upper: bool) -> impl Iterator<Item = (isize, isize)> {
-        let last = self.across.last;
-        let k = if upper { group.spills[1]..=last + 2 } else { -2..=group.spills[0] };
-        k.flat_map(move |k| {
-            let d = if upper { (k - last).max(-1)..=2 } else { -1..=(k + 1).min(2) };
-            d.map(move |d| (k, d))
-        })
+        let of = move |k| self.weights_of(k, upper).map(move |d| (k, d));
+        self.lines_beyond(group, upper).flat_map(of)
     }
 
     /// Cells that spill into lines of the range, over their lower or their upper edge.
@@ -267,13 +273,10 @@ impl Across {
     ) {
         let (wy, wx) = (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]));
         let (width, all) = (samples.ncols(), samples.as_slice().expect("in C order"));
-        let last = self.across.last;
-        // Lines k, and rows j = k - d of the samples that they get something from.
-        let (lines, rows) = if upper {
-            (group.spills[1]..=last + 2, group.spills[1] - 2..=last)
-        } else {
-            (-2..=group.spills[0], -1..=group.spills[0] + 1)
-        };
+        let lines = self.lines_beyond(group, upper);
+        // Rows j = k - d of the samples that these get something from.
+        let rows =
+            if upper { *lines.start() - 2..=self.across.last } else { -1..=*lines.end() + 1 };
         let first_row = *rows.start();
         let [low, high] = self.along.spills(p.offset[1]);
         let before = (-2..=low).map(|c| (c, -1, (c + 1).min(2)));
@@ -292,9 +295,8 @@ impl Across {
                 *h = weights.iter().zip(g.iter().rev()).map(|(w, g)| w * g).sum();
             }
             for k in lines.clone().filter(|k| range.contains(&(group.cell + k))) {
-                let d = if upper { (k - last).max(-1)..=2 } else { -1..=(k + 1).min(2) };
                 let mut rate = 0.0;
-                for d in d {
+                for d in self.weights_of(k, upper) {
                     rate += wy[(d + 1) as usize] * h[(k - d - first_row) as usize];
                 }
                 add((group.cell + k) as usize, pixel as usize, rate);
