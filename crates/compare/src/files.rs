@@ -27,6 +27,7 @@ use planish_handoff::{
     npy::{self, ArrayData},
 };
 use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory};
+use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -110,16 +111,27 @@ pub fn read_run(
         reach: reach.as_ref(),
         division: &division,
     };
-    let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
-    for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
+    let judged = read.into_par_iter().zip(chains).zip(judged).map(|((found, chain), judged)| {
         if chain.standing == Standing::Valid {
             let name = found.name.clone();
             let (number, method) = shared.method(found, judged, chain.remarks)?;
-            numbers.push((name, number));
-            methods.push(method);
+            Ok(Ok(((name, number), method)))
         } else {
             let (name, Chain { standing, reasons, .. }) = (found.name, chain);
-            left_out.push(LeftOut { name, standing, reasons });
+            Ok(Err(LeftOut { name, standing, reasons }))
+        }
+    });
+    // The first failure in the order of the methods, whichever thread met its own first.
+    let judged: Vec<Result<_, Failure>> = judged.collect();
+    let judged = judged.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
+    for method in judged {
+        match method {
+            Ok((number, method)) => {
+                numbers.push(number);
+                methods.push(method);
+            }
+            Err(left) => left_out.push(left),
         }
     }
     let (process, process_remark) =

@@ -271,17 +271,31 @@ fn edge_zone(valid: &Array2<bool>, grid: &Grid, width_mm: f64) -> Array2<bool> {
             along[[r, c]] = along[[r, c]].min(since);
         }
     }
-    // d^2 = (columns dx)^2 + (rows dy)^2, the least over the rows that are near enough.
+    // d^2 = (columns dx)^2 + (rows dy)^2, the least over the rows that are near enough: of each, how many columns are
+    // nearer than the width.
     let reach = (width_mm / dy).ceil() as isize;
-    Array2::from_shape_fn((ny, nx), |(r, c)| {
-        let near = |offset: isize| {
-            let row = r as isize + offset;
-            let beyond = row < 0 || row >= ny as isize;
-            let columns = if beyond { 0 } else { along[[row as usize, c]] };
-            (columns as f64 * dx).hypot(offset as f64 * dy) < width_mm
-        };
-        valid[[r, c]] && (-reach..=reach).any(near)
-    })
+    let nearer: Vec<(isize, usize)> = (-reach..=reach)
+        .map(|offset| {
+            let near =
+                |columns: &usize| (*columns as f64 * dx).hypot(offset as f64 * dy) < width_mm;
+            (offset, (0..=nx).take_while(near).count())
+        })
+        .collect();
+    let mut zone = Array2::from_elem((ny, nx), false);
+    for (r, mut row) in zone.rows_mut().into_iter().enumerate() {
+        for (offset, count) in &nearer {
+            match r.checked_add_signed(*offset).filter(|row| *row < ny) {
+                Some(other) => {
+                    for (zone, columns) in row.iter_mut().zip(along.row(other)) {
+                        *zone |= columns < count;
+                    }
+                }
+                None => row.iter_mut().for_each(|zone| *zone |= *count > 0),
+            }
+        }
+        row.iter_mut().zip(valid.row(r)).for_each(|(zone, valid)| *zone &= *valid);
+    }
+    zone
 }
 
 /// The bounds of the regions along an axis, from the outer edge of its first pixel to that of its last one, mm.
