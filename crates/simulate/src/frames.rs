@@ -17,6 +17,7 @@
 use ndarray::{Array2, Array3, Axis as NdAxis, s};
 use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory, progress};
+use rayon::prelude::*;
 
 use crate::{Plan, Settings};
 
@@ -25,6 +26,9 @@ pub const MAX_PIXELS: usize = 20_000;
 
 /// Most frames.
 pub const MAX_COUNT: usize = 1000;
+
+/// Parts of the motion that are simulated at a time, each with a map of its own.
+const SIDE_BY_SIDE: usize = 2;
 
 /// The removal at several times.
 #[derive(Clone, Debug)]
@@ -63,15 +67,23 @@ pub fn frames(
     let (total_s, m) = (trajectory.total_time_s(), count as f64);
     let mut removal: Array2<f64> = Array2::zeros(full.shape());
     let mut kept = Array3::zeros((count, grid.y.len(), grid.x.len()));
-    let mut before_s = start_s;
-    for i in 0..count {
-        let until_s = start_s + total_s * (i + 1) as f64 / m;
-        if let Some(part) = part_of(trajectory, before_s, until_s)? {
-            plan.add_to(&mut removal, &part)?;
+    let until_s = |i: usize| start_s + total_s * i as f64 / m;
+    // A part of the motion reaches few tiles of the map, too few for all threads: parts are simulated side by side.
+    for first in (0..count).step_by(SIDE_BY_SIDE) {
+        let together = first..(first + SIDE_BY_SIDE).min(count);
+        let parts = together.clone().into_par_iter().map(|i| {
+            let part = part_of(trajectory, until_s(i), until_s(i + 1))?;
+            part.map(|part| Ok(plan.removal_nm(&part)?.0)).transpose()
+        });
+        let parts: Vec<Result<Option<Array2<f64>>, Invalid>> = parts.collect();
+        for (i, part) in together.zip(parts) {
+            if let Some(part) = part? {
+                removal += &part;
+            }
+            let thinned = removal.slice(s![..;stride[1], ..;stride[0]]);
+            kept.index_axis_mut(NdAxis(0), i).assign(&thinned);
+            progress::done((i + 1) as f64 / m);
         }
-        kept.index_axis_mut(NdAxis(0), i).assign(&removal.slice(s![..;stride[1], ..;stride[0]]));
-        before_s = until_s;
-        progress::done((i + 1) as f64 / m);
     }
     let time_s = (0..count).map(|i| total_s * (i + 1) as f64 / m).collect();
     Ok(Frames { time_s, removal_nm: kept, grid, stride })

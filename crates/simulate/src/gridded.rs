@@ -49,7 +49,7 @@
 
 use std::{ops::Range, sync::Mutex};
 
-use ndarray::{Array2, ArrayViewMut2, Axis as NdAxis};
+use ndarray::{Array2, Axis as NdAxis};
 use planish_numerics::fft::{
     lane_convolution::{field_size, is_field_size},
     tiles::field_work,
@@ -129,21 +129,10 @@ impl Plan {
         tell: Tell<'_>,
     ) -> (Array2<f64>, Numerics) {
         let mut removal = Array2::zeros((self.kernel.y.pixels, self.kernel.x.pixels));
-        let numerics = self.add_to(removal.view_mut(), trajectory, tell);
-        (removal, numerics)
-    }
-
-    /// Adds the removal of `trajectory` to that of an earlier motion (ny, nx), nm.
-    pub(crate) fn add_to(
-        &self,
-        removal: ArrayViewMut2<f64>,
-        trajectory: &Trajectory,
-        tell: Tell<'_>,
-    ) -> Numerics {
         let bands = self.bands();
         let reaching = self.reaching(&bands, trajectory);
         let mut jobs = vec![];
-        let mut rest = removal;
+        let mut rest = removal.view_mut();
         for (rows, segments) in bands.iter().zip(&reaching) {
             let (band, below) = rest.split_at(NdAxis(0), rows.len());
             rest = below;
@@ -172,11 +161,12 @@ impl Plan {
                 points
             })
             .sum();
-        Numerics {
+        let numerics = Numerics {
             quadrature_points,
             subdivision: [self.kernel.x.subdivision, self.kernel.y.subdivision],
             tif_interpolation_error: self.tif_interpolation_error,
-        }
+        };
+        (removal, numerics)
     }
 
     /// Rows of the map, band by band.

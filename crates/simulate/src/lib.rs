@@ -135,15 +135,6 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Adds the removal of `trajectory` to that of an earlier motion (ny, nx), nm.
-    fn add_to(&self, removal: &mut Array2<f64>, trajectory: &Trajectory) -> Result<(), Invalid> {
-        match self {
-            Self::Gridded(plan) => drop(plan.add_to(removal.view_mut(), trajectory, &|_| ())),
-            Self::Direct { .. } => *removal += &self.removal_nm(trajectory)?.0,
-        }
-        Ok(())
-    }
-
     /// Removal of `trajectory` and the residual of `desired`, which is on the planned pixels.
     pub fn predict(
         &self,
