@@ -20,7 +20,7 @@
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 
 use ndarray::{Array2, ArrayView2, s};
-use planish_numerics::fft::{convolution::Convolution, lanes::Lanes};
+use planish_numerics::{fft::convolution::Convolution, vectors::Lanes};
 use planish_types::{Grid, Invalid, Surface, Tif};
 use rayon::prelude::*;
 

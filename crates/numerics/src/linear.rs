@@ -8,7 +8,12 @@
 //! | [`lsqr`] | known by products | damped least squares, bidiagonalisation |
 //! | [`lanczos`] | known by products | the part of the large eigenvalues, Krylov space |
 //! | [`power`] | known by products | largest eigenvalue |
+//!
+//! The products that most of the time goes into: `block_product` of a factorisation, and [`interleaved`] of a matrix that is
+//! made of products of columns.
 
+mod block_product;
+pub mod interleaved;
 pub mod lanczos;
 pub mod lsqr;
 pub mod power;

@@ -13,10 +13,7 @@ use planish_dwell::{
     problem::Problem,
 };
 use planish_fixture::{Fixture, Recipe, make};
-use planish_numerics::{
-    fft::{convolution::Convolution, lanes::Lanes},
-    linear::skyline::Skyline,
-};
+use planish_numerics::{fft::convolution::Convolution, linear::skyline::Skyline, vectors::Lanes};
 use planish_schedule::{
     pvt::{self, Mode},
     trig_spline,

@@ -47,12 +47,17 @@ impl Stencils {
         })
     }
 
-    /// Writes every element (i, k), k <= i, of near nodes with i in these rows.
-    pub fn fill(&mut self, rows: Range<usize>, write: impl Fn(usize, usize, &mut f64) + Sync) {
+    /// Lets `write` see all of these rows, which begin and end with whole lines along the shorter side: up to `most` of one
+    /// line at a time.
+    pub fn fill(&mut self, rows: Range<usize>, most: usize, write: impl Fn(Near<'_>) + Sync) {
         let (shorter, reach, len) = (self.shorter, self.reach, Self::len(self.reach));
         let values = &mut self.values[rows.start * len..rows.end * len];
-        values.par_chunks_mut(len).zip(rows).for_each(|(row, i)| {
-            Self::coupled(i, shorter, reach).for_each(|(k, at)| write(i, k, &mut row[at]));
+        values.par_chunks_mut(shorter * len).enumerate().for_each(|(line, values)| {
+            let first = rows.start + line * shorter;
+            values.par_chunks_mut(most * len).enumerate().for_each(|(i, values)| {
+                let start = first + i * most;
+                write(Near { rows: start..start + values.len() / len, shorter, reach, values });
+            });
         });
     }
 
@@ -103,6 +108,42 @@ impl Stencils {
     }
 }
 
+/// A few rows of [`Stencils`], one beside the other along the shorter side.
+pub struct Near<'a> {
+    rows: Range<usize>,
+    shorter: usize,
+    reach: [usize; 2],
+    values: &'a mut [f64],
+}
+
+impl Near<'_> {
+    /// Which rows.
+    pub fn rows(&self) -> Range<usize> {
+        self.rows.clone()
+    }
+
+    /// The nodes that may be coupled with some of these rows and do not come after the last of them.
+    pub fn coupled(&self) -> impl Iterator<Item = usize> + use<> {
+        let (shorter, [lines, reach]) = (self.shorter, self.reach);
+        let (l, first) = (self.rows.start / shorter, self.rows.start % shorter);
+        let last = (self.rows.end - 1) % shorter;
+        (0..=lines.min(l)).flat_map(move |before| {
+            let end = if before == 0 { last } else { (last + reach).min(shorter - 1) };
+            (first.saturating_sub(reach)..=end).map(move |m| (l - before) * shorter + m)
+        })
+    }
+
+    /// The element (i, k) of one of these rows and a node of [`Self::coupled`]; `None` where k comes after i or is too far
+    /// away.
+    pub fn at(&mut self, i: usize, k: usize) -> Option<&mut f64> {
+        let (l, s) = (i / self.shorter, i % self.shorter);
+        let (n, m) = (k / self.shorter, k % self.shorter);
+        let is_near = k <= i && l - n <= self.reach[0] && s.abs_diff(m) <= self.reach[1];
+        let row = (i - self.rows.start) * Stencils::len(self.reach);
+        is_near.then(|| &mut self.values[row + Stencils::at(self.reach, l - n, s, m)])
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -119,7 +160,18 @@ mod tests {
         // By parts of two lines, of which the last is half as long.
         assert_eq!(all.parts().collect::<Vec<_>>(), [0..8, 8..16, 16..24, 24..28]);
         let parts = all.parts();
-        parts.for_each(|rows| all.fill(rows, |i, k, v| *v = value(i, k)));
+        parts.for_each(|rows| {
+            all.fill(rows, 3, |mut near| {
+                assert!((1..=3).contains(&near.rows().len()));
+                for k in near.coupled() {
+                    for i in near.rows() {
+                        if let Some(v) = near.at(i, k) {
+                            *v = value(i, k);
+                        }
+                    }
+                }
+            });
+        });
         let mut one = Stencils::zeros(nodes, shorter, reach);
         one.add([2, 1], [1, 0], 0.25);
         one.add([2, 1], [1, 2], 0.5);

@@ -35,7 +35,7 @@ use rayon::prelude::*;
 use super::{resolution::extent, stencils::Stencils};
 use crate::{
     model::{
-        columns::{Patch, Place},
+        columns::{Bundle, MOST_BUNDLED, Patch, Place},
         fft_operator::Sums,
     },
     objective::Penalty,
@@ -349,9 +349,17 @@ impl Coarse {
                 patch.rate_nm_per_s.zip_mut_with(&weight, |v, w| *v *= w.sqrt());
             });
             let patches = &self.patches;
-            self.matrix.fill(rows.clone(), |i, k, v| {
-                if changed[i] || changed[k] {
-                    *v = patches[i].dot(&patches[k]);
+            self.matrix.fill(rows.clone(), MOST_BUNDLED, |mut near| {
+                let rows = near.rows();
+                let of_rows = changed[rows.clone()].contains(&true);
+                let mut bundle = None;
+                for k in near.coupled().filter(|k| of_rows || changed[*k]) {
+                    let bundle = bundle.get_or_insert_with(|| Bundle::new(&patches[rows.clone()]));
+                    for (i, dot) in rows.clone().zip(bundle.dots(&patches[k])) {
+                        if let Some(v) = near.at(i, k).filter(|_| changed[i] || changed[k]) {
+                            *v = dot;
+                        }
+                    }
                 }
             });
             if !self.keeps_patches {

@@ -31,7 +31,8 @@ use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 
-use super::{Complex, lanes::Lanes, smooth_size, tiles::Tiles};
+use super::{Complex, smooth_size, tiles::Tiles};
+use crate::vectors::Lanes;
 
 /// Columns that a thread transforms at a time: four cache lines of every row.
 const LINES: usize = 16;

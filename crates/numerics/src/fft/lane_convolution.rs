@@ -16,7 +16,8 @@ use std::ops::Range;
 use ndarray::ArrayView2;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::lanes::{Lanes, Transform, is_size, transpose};
+use super::lanes::{Transform, is_size, transpose};
+use crate::vectors::Lanes;
 
 /// Every length is a multiple of the most lanes that a vector has, those of single precision in 64 bytes.
 const STEP: usize = 16;

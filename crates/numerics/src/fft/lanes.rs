@@ -19,7 +19,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 use pulp::{NullaryFnOnce, Simd};
 
-use crate::precision::Real;
+use crate::vectors::Lanes;
 
 /// Elements of all lanes that are gone through level by level: 16 KiB with vectors of 64 bytes.
 const BLOCK: usize = 128;
@@ -34,132 +34,6 @@ pub fn is_size(n: usize) -> bool {
     }
     rest == 1
 }
-
-/// Arithmetic of a number in every lane.
-pub trait Lanes: Real {
-    /// A vector of the processor.
-    type Vector<S: Simd>: Copy;
-
-    /// Lanes of a vector.
-    fn lanes<S: Simd>() -> usize;
-    /// A number in every lane.
-    fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
-    /// `a + b`.
-    fn sum<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a - b`.
-    fn difference<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a b`.
-    fn product<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a b + c`.
-    fn mul_add<S: Simd>(
-        simd: S,
-        a: Self::Vector<S>,
-        b: Self::Vector<S>,
-        c: Self::Vector<S>,
-    ) -> Self::Vector<S>;
-    /// `c - a b`.
-    fn negate_mul_add<S: Simd>(
-        simd: S,
-        a: Self::Vector<S>,
-        b: Self::Vector<S>,
-        c: Self::Vector<S>,
-    ) -> Self::Vector<S>;
-    /// Numbers as vectors; a multiple of [`Self::lanes`].
-    fn vectors<S: Simd>(numbers: &[Self]) -> &[Self::Vector<S>];
-    /// The same, to be changed.
-    fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [Self::Vector<S>];
-}
-
-macro_rules! lanes {
-    ($number:ty, $vector:ident, $lanes:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident,
-     $negate_mul_add:ident, $vectors:ident, $vectors_mut:ident) => {
-        impl Lanes for $number {
-            type Vector<S: Simd> = S::$vector;
-
-            #[inline(always)]
-            fn lanes<S: Simd>() -> usize {
-                S::$lanes
-            }
-
-            #[inline(always)]
-            fn splat<S: Simd>(simd: S, value: Self) -> S::$vector {
-                simd.$splat(value)
-            }
-
-            #[inline(always)]
-            fn sum<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$add(a, b)
-            }
-
-            #[inline(always)]
-            fn difference<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$sub(a, b)
-            }
-
-            #[inline(always)]
-            fn product<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$mul(a, b)
-            }
-
-            #[inline(always)]
-            fn mul_add<S: Simd>(
-                simd: S,
-                a: S::$vector,
-                b: S::$vector,
-                c: S::$vector,
-            ) -> S::$vector {
-                simd.$mul_add(a, b, c)
-            }
-
-            #[inline(always)]
-            fn negate_mul_add<S: Simd>(
-                simd: S,
-                a: S::$vector,
-                b: S::$vector,
-                c: S::$vector,
-            ) -> S::$vector {
-                simd.$negate_mul_add(a, b, c)
-            }
-
-            #[inline(always)]
-            fn vectors<S: Simd>(numbers: &[Self]) -> &[S::$vector] {
-                S::$vectors(numbers).0
-            }
-
-            #[inline(always)]
-            fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [S::$vector] {
-                S::$vectors_mut(numbers).0
-            }
-        }
-    };
-}
-
-lanes!(
-    f64,
-    f64s,
-    F64_LANES,
-    splat_f64s,
-    add_f64s,
-    sub_f64s,
-    mul_f64s,
-    mul_add_e_f64s,
-    negate_mul_add_e_f64s,
-    as_simd_f64s,
-    as_mut_simd_f64s
-);
-lanes!(
-    f32,
-    f32s,
-    F32_LANES,
-    splat_f32s,
-    add_f32s,
-    sub_f32s,
-    mul_f32s,
-    mul_add_e_f32s,
-    negate_mul_add_e_f32s,
-    as_simd_f32s,
-    as_mut_simd_f32s
-);
 
 /// An element of a line in every lane: the real and the imaginary parts.
 pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];

@@ -13,8 +13,9 @@ use rayon::prelude::*;
 
 use super::{
     lane_convolution::{LaneConvolution, Strips, Workspace, field_size, is_field_size},
-    lanes::{Lanes, round},
+    lanes::round,
 };
+use crate::vectors::Lanes;
 
 /// Cores that the tiles are laid out for. The result may not depend on how many there are.
 const CORES: usize = 2;

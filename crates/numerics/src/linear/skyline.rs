@@ -21,14 +21,18 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, Axis, LinalgScalar, linalg::general_mat_mul, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, LinalgScalar, linalg::general_mat_mul, s};
 use rayon::prelude::*;
 
-use crate::{precision::Real, vectors::vectorised};
+use super::block_product::subtract_product;
+use crate::{
+    precision::Real,
+    vectors::{Lanes, vectorised},
+};
 
 /// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
 /// matrix products to run at full speed.
-const BLOCK: usize = 64;
+pub(crate) const BLOCK: usize = 64;
 
 /// A symmetric matrix (n, n): the lower triangle within the skyline.
 #[derive(Clone, Debug)]
@@ -233,7 +237,7 @@ impl Skyline {
 }
 
 /// A number of a factor.
-pub trait Number: Real + LinalgScalar {
+pub trait Number: Lanes + LinalgScalar {
     /// Least square of a pivot over the element of the diagonal that it is left of: below, it is rounding.
     const LEAST_PIVOT: f64;
 }
@@ -323,7 +327,7 @@ impl<T: Number> Panel<T> {
         if from < at {
             let l = left.slice(s![from - self.start.., ..]);
             let top = pivot.values.slice(s![from - pivot.start..at - pivot.start, ..]);
-            general_mat_mul(-T::one(), &top.t(), &l, T::one(), &mut block);
+            subtract(&top, &l, &mut block);
         }
         // L[i, k]' = L[k, k]^-1 A[i, k]'
         let known = block.to_owned();
@@ -337,7 +341,7 @@ impl<T: Number> Panel<T> {
         let least: Vec<f64> =
             diagonal.diag().iter().map(|v| T::LEAST_PIVOT * (*v).into().abs()).collect();
         if left.nrows() > 0 {
-            general_mat_mul(-T::one(), &left.t(), &left, T::one(), &mut diagonal);
+            subtract(&left.view(), &left.view(), &mut diagonal);
         }
         let mut l =
             Array2::from_shape_fn(diagonal.dim(), |(row, column)| diagonal[[column, row]].into());
@@ -346,6 +350,16 @@ impl<T: Number> Panel<T> {
             .indexed_iter_mut()
             .for_each(|((column, row), v)| *v = T::rounded(l[[row, column]]));
         Some(inverse(&l).mapv(T::rounded))
+    }
+}
+
+/// `c -= a' b`.
+fn subtract<T: Number>(a: &ArrayView2<'_, T>, b: &ArrayView2<'_, T>, c: &mut ArrayViewMut2<'_, T>) {
+    let (a_all, b_all, c_all) = (a.as_slice(), b.as_slice(), c.as_slice_mut());
+    match (a_all, b_all, c_all) {
+        (Some(a), Some(b), Some(c)) if c.len() == BLOCK * BLOCK => subtract_product(a, b, c),
+        // The last rows of a matrix
+        _ => general_mat_mul(-T::one(), &a.t(), b, T::one(), c),
     }
 }
 
