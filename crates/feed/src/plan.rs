@@ -40,7 +40,7 @@ const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 
 /// Multiplications of one factorisation of the solver from which on the nodes are set further apart, where the user
 /// does not say how far they are: some 30 of them are a plan.
-const MOST_WORK: f64 = 5e10;
+const MOST_WORK: f64 = 6e10;
 
 /// By what the spacing grows until the work is affordable.
 const WIDENED_BY: f64 = 1.1;
