@@ -13,7 +13,11 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::{linear::skyline::BLOCK, vectors::Lanes};
+use crate::vectors::Lanes;
+
+/// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
+/// matrix products to run at full speed.
+pub(crate) const BLOCK: usize = 64;
 
 /// Rows of both panels that are gone through for all of C: 32 KiB in single precision.
 const DEPTH: usize = 64;

@@ -24,15 +24,11 @@ use std::ops::Range;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, LinalgScalar, linalg::general_mat_mul, s};
 use rayon::prelude::*;
 
-use super::block_product::subtract_product;
+use super::block_product::{BLOCK, subtract_product};
 use crate::{
     precision::Real,
     vectors::{Lanes, vectorised},
 };
-
-/// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
-/// matrix products to run at full speed.
-pub(crate) const BLOCK: usize = 64;
 
 /// A symmetric matrix (n, n): the lower triangle within the skyline.
 #[derive(Clone, Debug)]
