@@ -86,7 +86,8 @@ impl Run<'_> {
 
     /// Executed residual after refinement against the motion, plane removed, nm RMS.
     fn refined_nm(&self) -> f64 {
-        let mut settings = refine::Settings { max_rounds: 3, ..Default::default() };
+        // Enough that no round improves it much: of fewer, rounding decides how far they come.
+        let mut settings = refine::Settings { max_rounds: 8, ..Default::default() };
         settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
         let done = refine::refine(self.desired, self.tif, &self.path, &ion_beam(), None, &settings);
         self.residual_nm(&done.expect("a refined plan").trajectory)
