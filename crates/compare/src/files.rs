@@ -111,29 +111,22 @@ pub fn read_run(
         reach: reach.as_ref(),
         division: &division,
     };
-    let judged = read.into_par_iter().zip(chains).zip(judged).map(|((found, chain), judged)| {
-        if chain.standing == Standing::Valid {
-            let name = found.name.clone();
-            let (number, method) = shared.method(found, judged, chain.remarks)?;
-            Ok(Ok(((name, number), method)))
-        } else {
-            let (name, Chain { standing, reasons, .. }) = (found.name, chain);
-            Ok(Err(LeftOut { name, standing, reasons }))
-        }
-    });
-    // The first failure in the order of the methods, whichever thread met its own first.
-    let judged: Vec<Result<_, Failure>> = judged.collect();
-    let judged = judged.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let (mut numbers, mut methods, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
-    for method in judged {
-        match method {
-            Ok((number, method)) => {
-                numbers.push(number);
-                methods.push(method);
-            }
-            Err(left) => left_out.push(left),
+    let (mut valid, mut left_out) = (Vec::new(), Vec::new());
+    for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
+        let Chain { standing, reasons, remarks } = chain;
+        match standing {
+            Standing::Valid => valid.push((found, judged, remarks)),
+            _ => left_out.push(LeftOut { name: found.name, standing, reasons }),
         }
     }
+    let numbered = valid.into_par_iter().map(|(found, judged, remarks)| {
+        let name = found.name.clone();
+        let (number, method) = shared.method(found, judged, remarks)?;
+        Ok(((name, number), method))
+    });
+    // The first failure in the order of the methods, whichever thread met its own first.
+    let numbered: Vec<Result<_, Failure>> = numbered.collect();
+    let (numbers, methods) = numbered.into_iter().collect::<Result<(Vec<_>, Vec<_>), _>>()?;
     let (process, process_remark) =
         read_process(inputs, &role, run, &method_records, &method_names)?;
     let name = name_of(run);

@@ -33,6 +33,21 @@ impl Stencils {
         before * (2 * reach[1] + 1) + m + reach[1] - s
     }
 
+    /// The nodes that may be coupled with some of these rows of one line and do not come after the last of them: how many
+    /// lines before, and where along the shorter side.
+    fn near(
+        rows: &Range<usize>,
+        shorter: usize,
+        reach: [usize; 2],
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let (l, first, last) =
+            (rows.start / shorter, rows.start % shorter, (rows.end - 1) % shorter);
+        (0..=reach[0].min(l)).flat_map(move |before| {
+            let end = if before == 0 { last } else { (last + reach[1]).min(shorter - 1) };
+            (first.saturating_sub(reach[1])..=end).map(move |m| (before, m))
+        })
+    }
+
     /// The nodes that may be coupled with row i and do not come after it, and their indices in the row.
     fn coupled(
         i: usize,
@@ -40,11 +55,8 @@ impl Stencils {
         reach: [usize; 2],
     ) -> impl Iterator<Item = (usize, usize)> {
         let (l, s) = (i / shorter, i % shorter);
-        (0..=reach[0].min(l)).flat_map(move |before| {
-            let last = if before == 0 { s } else { (s + reach[1]).min(shorter - 1) };
-            (s.saturating_sub(reach[1])..=last)
-                .map(move |m| ((l - before) * shorter + m, Self::at(reach, before, s, m)))
-        })
+        Self::near(&(i..i + 1), shorter, reach)
+            .map(move |(before, m)| ((l - before) * shorter + m, Self::at(reach, before, s, m)))
     }
 
     /// Lets `write` see all of these rows, which begin and end with whole lines along the shorter side: up to `most` of one
@@ -124,13 +136,9 @@ impl Near<'_> {
 
     /// The nodes that may be coupled with some of these rows and do not come after the last of them.
     pub fn coupled(&self) -> impl Iterator<Item = usize> + use<> {
-        let (shorter, [lines, reach]) = (self.shorter, self.reach);
-        let (l, first) = (self.rows.start / shorter, self.rows.start % shorter);
-        let last = (self.rows.end - 1) % shorter;
-        (0..=lines.min(l)).flat_map(move |before| {
-            let end = if before == 0 { last } else { (last + reach).min(shorter - 1) };
-            (first.saturating_sub(reach)..=end).map(move |m| (l - before) * shorter + m)
-        })
+        let (shorter, l) = (self.shorter, self.rows.start / self.shorter);
+        let near = Stencils::near(&self.rows, shorter, self.reach);
+        near.map(move |(before, m)| (l - before) * shorter + m)
     }
 
     /// The element (i, k) of one of these rows and a node of [`Self::coupled`]; `None` where k comes after i or is too far

@@ -64,10 +64,8 @@ fn subtract_part<T: Lanes, S: Simd, const VECTORS: usize>(simd: S, a: &[T], b: &
             let mut sums = [[T::splat(simd, T::zero()); VECTORS]; ROWS];
             let columns = a[row..].chunks(BLOCK).zip(b[from..].chunks(of_row));
             for (a, b) in columns {
-                let (Some(a), Some(b)) = (a.first_chunk::<ROWS>(), b.first_chunk::<VECTORS>())
-                else {
-                    break;
-                };
+                let a = a.first_chunk::<ROWS>().expect("rows divide a block");
+                let b = b.first_chunk::<VECTORS>().expect("vectors divide a row");
                 for (sums, a) in sums.iter_mut().zip(a) {
                     let a = T::splat(simd, *a);
                     for (sum, b) in sums.iter_mut().zip(b) {
