@@ -221,7 +221,7 @@ pub fn removal_nm(
 const CORES: usize = 2;
 
 /// Work of what spills, in the unit of [`field_work`], for each element of a line of pixels and each level of its
-/// transform: four transforms there and one back, of one line at a time, and the sums between them.
+/// transform: four transforms there and one back, and the sums between them.
 const SPILL_WORK: f64 = 4.0;
 
 /// Pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the

@@ -14,10 +14,13 @@
 
 use std::ops::Range;
 
-use planish_numerics::fft::Complex64;
+use planish_numerics::fft::line_convolution::{GROUP, Run};
 use rayon::prelude::*;
 
-use crate::{kernel::Edge, lattice::Lattice};
+use crate::{
+    kernel::Edge,
+    lattice::{BorderNode, Lattice},
+};
 
 /// Lines of cells whose pieces are gone through in the order of time: their sources stay in the cache, and the motion
 /// is read in runs.
@@ -25,7 +28,7 @@ const BLOCK: usize = 8;
 
 /// Blocks that are transformed before they are used, by the threads that share them: the lines that they spill on stay
 /// in the cache.
-pub const BLOCKS: usize = 2;
+const BLOCKS: usize = 2;
 
 /// Weights across a line.
 pub const WEIGHTS: usize = 4;
@@ -46,137 +49,175 @@ pub trait Pieces: Sync {
     /// beyond only at times are so for it: [`crate::lattice::BorderNode::kind`].
     fn of(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2];
 
-    /// Adds the seconds of a piece of the given strip to `F_d`, the one at `[d + 1]`.
-    fn add(&self, piece: u32, strip: usize, lines: [&mut [Complex64]; WEIGHTS]);
+    /// Adds the seconds of a piece to what the `F_d` have of the given strip, at `(d + 1) step` and after.
+    fn add(&self, piece: u32, strip: usize, f: &mut [f64], step: usize);
 }
 
-/// The sources of a block.
-#[derive(Clone, Default)]
+/// Spectra of what is subtracted from lines of pixels, of both strips together.
+#[derive(Default)]
+pub struct Spilt {
+    /// In whole groups of lines.
+    pub spectra: Vec<Run>,
+    /// Whether anything spills on the lines of each group.
+    pub touched: Vec<bool>,
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub struct Sources {
+    blocks: [Source; BLOCKS],
+}
+
+/// The sources of a block of lines.
+#[derive(Default)]
+struct Source {
+    groups: Vec<Group>,
+    /// Spectra of the four F_d of each group.
+    spectra: Vec<Run>,
+    work: Vec<f64>,
+}
+
+/// Pieces of one line that spill on the same nodes.
 struct Group {
     /// Line in the block.
     line: usize,
     kind: u8,
-    /// Whether F_d is not 0, at `[d + 1]`.
-    used: [bool; WEIGHTS],
 }
 
 impl Lines<'_> {
-    /// The spectra of the spill on the lines of pixels 0 .. `count`, with the opposite sign. `sources` is a buffer.
+    /// What spills on the lines of pixels 0 .. `count`, with the opposite sign.
     pub fn subtract(
         &self,
         pieces: &impl Pieces,
         count: usize,
-        spectra: &mut Vec<Complex64>,
-        sources: &mut [Vec<Complex64>; BLOCKS],
+        spilt: &mut Spilt,
+        sources: &mut Sources,
     ) {
-        let least = if self.parallel { 1 } else { usize::MAX };
-        let size = self.edge.convolution.size();
-        spectra.clear();
-        spectra.resize(count * size, Complex64::default());
-        let lines = if count == 0 {
-            0
-        } else {
-            (count - 1) * self.across.subdivision + self.across.samples() + 3
+        let runs = self.edge.convolution.runs();
+        let groups = count.div_ceil(GROUP);
+        zeros(&mut spilt.spectra, groups * GROUP * runs);
+        spilt.touched.clear();
+        spilt.touched.resize(groups, false);
+        let lines = match count {
+            0 => 0,
+            n => (n - 1) * self.across.subdivision + self.across.samples() + 3,
         };
-        // The line of cells whose tool reaches the pixel i with its node k is i * subdivision + last - k.
-        let nodes = &self.edge.nodes;
-        let (Some(low), Some(high)) = (nodes.first(), nodes.last()) else { return };
-        let (step, last) = (self.across.subdivision as isize, self.across.last + 2);
         for from in (0..lines).step_by(BLOCK * BLOCKS) {
-            let groups: Vec<Vec<Group>> = sources
+            let sources = &mut sources.blocks;
+            sources
                 .par_iter_mut()
                 .enumerate()
-                .with_min_len(least)
-                .map_init(
-                    || self.edge.convolution.scratch(),
-                    |scratch, (b, sources)| {
-                        self.transform(pieces, from / BLOCK + b, sources, scratch)
-                    },
-                )
-                .collect();
-            if groups.iter().all(Vec::is_empty) {
-                continue;
+                .with_min_len(self.least())
+                .for_each(|(b, source)| source.transform(self.edge, pieces, from / BLOCK + b));
+            if sources.iter().any(|s| !s.groups.is_empty()) {
+                self.subtract_blocks(from, sources, count, spilt);
             }
-            let sources = &*sources;
-            let first = (from as isize + low.k - last).max(0) as usize / step as usize;
-            let end = (from + BLOCK * BLOCKS) as isize + high.k - last;
-            let end = (end.max(0) as usize).div_ceil(step as usize).min(count);
-            if first >= end {
-                continue;
-            }
-            spectra[first * size..]
-                .par_chunks_mut(size)
-                .take(end - first)
-                .enumerate()
-                .with_min_len(least)
-                .for_each_init(Vec::new, |terms, (i, spectrum)| {
-                    terms.clear();
-                    for node in nodes {
-                        let line = (first + i) as isize * step + last - node.k - from as isize;
-                        let Ok(line) = usize::try_from(line) else { continue };
-                        let (b, line) = (line / BLOCK, line % BLOCK);
-                        let Some(groups) = groups.get(b) else { continue };
-                        for (g, group) in groups
-                            .iter()
-                            .enumerate()
-                            .filter(|(_, g)| g.line == line && node.is_beyond(g.kind))
-                        {
-                            let f = |d: usize| &sources[b][(g * WEIGHTS + d) * size..][..size];
-                            terms.extend(
-                                node.terms
-                                    .iter()
-                                    .filter(|t| group.used[t.1])
-                                    .map(|&(slot, d)| (slot, f(d))),
-                            );
-                        }
-                    }
-                    self.edge.convolution.subtract(spectrum, terms);
-                });
         }
     }
 
-    /// The spectra of the sources of a block, group by group.
-    fn transform(
+    /// Items that a thread takes at least.
+    pub fn least(&self) -> usize {
+        if self.parallel { 1 } else { usize::MAX }
+    }
+
+    /// Subtracts what spills from the blocks whose first line is `from`.
+    fn subtract_blocks(
         &self,
-        pieces: &impl Pieces,
-        block: usize,
-        sources: &mut Vec<Complex64>,
-        scratch: &mut [Complex64],
-    ) -> Vec<Group> {
-        let size = self.edge.convolution.size();
+        from: usize,
+        sources: &[Source; BLOCKS],
+        count: usize,
+        spilt: &mut Spilt,
+    ) {
+        let Edge { nodes, convolution } = self.edge;
+        let runs = convolution.runs();
+        // The line of cells whose tool reaches the pixel i with its node k is i * subdivision + last - k.
+        let (step, last) = (self.across.subdivision, self.across.last + 2);
+        let reached = |node: &BorderNode| {
+            let first = (from as isize + node.k - last).max(0) as usize;
+            let end = ((from + BLOCK * BLOCKS) as isize + node.k - last).max(0) as usize;
+            first / step / GROUP..end.div_ceil(step).min(count).div_ceil(GROUP)
+        };
+        let (Some(low), Some(high)) = (nodes.first(), nodes.last()) else { return };
+        let groups = reached(low).start..reached(high).end;
+        if groups.is_empty() {
+            return;
+        }
+        let lines = &mut spilt.spectra[groups.start * GROUP * runs..groups.end * GROUP * runs];
+        lines
+            .par_chunks_mut(GROUP * runs)
+            .zip(&mut spilt.touched[groups.clone()])
+            .zip(groups)
+            .with_min_len(self.least())
+            .for_each_init(Vec::new, |terms, ((lines, touched), group)| {
+                terms.clear();
+                let mut sums = vec![];
+                for (i, sum) in lines.chunks_exact_mut(runs).enumerate() {
+                    let before = terms.len();
+                    for node in nodes {
+                        let line = ((group * GROUP + i) * step) as isize + last - node.k;
+                        let Ok(line) = usize::try_from(line - from as isize) else { continue };
+                        let Some(source) = sources.get(line / BLOCK) else { continue };
+                        source.terms(line % BLOCK, node, runs, terms);
+                    }
+                    if terms.len() > before {
+                        sums.push((sum, before..terms.len()));
+                    }
+                }
+                *touched |= !sums.is_empty();
+                convolution.subtract(&mut sums, terms);
+            });
+    }
+}
+
+/// As many runs of zeros.
+fn zeros(runs: &mut Vec<Run>, count: usize) {
+    runs.resize(count, Run::default());
+    runs.as_flattened_mut().fill(0.0);
+}
+
+impl Source {
+    /// The spectra of a block.
+    fn transform(&mut self, edge: &Edge, pieces: &impl Pieces, block: usize) {
+        let Self { groups, spectra, work } = self;
+        let runs = edge.convolution.runs();
         let mut kinds = [0_u16; BLOCK];
         pieces.of(block).into_iter().flatten().for_each(|(_, line, kind)| kinds[line] |= 1 << kind);
-        let mut groups = vec![];
+        groups.clear();
         let mut group_of = [[0; 16]; BLOCK];
         for (line, kinds) in kinds.iter().enumerate() {
             for kind in (0..16).filter(|kind| kinds >> kind & 1 == 1) {
                 group_of[line][usize::from(kind)] = groups.len();
-                groups.push(Group { line, kind, ..Default::default() });
+                groups.push(Group { line, kind });
             }
         }
-        let needed = groups.len() * WEIGHTS * size;
-        sources.resize(sources.len().max(needed), Complex64::default());
-        let sources = &mut sources[..needed];
-        sources.fill(Complex64::default());
+        zeros(spectra, (groups.len() * WEIGHTS).next_multiple_of(GROUP) * runs);
+        let lines = spectra.as_flattened_mut();
+        let step = edge.convolution.numbers();
         for (strip, of) in pieces.of(block).into_iter().enumerate() {
             for (piece, line, kind) in of {
-                let group = group_of[line][usize::from(kind)];
-                let mut f = sources[group * WEIGHTS * size..].chunks_exact_mut(size);
-                pieces.add(
-                    piece,
-                    strip,
-                    [(); WEIGHTS].map(|()| f.next().expect("one for each weight")),
-                );
+                let from = WEIGHTS * step * group_of[line][usize::from(kind)];
+                let f = &mut lines[from + strip * edge.convolution.size()..];
+                pieces.add(piece, strip, f, step);
             }
         }
-        let used = groups.iter_mut().flat_map(|g| &mut g.used);
-        for (used, f) in used.zip(sources.chunks_exact_mut(size)) {
-            *used = f.iter().any(|v| v.re != 0.0 || v.im != 0.0);
-            if *used {
-                self.edge.convolution.forward(f, scratch);
+        edge.convolution.forward(spectra, work);
+    }
+
+    /// The terms of (3) from a line of the block to its node.
+    fn terms<'a>(
+        &'a self,
+        line: usize,
+        node: &BorderNode,
+        runs: usize,
+        terms: &mut Vec<(usize, &'a [Run])>,
+    ) {
+        let of_line = |(_, group): &(usize, &Group)| group.line == line;
+        for (g, group) in self.groups.iter().enumerate().filter(of_line) {
+            if node.is_beyond(group.kind) {
+                let f = |d: usize| &self.spectra[(g * WEIGHTS + d) * runs..][..runs];
+                terms.extend(node.terms.iter().map(|&(slot, d)| (slot, f(d))));
             }
         }
-        groups
     }
 }
 

@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use ndarray::{ArrayViewMut2, Axis as NdAxis};
 use planish_numerics::fft::{
-    Complex64,
     lane_convolution::{self, Strips},
+    line_convolution::GROUP,
 };
 use planish_types::Trajectory;
 use rayon::prelude::*;
@@ -17,11 +17,8 @@ use crate::{
     kernel::{Border, Kernel, MAX_BORDER},
     lattice::BorderNode,
     quadrature::{Cutter, Reach, Window},
-    spill::{BLOCKS, Blocks, Lines, Pieces, WEIGHTS},
+    spill::{Blocks, Lines, Pieces, Sources, Spilt, WEIGHTS},
 };
-
-/// Columns of the map that are written together: a cache line.
-const COLUMNS: usize = 8;
 
 /// Buffers of a thread.
 pub struct Workspace {
@@ -30,10 +27,9 @@ pub struct Workspace {
     transform: lane_convolution::Workspace<f64>,
     cutter: Cutter,
     kept: Kept,
-    /// Spectra of what is subtracted from the rows or the columns.
-    spilt: Vec<Complex64>,
-    /// Of [`Lines::subtract`].
-    sources: [Vec<Complex64>; BLOCKS],
+    /// From the rows or the columns.
+    spilt: Spilt,
+    sources: Sources,
 }
 
 /// The pieces of a tile, kept for the border.
@@ -55,8 +51,8 @@ impl Workspace {
             transform: Default::default(),
             cutter: Cutter::new([kernel.x.cells(), kernel.y.cells()]),
             kept: Kept::default(),
-            spilt: Vec::new(),
-            sources: Default::default(),
+            spilt: Spilt::default(),
+            sources: Sources::default(),
         }
     }
 }
@@ -122,12 +118,13 @@ impl<'a> Tile<'a> {
         if let Some(border) = &self.kernel.border {
             let lines = Lines { edge: &border.rows, across: y, parallel: alone };
             let blocks = kept.blocks(1, y.window(&self.rows));
-            let pieces = Rows { tile: self, kept, blocks };
+            let pieces = Rows { tile: self, size: border.rows.convolution.size(), kept, blocks };
             lines.subtract(&pieces, self.rows.len(), spilt, sources);
             self.add_rows(&lines, spilt, out.view_mut());
             let lines = Lines { edge: &border.columns, across: x, parallel: alone };
             let blocks = [0, 1].map(|s| kept.blocks(0, x.window(&self.strips[s])));
-            let pieces = Columns { tile: self, kept, blocks };
+            let pieces =
+                Columns { tile: self, size: border.columns.convolution.size(), kept, blocks };
             lines.subtract(&pieces, self.strips[0].len(), spilt, sources);
             self.add_columns(&lines, spilt, out.view_mut());
             if let Some(corners) = &border.corners {
@@ -172,7 +169,7 @@ impl<'a> Tile<'a> {
                             continue;
                         }
                         let line = &mut nodes[part][r as usize * width..][..width];
-                        add_to(line, cx, *seconds, |v| v);
+                        add_to(line, cx, *seconds);
                     }
                 }
                 if let Some(Border { rows, columns, .. }) = border {
@@ -207,59 +204,61 @@ impl<'a> Tile<'a> {
         (nodes > 0 && c >= -2 && c <= nodes).then_some(c)
     }
 
-    /// Adds the valid parts of the rows of both strips, given by their spectra.
-    fn add_rows(&self, lines: &Lines, rows: &mut [Complex64], mut out: ArrayViewMut2<f64>) {
+    /// Adds the valid parts of the rows of both strips.
+    fn add_rows(&self, lines: &Lines, rows: &mut Spilt, mut out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
-        let x = &self.kernel.x;
-        out.axis_iter_mut(NdAxis(0))
+        let (x, runs) = (&self.kernel.x, convolution.runs());
+        out.axis_chunks_iter_mut(NdAxis(0), GROUP)
             .into_par_iter()
-            .zip(rows.par_chunks_mut(convolution.size()))
-            .with_min_len(if lines.parallel { 1 } else { usize::MAX })
-            .for_each_init(
-                || convolution.scratch(),
-                |scratch, (mut row, line)| {
-                    if line.iter().all(|v| *v == Complex64::default()) {
-                        return; // the transform of zeros
-                    }
-                    convolution.inverse(line, scratch);
+            .zip(rows.spectra.par_chunks_mut(GROUP * runs))
+            .zip(&rows.touched)
+            .with_min_len(lines.least())
+            .filter(|(_, touched)| **touched)
+            .for_each_init(Vec::new, |work, ((mut rows, spilt), _)| {
+                convolution.inverse(spilt, work);
+                for (mut row, line) in rows.outer_iter_mut().zip(spilt.chunks_exact(runs)) {
                     let row = row.as_slice_mut().expect("in C order");
                     let (left, right) = row.split_at_mut(self.strips[0].len());
-                    let valid = line[x.samples() - 1..].iter().step_by(x.subdivision);
-                    left.iter_mut().zip(valid.clone()).for_each(|(o, v)| *o += v.re);
-                    right.iter_mut().zip(valid).for_each(|(o, v)| *o += v.im);
-                },
-            );
+                    for (to, from) in
+                        [left, right].into_iter().zip(convolution.left_and_right(line))
+                    {
+                        add_pixels(to, &from[x.samples() - 1..], x.subdivision);
+                    }
+                }
+            });
     }
 
-    /// Adds the valid parts of the `columns` of both strips, given by their spectra.
-    fn add_columns(&self, lines: &Lines, columns: &mut [Complex64], out: ArrayViewMut2<f64>) {
+    /// Adds the valid parts of the `columns` of both strips.
+    fn add_columns(&self, lines: &Lines, columns: &Spilt, out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
-        let size = convolution.size();
         let y = &self.kernel.y;
         let (mut left, mut right) = out.split_at(NdAxis(1), self.strips[0].len());
-        let mut right = right.axis_chunks_iter_mut(NdAxis(1), COLUMNS);
-        let left = left.axis_chunks_iter_mut(NdAxis(1), COLUMNS);
+        let mut right = right.axis_chunks_iter_mut(NdAxis(1), GROUP);
+        let left = left.axis_chunks_iter_mut(NdAxis(1), GROUP);
         let groups: Vec<_> = left.map(|l| (l, right.next())).collect();
         columns
-            .par_chunks_mut(COLUMNS * size)
+            .spectra
+            .par_chunks(GROUP * convolution.runs())
+            .zip(&columns.touched)
             .zip(groups)
-            .with_min_len(if lines.parallel { 1 } else { usize::MAX })
-            .for_each_init(
-                || convolution.scratch(),
-                |scratch, (columns, (mut left, right))| {
-                    convolution.inverse(columns, scratch);
-                    let node = |r: usize| y.samples() - 1 + r * y.subdivision;
-                    for (r, mut row) in left.outer_iter_mut().enumerate() {
-                        let value = |i: usize| columns[i * size + node(r)].re;
-                        row.iter_mut().enumerate().for_each(|(i, o)| *o += value(i));
+            .with_min_len(lines.least())
+            .filter(|((_, touched), _)| **touched)
+            .for_each_init(Vec::new, |work, ((columns, _), (mut left, mut right))| {
+                convolution.inverse_by_elements(columns, work, |node, first, of_left, of_right| {
+                    let Some(node) = node.checked_sub(y.samples() - 1) else { return };
+                    if !node.is_multiple_of(y.subdivision) {
+                        return;
                     }
-                    let Some(mut right) = right else { return };
-                    for (r, mut row) in right.outer_iter_mut().enumerate() {
-                        let value = |i: usize| columns[i * size + node(r)].im;
-                        row.iter_mut().enumerate().for_each(|(i, o)| *o += value(i));
+                    let row = node / y.subdivision;
+                    for (to, from) in [(Some(&mut left), of_left), (right.as_mut(), of_right)] {
+                        let Some(to) = to.filter(|to| row < to.nrows()) else { continue };
+                        let mut to = to.row_mut(row);
+                        let to = to.as_slice_mut().expect("in C order");
+                        let to = to.get_mut(first..).unwrap_or_default();
+                        to.iter_mut().zip(from).for_each(|(to, v)| *to += v);
                     }
-                },
-            );
+                });
+            });
     }
 
     /// Adds `E ly lx`: the pixels diagonally beyond the corners of the TIF.
@@ -339,22 +338,27 @@ impl Strips<f64> for Seconds<'_> {
         let (Some(left), Some(right)) = (left.get(first..), right.get(first..)) else { return };
         let mut out = self.out.row_mut(row / ny);
         let (to_left, to_right) = out.as_slice_mut().expect("in C order").split_at_mut(self.left);
-        let add = |to: &mut [f64], from: &[f64]| {
-            let to = to.get_mut(pixel..).unwrap_or_default();
-            if nx == 1 {
-                to.iter_mut().zip(from).for_each(|(to, v)| *to += v);
-            } else {
-                to.iter_mut().zip(from.iter().step_by(nx)).for_each(|(to, v)| *to += v);
-            }
-        };
-        add(to_left, left);
-        add(to_right, right);
+        for (to, from) in [(to_left, left), (to_right, right)] {
+            add_pixels(to.get_mut(pixel..).unwrap_or_default(), from, nx);
+        }
+    }
+}
+
+/// Adds what is on the nodes of pixels, one in `subdivision`.
+#[inline(always)]
+fn add_pixels(to: &mut [f64], from: &[f64], subdivision: usize) {
+    if subdivision == 1 {
+        to.iter_mut().zip(from).for_each(|(to, v)| *to += v);
+    } else {
+        to.iter_mut().zip(from.iter().step_by(subdivision)).for_each(|(to, v)| *to += v);
     }
 }
 
 /// The pieces by rows of cells, for `E ly`.
 struct Rows<'a> {
     tile: &'a Tile<'a>,
+    /// Nodes of a line.
+    size: usize,
     kept: &'a Kept,
     blocks: Blocks<'a>,
 }
@@ -364,11 +368,11 @@ impl Pieces for Rows<'_> {
         [0, 1].map(|_strip| self.blocks.of(block))
     }
 
-    fn add(&self, piece: u32, strip: usize, lines: [&mut [Complex64]; WEIGHTS]) {
+    fn add(&self, piece: u32, strip: usize, f: &mut [f64], step: usize) {
         let [x, _] = self.kept.cells[piece as usize];
         if let Some(c) = self.tile.column(x.into(), strip) {
-            for (line, seconds) in lines.into_iter().zip(self.kept.seconds[piece as usize]) {
-                add(line, strip, c, seconds);
+            for (d, seconds) in self.kept.seconds[piece as usize].iter().enumerate() {
+                add_to(&mut f[d * step..][..self.size], c, *seconds);
             }
         }
     }
@@ -377,6 +381,8 @@ impl Pieces for Rows<'_> {
 /// The pieces by columns of cells, for `E lx`.
 struct Columns<'a> {
     tile: &'a Tile<'a>,
+    /// Nodes of a line.
+    size: usize,
     kept: &'a Kept,
     /// Of each strip.
     blocks: [Blocks<'a>; 2],
@@ -387,38 +393,27 @@ impl Pieces for Columns<'_> {
         [0, 1].map(|strip| self.blocks[strip].of(block))
     }
 
-    fn add(&self, piece: u32, strip: usize, lines: [&mut [Complex64]; WEIGHTS]) {
+    fn add(&self, piece: u32, _strip: usize, f: &mut [f64], step: usize) {
         let [_, y] = self.kept.cells[piece as usize];
         let [s0, s1, s2, s3] = &self.kept.seconds[piece as usize];
-        for (a, line) in lines.into_iter().enumerate() {
-            add(line, strip, self.tile.row(y.into()), [s0[a], s1[a], s2[a], s3[a]]);
+        let r = self.tile.row(y.into());
+        for a in 0..WEIGHTS {
+            add_to(&mut f[a * step..][..self.size], r, [s0[a], s1[a], s2[a], s3[a]]);
         }
     }
 }
 
 /// Adds seconds to the nodes c-1 .. c+2 of a line, as far as it has them.
-#[inline]
-fn add(line: &mut [Complex64], part: usize, c: i64, seconds: [f64; 4]) {
-    if part == 0 {
-        add_to(line, c, seconds, |v| &mut v.re);
-    } else {
-        add_to(line, c, seconds, |v| &mut v.im);
-    }
-}
-
 #[inline(always)]
-fn add_to<V>(line: &mut [V], c: i64, seconds: [f64; 4], part: impl Fn(&mut V) -> &mut f64) {
+fn add_to(line: &mut [f64], c: i64, seconds: [f64; 4]) {
     let first = usize::try_from(c - 1).unwrap_or(usize::MAX - 4);
-    if let Some([n0, n1, n2, n3]) = line.get_mut(first..first + 4) {
-        *part(n0) += seconds[0];
-        *part(n1) += seconds[1];
-        *part(n2) += seconds[2];
-        *part(n3) += seconds[3];
+    if let Some(nodes) = line.get_mut(first..first + 4) {
+        nodes.iter_mut().zip(seconds).for_each(|(node, s)| *node += s);
         return;
     }
     for (c, s) in (c - 1..).zip(seconds) {
-        if let Some(v) = usize::try_from(c).ok().and_then(|i| line.get_mut(i)) {
-            *part(v) += s;
+        if let Some(node) = usize::try_from(c).ok().and_then(|i| line.get_mut(i)) {
+            *node += s;
         }
     }
 }

@@ -313,8 +313,8 @@ fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [[T::Vector<S>; 2]] {
 #[inline(always)]
 fn transpose_parts<T: Lanes, S: Simd>(from: &[T], to: &mut [T]) {
     let lanes = T::lanes::<S>();
-    transpose::<T, S>(from, to, 2 * lanes);
-    transpose::<T, S>(&from[lanes..], &mut to[lanes..], 2 * lanes);
+    transpose::<T, S>(from, 2 * lanes, to, 2 * lanes);
+    transpose::<T, S>(&from[lanes..], 2 * lanes, &mut to[lanes..], 2 * lanes);
 }
 
 #[cfg(test)]

@@ -432,17 +432,17 @@ pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
 }
 
 /// Exchanges rows and columns of a square of as many numbers on a side as a vector has lanes: row `i` begins at
-/// `from[i step]` and becomes the column `i` of the rows that begin at `to[j step]`.
+/// `from[i from_step]` and becomes the column `i` of the rows that begin at `to[j to_step]`.
 #[inline(always)]
-pub fn transpose<T: Lanes, S: Simd>(from: &[T], to: &mut [T], step: usize) {
+pub fn transpose<T: Lanes, S: Simd>(from: &[T], from_step: usize, to: &mut [T], to_step: usize) {
     match T::lanes::<S>() {
-        16 => transpose_square::<T, 16>(from, to, step),
-        8 => transpose_square::<T, 8>(from, to, step),
-        4 => transpose_square::<T, 4>(from, to, step),
+        16 => transpose_square::<T, 16>(from, from_step, to, to_step),
+        8 => transpose_square::<T, 8>(from, from_step, to, to_step),
+        4 => transpose_square::<T, 4>(from, from_step, to, to_step),
         lanes => {
             for i in 0..lanes {
                 for j in 0..lanes {
-                    to[j * step + i] = from[i * step + j];
+                    to[j * to_step + i] = from[i * from_step + j];
                 }
             }
         }
@@ -451,18 +451,23 @@ pub fn transpose<T: Lanes, S: Simd>(from: &[T], to: &mut [T], step: usize) {
 
 /// By squares of four, for which the compiler has vectors.
 #[inline(always)]
-fn transpose_square<T: Lanes, const N: usize>(from: &[T], to: &mut [T], step: usize) {
+fn transpose_square<T: Lanes, const N: usize>(
+    from: &[T],
+    from_step: usize,
+    to: &mut [T],
+    to_step: usize,
+) {
     const SIDE: usize = 4;
-    let (from, to) = (&from[..(N - 1) * step + N], &mut to[..(N - 1) * step + N]);
+    let (from, to) = (&from[..(N - 1) * from_step + N], &mut to[..(N - 1) * to_step + N]);
     for i in 0..N / SIDE {
         for j in 0..N / SIDE {
             let mut v = [[T::default(); SIDE]; SIDE];
             for k in 0..SIDE {
-                let row = from[(SIDE * i + k) * step + SIDE * j..].first_chunk();
+                let row = from[(SIDE * i + k) * from_step + SIDE * j..].first_chunk();
                 v[k] = *row.expect("squares are whole");
             }
             for k in 0..SIDE {
-                let column = to[(SIDE * j + k) * step + SIDE * i..].first_chunk_mut();
+                let column = to[(SIDE * j + k) * to_step + SIDE * i..].first_chunk_mut();
                 *column.expect("squares are whole") = [v[0][k], v[1][k], v[2][k], v[3][k]];
             }
         }
@@ -581,14 +586,14 @@ mod tests {
     #[test]
     fn squares_are_transposed() {
         fn transposed<const N: usize>() {
-            let step = N + 3;
-            let from: Vec<f64> = (0..N * step).map(|v| v as f64).collect();
-            let mut to = vec![0.0; N * step];
-            transpose_square::<f64, N>(&from, &mut to, step);
+            let (from_step, to_step) = (N + 2, N + 3);
+            let from: Vec<f64> = (0..N * from_step).map(|v| v as f64).collect();
+            let mut to = vec![0.0; N * to_step];
+            transpose_square::<f64, N>(&from, from_step, &mut to, to_step);
             for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
-                assert_eq!(to[j * step + i], from[i * step + j]);
+                assert_eq!(to[j * to_step + i], from[i * from_step + j]);
             }
-            assert!((0..N).all(|i| to.get(i * step + N..(i + 1) * step).unwrap() == [0.0; 3]));
+            assert!((1..N).all(|i| to[i * to_step - 3..i * to_step] == [0.0; 3]));
         }
         transposed::<4>();
         transposed::<8>();

@@ -1,104 +1,315 @@
 //! Convolutions of lines with several kernels, whose spectra are summed before they are transformed back.
 //!
-//! A real kernel convolves the real and the imaginary part of a line independently: two real lines share one complex
-//! transform. Every line is transformed by itself, so that the result does not depend on the number of threads.
+//! A real kernel convolves the real and the imaginary part of a line independently: two real lines, here called left
+//! and right, share one complex transform. A circular convolution of `n` elements contains the part that never leaves a
+//! source of `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
 //!
-//! A circular convolution of `n` elements contains the part that never leaves a source of
-//! `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
-
-use std::sync::Arc;
+//! [`GROUP`] lines are transformed at a time, in the lanes of vectors ([`super::lanes`]); a product goes through the
+//! frequencies in runs of [`RUN`], all sums of a run before the next, so that what several sums share stays in the
+//! fastest cache. No result depends on which lines are in a group, nor on the number of threads.
 
 use ndarray::ArrayView2;
-use rustfft::{Fft, FftPlanner};
+use pulp::{Arch, Simd, WithSimd};
 
-use super::Complex64;
-use crate::vectors::vectorised;
+use super::{
+    lane_convolution::is_field_size,
+    lanes::{Element, Transform, transpose},
+};
+use crate::vectors::Lanes;
 
-/// Products that are summed in one pass over a line.
-const TERMS: usize = 3;
+/// Lines that are transformed together: a multiple of the lanes of every vector.
+pub const GROUP: usize = 8;
+
+/// Frequencies of a run.
+const RUN: usize = 16;
+
+/// The real parts of a run of frequencies, and then the imaginary ones.
+pub type Run = [f64; 2 * RUN];
+
+/// Runs from the end of a line to the next: were lines a power of two apart, all would fall on the same few lines of
+/// the cache.
+const GAP: usize = 1;
 
 /// Convolutions along one axis with several kernels. Their sum is made of the spectra, and the
 /// spectrum of a source serves all kernels.
 pub struct LineConvolution {
     size: usize,
-    forward: Arc<dyn Fft<f64>>,
-    inverse: Arc<dyn Fft<f64>>,
-    /// Spectra of the kernels, [j][k], scaled by 1 / (number of elements).
-    spectrum: Vec<Complex64>,
+    kernels: usize,
+    transform: Transform<f64>,
+    /// Spectra of the kernels, scaled by 1 / (number of elements): of each run those of all kernels.
+    spectra: Vec<Run>,
 }
 
+/// A sum of products: where it is, and its terms among those of all sums.
+pub type Sum<'a> = (&'a mut [Run], std::ops::Range<usize>);
+
 impl LineConvolution {
-    /// Plans for kernels (m, g) and lines of `size >= g` elements.
+    /// Plans for kernels (m, g) and lines of `size >= g` elements, a size by [`is_field_size`].
     pub fn new(kernels: ArrayView2<f64>, size: usize) -> Self {
         let (m, g) = kernels.dim();
         assert!(g >= 1 && size >= g, "kernel exceeds the line");
-        let mut planner = FftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
-        let mut spectrum = vec![Complex64::default(); m * size];
-        let mut scratch = vec![Complex64::default(); forward.get_inplace_scratch_len()];
-        for (line, g) in spectrum.chunks_mut(size).zip(kernels.outer_iter()) {
-            line.iter_mut().zip(g).for_each(|(l, g)| l.re = g / size as f64);
-            forward.process_with_scratch(line, &mut scratch);
+        assert!(is_field_size(size), "no lines of {size} elements");
+        let transform = Transform::new(size);
+        let mut plan = Self { size, kernels: m, transform, spectra: vec![] };
+        let mut lines = vec![[0.0; 2 * RUN]; m.next_multiple_of(GROUP) * plan.runs()];
+        for (line, g) in lines.chunks_exact_mut(plan.runs()).zip(kernels.outer_iter()) {
+            let left = line.as_flattened_mut().iter_mut();
+            left.zip(g).for_each(|(l, g)| *l = g / size as f64);
         }
-        Self { size, forward, inverse, spectrum }
+        plan.forward(&mut lines, &mut Vec::new());
+        let of = |(k, j): (usize, usize)| lines[j * plan.runs() + k];
+        let spectra = (0..size / RUN).flat_map(|k| (0..m).map(move |j| (k, j))).map(of).collect();
+        plan.spectra = spectra;
+        plan
     }
 
-    /// Elements of a line.
+    /// Runs from a line to the next. As numbers these are the elements of the left line, those of the right one, and
+    /// the gap; as a spectrum, its runs and the gap.
+    pub fn runs(&self) -> usize {
+        self.size / RUN + GAP
+    }
+
+    /// Elements of a left or a right line.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// A buffer for [`Self::forward`] and [`Self::inverse`].
-    pub fn scratch(&self) -> Vec<Complex64> {
-        let of = |plan: &dyn Fft<f64>| plan.get_inplace_scratch_len();
-        vec![Complex64::default(); of(&*self.forward).max(of(&*self.inverse))]
+    /// Numbers from a line to the next.
+    pub fn numbers(&self) -> usize {
+        self.runs() * 2 * RUN
     }
 
-    /// The spectra of whole lines, one after the other.
-    pub fn forward(&self, lines: &mut [Complex64], scratch: &mut [Complex64]) {
-        self.forward.process_with_scratch(lines, scratch);
+    /// The left and the right line of a line that is not a spectrum.
+    pub fn left_and_right<'a>(&self, line: &'a [Run]) -> [&'a [f64]; 2] {
+        let (left, rest) = line.as_flattened().split_at(self.size);
+        [left, &rest[..self.size]]
     }
 
-    /// The lines of sums of [`Self::subtract`].
-    pub fn inverse(&self, lines: &mut [Complex64], scratch: &mut [Complex64]) {
-        self.inverse.process_with_scratch(lines, scratch);
-    }
-
-    /// Subtracts the convolutions of these (kernel, spectrum of a source): `sum -= g_j s` for each.
-    pub fn subtract(&self, sum: &mut [Complex64], terms: &[(usize, &[Complex64])]) {
-        let mut terms = terms.chunks_exact(TERMS);
-        for some in &mut terms {
-            self.subtract_some::<TERMS>(sum, some);
-        }
-        for one in terms.remainder().chunks_exact(1) {
-            self.subtract_some::<1>(sum, one);
+    /// The spectra of lines, in whole groups. `work` is a buffer.
+    pub fn forward(&self, lines: &mut [Run], work: &mut Vec<f64>) {
+        for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
+            Arch::new().dispatch(Forward { plan: self, lines, work });
         }
     }
 
-    fn subtract_some<const N: usize>(
+    /// The lines of sums of [`Self::subtract`], in whole groups.
+    pub fn inverse(&self, lines: &mut [Run], work: &mut Vec<f64>) {
+        for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
+            Arch::new().dispatch(Inverse { plan: self, lines, work });
+        }
+    }
+
+    /// Tells the lines of one group of such sums by their elements: of element `i` of the lines from `first` on, the
+    /// left ones and the right ones, `write(i, first, left, right)`.
+    pub fn inverse_by_elements(
         &self,
-        sum: &mut [Complex64],
-        terms: &[(usize, &[Complex64])],
+        lines: &[Run],
+        work: &mut Vec<f64>,
+        write: impl FnMut(usize, usize, &[f64], &[f64]),
     ) {
-        let n = self.size;
-        let sum = &mut sum[..n];
-        let factors: [(&[Complex64], &[Complex64]); N] = std::array::from_fn(|t| {
-            let (j, source) = terms[t];
-            (&self.spectrum[j * n..][..n], &source[..n])
-        });
-        vectorised(
-            #[inline(always)]
-            || {
-                for k in 0..n {
-                    let mut rest = sum[k];
-                    for (g, s) in &factors {
-                        rest -= g[k] * s[k];
-                    }
-                    sum[k] = rest;
-                }
-            },
-        );
+        assert_eq!(lines.len(), GROUP * self.runs(), "one group");
+        Arch::new().dispatch(ByElements { plan: self, lines, work, write });
     }
+
+    /// Subtracts from the spectra of sums the convolutions of their terms (kernel, spectrum of a source):
+    /// `sum -= g_j s` for each.
+    pub fn subtract(&self, sums: &mut [Sum<'_>], terms: &[(usize, &[Run])]) {
+        Arch::new().dispatch(Subtract { plan: self, sums, terms });
+    }
+
+    /// Puts `lanes` lines from `first` on into the lanes of `to`.
+    #[inline(always)]
+    fn lines_to_lanes<S: Simd>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
+        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
+        let lines = &lines.as_flattened()[first * numbers..];
+        for part in 0..2 {
+            let (lines, to) = (&lines[part * self.size..], &mut to[part * lanes..]);
+            for i in (0..self.size).step_by(lanes) {
+                transpose::<f64, S>(&lines[i..], numbers, &mut to[2 * lanes * i..], 2 * lanes);
+            }
+        }
+    }
+
+    /// The reverse.
+    #[inline(always)]
+    fn lanes_to_lines<S: Simd>(&self, from: &[f64], lines: &mut [Run], first: usize) {
+        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
+        let lines = &mut lines.as_flattened_mut()[first * numbers..];
+        for part in 0..2 {
+            let (lines, from) = (&mut lines[part * self.size..], &from[part * lanes..]);
+            for i in (0..self.size).step_by(lanes) {
+                transpose::<f64, S>(&from[2 * lanes * i..], 2 * lanes, &mut lines[i..], numbers);
+            }
+        }
+    }
+
+    /// Puts the spectra of `lanes` lines from `first` on into the lanes of `to`.
+    #[inline(always)]
+    fn spectra_to_lanes<S: Simd>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
+        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
+        let lines = &lines.as_flattened()[first * numbers..];
+        for i in (0..self.size).step_by(lanes) {
+            for part in 0..2 {
+                let at = (i / RUN * 2 + part) * RUN + i % RUN;
+                let to = &mut to[(2 * i + part) * lanes..];
+                transpose::<f64, S>(&lines[at..], numbers, to, 2 * lanes);
+            }
+        }
+    }
+
+    /// The reverse.
+    #[inline(always)]
+    fn lanes_to_spectra<S: Simd>(&self, from: &[f64], lines: &mut [Run], first: usize) {
+        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
+        let lines = &mut lines.as_flattened_mut()[first * numbers..];
+        for i in (0..self.size).step_by(lanes) {
+            for part in 0..2 {
+                let at = (i / RUN * 2 + part) * RUN + i % RUN;
+                let from = &from[(2 * i + part) * lanes..];
+                transpose::<f64, S>(from, 2 * lanes, &mut lines[at..], numbers);
+            }
+        }
+    }
+
+    /// A buffer for as many lines as there are lanes.
+    #[inline(always)]
+    fn buffer<'a, S: Simd>(&self, work: &'a mut Vec<f64>) -> &'a mut [f64] {
+        let needed = 2 * self.size * f64::lanes::<S>();
+        work.resize(work.len().max(needed), 0.0);
+        &mut work[..needed]
+    }
+}
+
+#[inline(always)]
+fn elements<S: Simd>(numbers: &mut [f64]) -> &mut [Element<f64, S>] {
+    f64::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
+}
+
+struct Forward<'a> {
+    plan: &'a LineConvolution,
+    lines: &'a mut [Run],
+    work: &'a mut Vec<f64>,
+}
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { plan, lines, work } = self;
+        let buffer = plan.buffer::<S>(work);
+        for first in (0..GROUP).step_by(f64::lanes::<S>()) {
+            plan.lines_to_lanes::<S>(lines, first, buffer);
+            plan.transform.forward::<S>(simd, elements::<S>(buffer));
+            plan.lanes_to_spectra::<S>(buffer, lines, first);
+        }
+    }
+}
+
+struct Inverse<'a> {
+    plan: &'a LineConvolution,
+    lines: &'a mut [Run],
+    work: &'a mut Vec<f64>,
+}
+
+impl WithSimd for Inverse<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { plan, lines, work } = self;
+        let buffer = plan.buffer::<S>(work);
+        for first in (0..GROUP).step_by(f64::lanes::<S>()) {
+            plan.spectra_to_lanes::<S>(lines, first, buffer);
+            plan.transform.inverse::<S>(simd, elements::<S>(buffer));
+            plan.lanes_to_lines::<S>(buffer, lines, first);
+        }
+    }
+}
+
+struct ByElements<'a, W> {
+    plan: &'a LineConvolution,
+    lines: &'a [Run],
+    work: &'a mut Vec<f64>,
+    write: W,
+}
+
+impl<W: FnMut(usize, usize, &[f64], &[f64])> WithSimd for ByElements<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { plan, lines, work, mut write } = self;
+        let lanes = f64::lanes::<S>();
+        let buffer = plan.buffer::<S>(work);
+        for first in (0..GROUP).step_by(lanes) {
+            plan.spectra_to_lanes::<S>(lines, first, buffer);
+            plan.transform.inverse::<S>(simd, elements::<S>(buffer));
+            for (i, element) in buffer.chunks_exact(2 * lanes).enumerate() {
+                let (left, right) = element.split_at(lanes);
+                write(i, first, left, right);
+            }
+        }
+    }
+}
+
+struct Subtract<'a, 'b> {
+    plan: &'a LineConvolution,
+    sums: &'a mut [Sum<'b>],
+    terms: &'a [(usize, &'a [Run])],
+}
+
+impl WithSimd for Subtract<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { plan, sums, terms } = self;
+        for (k, spectra) in plan.spectra.chunks_exact(plan.kernels).enumerate() {
+            for (sum, of) in &mut *sums {
+                subtract_run::<S>(simd, &mut sum[k], &terms[of.clone()], spectra, k);
+            }
+        }
+    }
+}
+
+/// Vectors of real parts, and of imaginary ones, that are multiplied together.
+const PAIR: usize = 2;
+
+/// The run `k` of a sum, pair by pair.
+#[inline(always)]
+fn subtract_run<S: Simd>(
+    simd: S,
+    sum: &mut Run,
+    terms: &[(usize, &[Run])],
+    spectra: &[Run],
+    k: usize,
+) {
+    let (re, im) = sum.split_at_mut(RUN);
+    let (re, im) = (f64::vectors_mut::<S>(re), f64::vectors_mut::<S>(im));
+    let pairs = re.as_chunks_mut::<PAIR>().0.iter_mut().zip(im.as_chunks_mut::<PAIR>().0);
+    for (pair, (to_re, to_im)) in pairs.enumerate() {
+        let (mut re, mut im) = (*to_re, *to_im);
+        for &(j, source) in terms {
+            let (g, s) = (&spectra[j], &source[k]);
+            let (g_re, g_im) = (part::<S>(g, 0, pair), part::<S>(g, 1, pair));
+            let (s_re, s_im) = (part::<S>(s, 0, pair), part::<S>(s, 1, pair));
+            for v in 0..PAIR {
+                re[v] = <f64 as Lanes>::negate_mul_add(simd, g_re[v], s_re[v], re[v]);
+                re[v] = <f64 as Lanes>::mul_add(simd, g_im[v], s_im[v], re[v]);
+                im[v] = <f64 as Lanes>::negate_mul_add(simd, g_re[v], s_im[v], im[v]);
+                im[v] = <f64 as Lanes>::negate_mul_add(simd, g_im[v], s_re[v], im[v]);
+            }
+        }
+        (*to_re, *to_im) = (re, im);
+    }
+}
+
+/// A pair of vectors of real parts (0) or of imaginary ones (1).
+#[inline(always)]
+fn part<S: Simd>(run: &Run, part: usize, pair: usize) -> &[<f64 as Lanes>::Vector<S>; PAIR] {
+    let numbers = &run.as_chunks::<RUN>().0[part];
+    &f64::vectors::<S>(numbers).as_chunks::<PAIR>().0[pair]
 }
 
 #[cfg(test)]
@@ -116,24 +327,55 @@ mod tests {
 
     #[test]
     fn lines_with_several_kernels_are_summed() {
-        let (g, s) = (random((3, 4), 8), random((3, 15), 9));
-        let plan = LineConvolution::new(g.view(), 16);
-        let mut scratch = plan.scratch();
-        let mut lines = vec![Complex64::default(); 3 * 16];
-        for ((j, i), s) in s.indexed_iter() {
-            lines[j * 16 + i] = Complex64::new(*s, -2.0 * s);
-        }
-        plan.forward(&mut lines, &mut scratch);
-        let terms = [0, 2].map(|j| (j, &lines[j * 16..(j + 1) * 16]));
-        let mut found = vec![Complex64::default(); 16];
-        plan.subtract(&mut found, &terms);
-        plan.inverse(&mut found, &mut scratch);
-        for i in 0..12 {
-            let of = |j: usize| (0..4).map(|b| g[[j, b]] * s[[j, i + 3 - b]]).sum::<f64>();
-            let expected = of(0) + of(2);
-            // Sums of 8 products of order 1.
-            assert!((found[i + 3].re + expected).abs() < 1e-13);
-            assert!((found[i + 3].im - 2.0 * expected).abs() < 1e-13);
+        for size in [16, 48] {
+            let s = size - 1;
+            let (g, left, right) =
+                (random((3, 4), 8), random((GROUP, s), 9), random((GROUP, s), 10));
+            let plan = LineConvolution::new(g.view(), size);
+            let (runs, mut work) = (plan.runs(), vec![]);
+            let mut lines = vec![[0.0; 2 * RUN]; GROUP * runs];
+            for (j, line) in lines.chunks_exact_mut(runs).enumerate() {
+                for (part, from) in [&left, &right].into_iter().enumerate() {
+                    let to = &mut line.as_flattened_mut()[part * size..][..s];
+                    to.copy_from_slice(from.row(j).as_slice().unwrap());
+                }
+            }
+            plan.forward(&mut lines, &mut work);
+            // Two sums: of two terms in the fourth line of a group, and of one in its last line.
+            let line = |j: usize| &lines[j * runs..][..runs];
+            let terms = [(0, line(1)), (2, line(5)), (1, line(7))];
+            let mut found = vec![[0.0; 2 * RUN]; GROUP * runs];
+            let mut parts = found.chunks_exact_mut(runs);
+            let (fourth, last) = (parts.nth(3).unwrap(), parts.nth(3).unwrap());
+            plan.subtract(&mut [(fourth, 0..2), (last, 2..3)], &terms);
+            let mut by_elements = Array2::zeros((2 * GROUP, size));
+            plan.inverse_by_elements(&found, &mut work, |i, first, left, right| {
+                for (k, (left, right)) in left.iter().zip(right).enumerate() {
+                    by_elements[[first + k, i]] = *left;
+                    by_elements[[GROUP + first + k, i]] = *right;
+                }
+            });
+            plan.inverse(&mut found, &mut work);
+            for (j, line) in found.chunks_exact(runs).enumerate() {
+                let terms: &[(usize, usize)] = match j {
+                    3 => &[(0, 1), (2, 5)],
+                    7 => &[(1, 7)],
+                    _ => &[],
+                };
+                for (part, source) in [&left, &right].into_iter().enumerate() {
+                    let found = plan.left_and_right(line)[part];
+                    assert!((0..size).all(|i| found[i] == by_elements[[part * GROUP + j, i]]));
+                    for i in 0..s - 3 {
+                        // the definition
+                        let of = |&(k, j): &(usize, usize)| {
+                            (0..4).map(|b| g[[k, b]] * source[[j, i + 3 - b]]).sum::<f64>()
+                        };
+                        let expected = -terms.iter().map(of).sum::<f64>();
+                        // Sums of 8 products of order 1.
+                        assert!((found[i + 3] - expected).abs() < 1e-13);
+                    }
+                }
+            }
         }
     }
 }
