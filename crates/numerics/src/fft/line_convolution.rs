@@ -5,7 +5,7 @@
 //! source of `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
 //!
 //! [`GROUP`] lines are transformed at a time, in the lanes of vectors ([`super::lanes`]); a product goes through the
-//! frequencies in runs of [`RUN`], all sums of a run before the next, so that what several sums share stays in the
+//! frequencies in runs of 16 ([`Run`]), all sums of a run before the next, so that what several sums share stays in the
 //! fastest cache. No result depends on which lines are in a group, nor on the number of threads.
 
 use ndarray::ArrayView2;
