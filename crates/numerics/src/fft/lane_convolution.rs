@@ -16,7 +16,7 @@ use std::ops::Range;
 use ndarray::ArrayView2;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::lanes::{Transform, is_size, transpose};
+use super::lanes::{Transform, elements, is_size, transpose};
 use crate::vectors::Lanes;
 
 /// Every length is a multiple of the most lanes that a vector has, those of single precision in 64 bytes.
@@ -301,12 +301,6 @@ impl<T: Lanes> LaneConvolution<T> {
     fn spoilt(&self, places: Places) -> usize {
         (self.kernel.1 - 1) / places.lanes
     }
-}
-
-/// Real and imaginary parts, one after the other.
-#[inline(always)]
-fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [[T::Vector<S>; 2]] {
-    T::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
 }
 
 /// Transposes the real and the imaginary parts of a square.

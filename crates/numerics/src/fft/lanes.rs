@@ -38,6 +38,12 @@ pub fn is_size(n: usize) -> bool {
 /// An element of a line in every lane: the real and the imaginary parts.
 pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];
 
+/// Numbers as elements: the real parts of one, its imaginary parts, and so on.
+#[inline(always)]
+pub fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [Element<T, S>] {
+    T::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
+}
+
 /// Transforms of lines of one length.
 pub struct Transform<T> {
     size: usize,

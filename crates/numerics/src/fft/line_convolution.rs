@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     lane_convolution::is_field_size,
-    lanes::{Element, Transform, transpose},
+    lanes::{Transform, elements, transpose},
 };
 use crate::vectors::Lanes;
 
@@ -117,56 +117,40 @@ impl LineConvolution {
         Arch::new().dispatch(Subtract { plan: self, sums, terms });
     }
 
-    /// Puts `lanes` lines from `first` on into the lanes of `to`.
+    /// Where in a line the element `i` is, of the left line (part 0) or the right one, or of a spectrum its real (0) or
+    /// imaginary part.
     #[inline(always)]
-    fn lines_to_lanes<S: Simd>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
+    fn at<const SPECTRUM: bool>(&self, part: usize, i: usize) -> usize {
+        if SPECTRUM { (i / RUN * 2 + part) * RUN + i % RUN } else { part * self.size + i }
+    }
+
+    /// Puts as many lines or spectra as there are lanes, from `first` on, into the lanes of `to`.
+    #[inline(always)]
+    fn gather<S: Simd, const SPECTRUM: bool>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
         let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
         let lines = &lines.as_flattened()[first * numbers..];
-        for part in 0..2 {
-            let (lines, to) = (&lines[part * self.size..], &mut to[part * lanes..]);
-            for i in (0..self.size).step_by(lanes) {
-                transpose::<f64, S>(&lines[i..], numbers, &mut to[2 * lanes * i..], 2 * lanes);
+        for i in (0..self.size).step_by(lanes) {
+            for part in 0..2 {
+                let from = &lines[self.at::<SPECTRUM>(part, i)..];
+                transpose::<f64, S>(from, numbers, &mut to[(2 * i + part) * lanes..], 2 * lanes);
             }
         }
     }
 
     /// The reverse.
     #[inline(always)]
-    fn lanes_to_lines<S: Simd>(&self, from: &[f64], lines: &mut [Run], first: usize) {
-        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
-        let lines = &mut lines.as_flattened_mut()[first * numbers..];
-        for part in 0..2 {
-            let (lines, from) = (&mut lines[part * self.size..], &from[part * lanes..]);
-            for i in (0..self.size).step_by(lanes) {
-                transpose::<f64, S>(&from[2 * lanes * i..], 2 * lanes, &mut lines[i..], numbers);
-            }
-        }
-    }
-
-    /// Puts the spectra of `lanes` lines from `first` on into the lanes of `to`.
-    #[inline(always)]
-    fn spectra_to_lanes<S: Simd>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
-        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
-        let lines = &lines.as_flattened()[first * numbers..];
-        for i in (0..self.size).step_by(lanes) {
-            for part in 0..2 {
-                let at = (i / RUN * 2 + part) * RUN + i % RUN;
-                let to = &mut to[(2 * i + part) * lanes..];
-                transpose::<f64, S>(&lines[at..], numbers, to, 2 * lanes);
-            }
-        }
-    }
-
-    /// The reverse.
-    #[inline(always)]
-    fn lanes_to_spectra<S: Simd>(&self, from: &[f64], lines: &mut [Run], first: usize) {
+    fn scatter<S: Simd, const SPECTRUM: bool>(
+        &self,
+        from: &[f64],
+        lines: &mut [Run],
+        first: usize,
+    ) {
         let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
         let lines = &mut lines.as_flattened_mut()[first * numbers..];
         for i in (0..self.size).step_by(lanes) {
             for part in 0..2 {
-                let at = (i / RUN * 2 + part) * RUN + i % RUN;
-                let from = &from[(2 * i + part) * lanes..];
-                transpose::<f64, S>(from, 2 * lanes, &mut lines[at..], numbers);
+                let to = &mut lines[self.at::<SPECTRUM>(part, i)..];
+                transpose::<f64, S>(&from[(2 * i + part) * lanes..], 2 * lanes, to, numbers);
             }
         }
     }
@@ -178,11 +162,6 @@ impl LineConvolution {
         work.resize(work.len().max(needed), 0.0);
         &mut work[..needed]
     }
-}
-
-#[inline(always)]
-fn elements<S: Simd>(numbers: &mut [f64]) -> &mut [Element<f64, S>] {
-    f64::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
 }
 
 struct Forward<'a> {
@@ -199,9 +178,9 @@ impl WithSimd for Forward<'_> {
         let Self { plan, lines, work } = self;
         let buffer = plan.buffer::<S>(work);
         for first in (0..GROUP).step_by(f64::lanes::<S>()) {
-            plan.lines_to_lanes::<S>(lines, first, buffer);
-            plan.transform.forward::<S>(simd, elements::<S>(buffer));
-            plan.lanes_to_spectra::<S>(buffer, lines, first);
+            plan.gather::<S, false>(lines, first, buffer);
+            plan.transform.forward::<S>(simd, elements::<f64, S>(buffer));
+            plan.scatter::<S, true>(buffer, lines, first);
         }
     }
 }
@@ -220,9 +199,9 @@ impl WithSimd for Inverse<'_> {
         let Self { plan, lines, work } = self;
         let buffer = plan.buffer::<S>(work);
         for first in (0..GROUP).step_by(f64::lanes::<S>()) {
-            plan.spectra_to_lanes::<S>(lines, first, buffer);
-            plan.transform.inverse::<S>(simd, elements::<S>(buffer));
-            plan.lanes_to_lines::<S>(buffer, lines, first);
+            plan.gather::<S, true>(lines, first, buffer);
+            plan.transform.inverse::<S>(simd, elements::<f64, S>(buffer));
+            plan.scatter::<S, false>(buffer, lines, first);
         }
     }
 }
@@ -243,8 +222,8 @@ impl<W: FnMut(usize, usize, &[f64], &[f64])> WithSimd for ByElements<'_, W> {
         let lanes = f64::lanes::<S>();
         let buffer = plan.buffer::<S>(work);
         for first in (0..GROUP).step_by(lanes) {
-            plan.spectra_to_lanes::<S>(lines, first, buffer);
-            plan.transform.inverse::<S>(simd, elements::<S>(buffer));
+            plan.gather::<S, true>(lines, first, buffer);
+            plan.transform.inverse::<S>(simd, elements::<f64, S>(buffer));
             for (i, element) in buffer.chunks_exact(2 * lanes).enumerate() {
                 let (left, right) = element.split_at(lanes);
                 write(i, first, left, right);
