@@ -36,7 +36,7 @@ use crate::{
     DwellError,
     bounds::pixel_weights,
     columns::{self, Patch, Place},
-    model::{FFT_ROUNDING, operator::Operator},
+    model::{FFT_ROUNDING, operator::Operator, products::Order},
     objective::Basis,
     surrogate::{MAX_LOSS_FACTORISED, cell_size},
 };
@@ -136,23 +136,21 @@ impl<'a> Residual<'a> {
             columns.iter().map(|column| column.iter().map(place).collect()).collect();
         let mut known = known.unwrap_or_else(|| Known::nothing(columns.len()));
         let cells = self.on_cells(&places, &mut known);
-        let (x, y) = (Order::along(0, &places, &cells), Order::along(1, &places, &cells));
-        let Order { order, first, elements } = if x.elements <= y.elements { x } else { y };
+        let position_mm = [0, 1].map(|axis| positions_mm(&places, axis));
+        let all: Vec<usize> = (0..places.len()).collect();
+        let pairs: Vec<(usize, usize)> = (1..places.len()).map(|j| (j - 1, j)).collect();
+        let ordered = Order::new(&all, &cells, |axis, j| position_mm[axis][j], &pairs);
         budget::affordable(
             "tool_path",
             // The matrix, and the copy that is factorised.
-            2.0 * elements as f64,
+            2.0 * ordered.elements as f64,
             size_of::<f64>(),
             "give a path of fewer nodes: wider lines, or a larger spacing of the nodes",
         )?;
-        let mut k = Skyline::zeros(first.clone());
-        k.fill(|i, row| {
-            let of_known = known.row(order[i]);
-            for (v, l) in row.iter_mut().zip(&order[first[i]..]) {
-                let before = of_known.as_ref().and_then(|row| row.coupling(*l));
-                *v = before.unwrap_or_else(|| cells[order[i]].dot(&cells[*l]));
-            }
-        });
+        let of_known: Vec<Option<KnownRow>> = ordered.order.iter().map(|j| known.row(*j)).collect();
+        let before = |i: usize, l: usize| of_known[i].as_ref()?.coupling(ordered.order[l]);
+        let k = ordered.products(&cells, before);
+        let order = ordered.order;
         // U = B' w^1/2 P w^1/2 f of the free functions f
         let size = self.cell_size();
         let u = self.basis.columns(&self.weight, |m| {
@@ -270,50 +268,16 @@ impl Normal {
     }
 }
 
-/// The columns by their position along one axis of the map.
-struct Order {
-    order: Vec<usize>,
-    /// First coupled column of every row.
-    first: Vec<usize>,
-    elements: usize,
-}
-
-impl Order {
-    fn along(axis: usize, columns: &[Vec<Place>], cells: &[Patch]) -> Self {
-        // A column without a place stands beside its predecessor, so that their coupling costs nothing.
-        let mut keys = Vec::with_capacity(columns.len());
-        for places in columns {
-            let sum: f64 = places.iter().map(|p| p.position_mm[axis]).sum();
-            let before = keys.last().copied().unwrap_or(0.0);
-            keys.push(if places.is_empty() { before } else { sum / places.len() as f64 });
-        }
-        let mut order: Vec<usize> = (0..columns.len()).collect();
-        order.sort_by(|a, b| keys[*a].total_cmp(&keys[*b]).then(a.cmp(b)));
-        let mut row = vec![0; order.len()];
-        order.iter().enumerate().for_each(|(i, j)| row[*j] = i);
-        // Columns up to the first one that reaches so far cannot meet it.
-        let range = |j: usize| cells[j].range(1 - axis);
-        let mut reached = 0;
-        let so_far: Vec<usize> = order
-            .iter()
-            .map(|j| {
-                reached = range(*j).end.max(reached);
-                reached
-            })
-            .collect();
-        let meets = |i: usize| {
-            let own = &cells[order[i]];
-            let from = so_far[..i].partition_point(|end| *end <= range(order[i]).start);
-            (from..i).find(|l| cells[order[*l]].overlaps(own)).unwrap_or(i)
-        };
-        let mut first: Vec<usize> = (0..order.len()).map(meets).collect();
-        for j in 1..order.len() {
-            let (a, b) = (row[j - 1].min(row[j]), row[j - 1].max(row[j]));
-            first[b] = first[b].min(a);
-        }
-        let elements = first.iter().enumerate().map(|(i, f)| i + 1 - f).sum();
-        Self { order, first, elements }
+/// Where columns are along an axis, mm: one without a place stands beside its predecessor, so that their coupling costs
+/// nothing.
+fn positions_mm(columns: &[Vec<Place>], axis: usize) -> Vec<f64> {
+    let mut positions: Vec<f64> = Vec::with_capacity(columns.len());
+    for places in columns {
+        let sum: f64 = places.iter().map(|p| p.position_mm[axis]).sum();
+        let before = positions.last().copied().unwrap_or(0.0);
+        positions.push(if places.is_empty() { before } else { sum / places.len() as f64 });
     }
+    positions
 }
 
 #[cfg(test)]
@@ -485,34 +449,6 @@ mod tests {
             let mut unit = vec![0.0; 14];
             unit[j] = 1.0;
             assert_eq!(found.product(&unit), expected.product(&unit));
-        }
-    }
-
-    #[test]
-    fn a_row_begins_where_the_first_column_meets_it() {
-        let tif = bell();
-        let axis = |n: usize| Axis::new(0.0, 0.25, n).unwrap();
-        let grid = Grid { x: axis(121), y: axis(41) };
-        // Lines of different lengths: some columns reach much further than their neighbours.
-        let columns: Vec<Vec<Place>> = (0..25u32)
-            .map(|k| {
-                let at = |along: f64| [f64::from(k * 7 % 25) + along, 2.0 * f64::from(k % 5)];
-                let length = if k % 6 == 0 { 3.0 } else { 0.2 };
-                [0.0, length].map(|s| Place { position_mm: at(s), fraction: 0.5 }).to_vec()
-            })
-            .collect();
-        let weight = Array2::ones(grid.shape());
-        let cells = columns::on_cells(&columns, &tif, &grid, &weight, 2);
-        for axis in [0, 1] {
-            let order = Order::along(axis, &columns, &cells);
-            for (i, first) in order.first.iter().enumerate() {
-                let meets = |l: &usize| cells[order.order[*l]].overlaps(&cells[order.order[i]]);
-                let found = (0..i).find(meets).unwrap_or(i);
-                // Room for the coupling with the next column may begin earlier.
-                assert!(*first <= found, "{i} along {axis}");
-            }
-            assert!(order.first.iter().enumerate().any(|(i, first)| first + 3 < i));
-            assert!(order.first.iter().any(|first| *first > 3));
         }
     }
 }

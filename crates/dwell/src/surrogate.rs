@@ -36,7 +36,7 @@ mod stencils;
 mod two_level;
 
 pub use convolved::{Convolved, Unbounded};
-pub use ordered::Ordered;
+pub use ordered::{Ordered, Penalised};
 pub use resolution::{
     MAX_LOSS_FACTORISED, MAX_LOSS_GRADIENT, MAX_LOSS_TWO_LEVEL, cell_size, spline_pitch,
 };

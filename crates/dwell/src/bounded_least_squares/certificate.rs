@@ -37,7 +37,7 @@ mod tests {
     use super::*;
     use planish_numerics::{
         linear::skyline::{Skyline, dot},
-        qp::bounded::{Quadratic, active_set},
+        qp::bounded::{LastFactor, Quadratic, active_set},
     };
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -68,7 +68,9 @@ mod tests {
                 gap(t, &q, &lo, &hi, &c, &vec![true; n]).unwrap()
             };
             // The rounding of a solution whose condition number is below 1e3, of order 1.
-            let least = active_set(&h, &g, &lo, &hi, &lo, 0.0, 200).unwrap().value;
+            let least = active_set(&h, &g, (&lo, &hi), &lo, 0.0, 200, &mut LastFactor::default())
+                .unwrap()
+                .value;
             assert!(of(&least).abs() < 1e-12, "case {case}: {}", of(&least));
             for wide in [0.5, 5.0] {
                 let t = random(-wide, wide);

@@ -16,7 +16,7 @@ use super::{
 use crate::{
     DwellError,
     objective::{Basis, Penalty},
-    surrogate::{Surrogate, Unbounded},
+    surrogate::{Penalised, Surrogate, Unbounded},
 };
 
 /// Corrections that a problem usually takes, for an estimate of the time, and the part after so many of them.
@@ -77,7 +77,7 @@ pub struct Iterate {
     pub t: Vec<f64>,
     /// B t.
     pub removal_nm: Array2<f64>,
-    /// Factorisations, or products with H~.
+    /// Sets of free dwell times that were solved for with H~, or products with it.
     pub iterations: usize,
     /// Steps of H~.
     pub corrections: usize,
@@ -168,6 +168,8 @@ impl BoundedProblem<'_> {
         let mut first_gap = None;
         let (mut before, mut settled): (Option<(Vec<f64>, Array2<f64>)>, _) = (None, None);
         let (mut unbounded, mut rounds): (Option<Unbounded>, _) = (None, 0);
+        // The factorised H~ with the penalty.
+        let mut penalised: Option<Penalised> = None;
         // Largest lower bound of (1).
         let mut bound = f64::NEG_INFINITY;
         loop {
@@ -219,6 +221,7 @@ impl BoundedProblem<'_> {
             if slow >= SLOW_STEPS_BEFORE_SHARPENING && factorised && end.is_none() {
                 slow = 0;
                 self.sharpen(&penalty);
+                penalised = None;
             }
             // d by what is found without bounds, or by H~; where that is singular, by smaller cells
             let (mut to, mut free) = (None, None);
@@ -238,10 +241,12 @@ impl BoundedProblem<'_> {
             while end.is_none() && to.is_none() {
                 match &mut self.surrogate {
                     Surrogate::Ordered(h) => {
-                        let h = h.penalised(&penalty);
+                        let h = penalised.get_or_insert_with(|| h.penalised(&penalty));
                         if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
                             (to, iterations) = (Some(found), iterations + count);
-                        } else if !self.sharpen(&penalty) {
+                        } else if self.sharpen(&penalty) {
+                            penalised = None;
+                        } else {
                             return Err(DwellError::Singular { tikhonov: settings.tikhonov });
                         }
                     }
@@ -296,14 +301,19 @@ impl BoundedProblem<'_> {
             if let Some((p, p_nm)) = &before {
                 let [a, b] = weighted.plane_minimum(&q, (&d, &d_nm, curvature), (p, p_nm));
                 let wanted: Vec<f64> = d.iter().zip(p).map(|(d, p)| a * d + b * p).collect();
-                let e: Vec<f64> = (0..t.len())
-                    .map(|j| (t[j] + wanted[j]).clamp(self.lo[j], self.hi[j]) - t[j])
-                    .collect();
                 // B e = a B d + b B p + B (what was clipped: few columns)
+                let clipped = |j: usize| match t[j] + wanted[j] {
+                    to if to < self.lo[j] => self.lo[j] - t[j],
+                    to if to > self.hi[j] => self.hi[j] - t[j],
+                    _ => wanted[j],
+                };
+                let e: Vec<f64> = (0..t.len()).map(clipped).collect();
                 let left_out: Vec<f64> = e.iter().zip(&wanted).map(|(e, w)| e - w).collect();
-                let mut e_nm = self.b.apply(&left_out);
-                add_scaled(&mut e_nm, a, &d_nm);
+                let mut e_nm = scaled(&d_nm, a);
                 add_scaled(&mut e_nm, b, p_nm);
+                if left_out.iter().any(|w| *w != 0.0) {
+                    add_scaled(&mut e_nm, 1.0, &self.b.apply(&left_out));
+                }
                 let other = -dot(&q, &e) - 0.5 * weighted.curvature(&e, &e_nm);
                 if other > fall {
                     (fall, step, step_nm) = (other, e, e_nm);

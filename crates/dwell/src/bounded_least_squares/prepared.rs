@@ -74,7 +74,7 @@ fn energies(
 ) -> Vec<f64> {
     let mut energy: Vec<f64> = match (b, cells) {
         (Removal::Stored(b), _) => return b.energy(weight),
-        (Removal::Convolved(_), Some(cells)) => cells.iter().map(|c| c.dot(c)).collect(),
+        (Removal::Convolved(_), Some(cells)) => cells.iter().map(Patch::square).collect(),
         (Removal::Convolved(b), None) => b.adjoint_of_squared_tif(weight),
     };
     let largest = energy.iter().copied().fold(0.0, f64::max);

@@ -36,7 +36,7 @@ impl fmt::Display for Algorithm {
 pub struct Report {
     /// How the steps were found.
     pub algorithm: Algorithm,
-    /// Factorisations, or products with the surrogate of H.
+    /// Sets of free dwell times that were solved for with the surrogate of H, or products with it.
     pub iterations: usize,
     /// Steps of the surrogate, each corrected by the exact gradient.
     pub corrections: usize,

@@ -14,15 +14,7 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
-use planish_numerics::{
-    keys,
-    linear::{
-        interleaved::{self, Rows},
-        skyline::{Sums, dot},
-    },
-    quadrature::gauss_legendre,
-    vectors::vectorised,
-};
+use planish_numerics::{keys, linear::skyline::dot, quadrature::gauss_legendre};
 use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -92,19 +84,6 @@ pub struct Patch {
     pub origin: (usize, usize),
     /// nm/s, possibly empty.
     pub rate_nm_per_s: Array2<f64>,
-}
-
-/// Most patches of a [`Bundle`].
-pub const MOST_BUNDLED: usize = interleaved::EIGHT;
-
-/// A few columns of B side by side, on the pixels of any of them. The products of all of them with another column read that
-/// one once, where [`Patch::dot`] reads it once for each of them.
-#[derive(Debug)]
-pub struct Bundle {
-    origin: (usize, usize),
-    shape: (usize, usize),
-    /// nm/s of every column, pixel by pixel ([`MOST_BUNDLED`] of each); zero where a column is not.
-    rate_nm_per_s: Vec<f64>,
 }
 
 /// B by columns; empty patches where the tool is nowhere.
@@ -505,82 +484,10 @@ impl Summed {
     }
 }
 
-impl Bundle {
-    /// Of up to [`MOST_BUNDLED`] patches near each other.
-    pub fn new(patches: &[Patch]) -> Self {
-        assert!(patches.len() <= MOST_BUNDLED, "patches of a bundle");
-        let range = |axis: usize| {
-            let ranges = patches.iter().filter(|p| !p.rate_nm_per_s.is_empty());
-            let ranges = ranges.map(|p| p.range(axis));
-            ranges.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or_default()
-        };
-        let (rows, columns) = (range(0), range(1));
-        let mut rate_nm_per_s = vec![0.0; rows.len() * columns.len() * MOST_BUNDLED];
-        for (lane, patch) in patches.iter().enumerate() {
-            for ((r, c), rate) in patch.rate_nm_per_s.indexed_iter() {
-                let (r, c) = (r + patch.origin.0 - rows.start, c + patch.origin.1 - columns.start);
-                rate_nm_per_s[(r * columns.len() + c) * MOST_BUNDLED + lane] = *rate;
-            }
-        }
-        let (origin, shape) = ((rows.start, columns.start), (rows.len(), columns.len()));
-        Self { origin, shape, rate_nm_per_s }
-    }
-
-    /// [`Patch::dot`] of every patch of the bundle with another one; zero beyond the last one of the bundle.
-    pub fn dots(&self, other: &Patch) -> [f64; MOST_BUNDLED] {
-        let mut dots = [0.0; MOST_BUNDLED];
-        if let Some((rows, columns)) = common(self.origin, self.shape, other) {
-            let (nx, mx) = (self.shape.1, other.rate_nm_per_s.ncols());
-            let from = |origin: (usize, usize), pitch: usize| {
-                (rows.start - origin.0) * pitch + columns.start - origin.1
-            };
-            let from_a = from(self.origin, nx) * MOST_BUNDLED;
-            let a = Rows { numbers: &self.rate_nm_per_s[from_a..], pitch: nx };
-            let b = Rows { numbers: &other.all()[from(other.origin, mx)..], pitch: mx };
-            interleaved::add_products(a, b, (rows.len(), columns.len()), &mut dots);
-        }
-        dots
-    }
-}
-
-/// Rows and columns that are both in a rectangle and in a patch, if there are any.
-fn common(
-    origin: (usize, usize),
-    (ny, nx): (usize, usize),
-    other: &Patch,
-) -> Option<(Range<usize>, Range<usize>)> {
-    let overlap = |start: usize, len: usize, other: Range<usize>| {
-        start.max(other.start)..(start + len).min(other.end)
-    };
-    let rows = overlap(origin.0, ny, other.range(0));
-    let columns = overlap(origin.1, nx, other.range(1));
-    (!rows.is_empty() && !columns.is_empty()).then_some((rows, columns))
-}
-
 impl Patch {
-    /// Sum of the products where both patches are.
-    pub fn dot(&self, other: &Self) -> f64 {
-        let (nx, mx) = (self.rate_nm_per_s.ncols(), other.rate_nm_per_s.ncols());
-        let Some((rows, columns)) = common(self.origin, self.rate_nm_per_s.dim(), other) else {
-            return 0.0;
-        };
-        // Of the first of the common rows on.
-        let (a, b) = (
-            &self.all()[(rows.start - self.origin.0) * nx..],
-            &other.all()[(rows.start - other.origin.0) * mx..],
-        );
-        let (left_a, left_b) = (columns.start - self.origin.1, columns.start - other.origin.1);
-        let width = columns.len();
-        let mut sums = Sums::default();
-        vectorised(
-            #[inline(always)]
-            || {
-                for (a, b) in a.chunks_exact(nx).zip(b.chunks_exact(mx)).take(rows.len()) {
-                    sums.add_products(&a[left_a..left_a + width], &b[left_b..left_b + width]);
-                }
-            },
-        );
-        sums.total()
+    /// Sum of the squares.
+    pub fn square(&self) -> f64 {
+        dot(self.all(), self.all())
     }
 
     /// Rows (axis 0) or columns (axis 1) of the map that it is on.
@@ -597,7 +504,8 @@ impl Patch {
             && !apart(self.origin.1, nx, other.origin.1, mx)
     }
 
-    fn all(&self) -> &[f64] {
+    /// Row by row.
+    pub fn all(&self) -> &[f64] {
         self.rate_nm_per_s.as_slice().expect("in C order")
     }
 }
@@ -621,28 +529,6 @@ mod tests {
     /// A map with pixels of these pitches.
     fn of_pitch(x_mm: f64, y_mm: f64) -> Grid {
         Grid { x: Axis::new(0.0, x_mm, 37).unwrap(), y: Axis::new(0.0, y_mm, 29).unwrap() }
-    }
-
-    #[test]
-    fn a_bundle_has_the_products_of_its_patches() {
-        let (tif, map) = rough();
-        let at =
-            |x: f64, y: f64| patch(&[Place { position_mm: [x, y], fraction: 1.0 }], &tif, &map);
-        // Cut by the map on two sides, empty, and on its own at the other corner.
-        let patches =
-            [at(0.3, 0.2), at(0.9, 0.2), nowhere(), at(1.7, 0.9), at(3.6, 2.2), at(0.0, 2.3)];
-        let bundle = Bundle::new(&patches);
-        for other in patches.iter().chain([&at(2.0, 1.1), &at(9.0, 9.0)]) {
-            let dots = bundle.dots(other);
-            for (patch, dot) in patches.iter().zip(dots) {
-                let expected = patch.dot(other);
-                // Some 400 products of at most 60 nm^2/s^2 in another order.
-                assert!((dot - expected).abs() < 1e-10, "{dot} {expected}");
-            }
-            assert_eq!(dots[patches.len()..], [0.0; 2]);
-        }
-        assert!(bundle.dots(&patches[0])[0] > 1.0);
-        assert_eq!(Bundle::new(&[nowhere()]).dots(&patches[0]), [0.0; MOST_BUNDLED]);
     }
 
     #[test]

@@ -12,6 +12,7 @@ use crate::model::{
     ROWS_PER_TASK,
     columns::{self, Patch, Place, Stored},
     fft_operator::FftOperator,
+    products::{Bundle, MOST_BUNDLED},
 };
 
 /// Most elements of B that [`Operator`] stores (400 MB).
@@ -203,9 +204,15 @@ pub fn normal_matrix(
         patches.par_iter().map(|p| (&p.rate_nm_per_s * &under(p, &root)).sum()).collect();
     let total = weight.sum();
     let mut h = Array2::zeros((n, n));
-    h.outer_iter_mut().into_par_iter().enumerate().for_each(|(j, mut row)| {
-        for k in 0..=j {
-            row[k] = patches[j].dot(&patches[k]) - b[j] * b[k] / total;
+    let rows = h.axis_chunks_iter_mut(Axis(0), MOST_BUNDLED).into_par_iter();
+    rows.zip(patches.par_chunks(MOST_BUNDLED)).enumerate().for_each(|(k, (mut rows, bundled))| {
+        let bundle = Bundle::new(bundled.iter());
+        let first = k * MOST_BUNDLED;
+        for l in 0..first + bundled.len() {
+            let dots = bundle.dots(&patches[l]);
+            for (i, dot) in dots[..bundled.len()].iter().enumerate() {
+                rows[[i, l]] = dot - b[first + i] * b[l] / total;
+            }
         }
     });
     for j in 0..n {

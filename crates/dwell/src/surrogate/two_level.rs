@@ -35,8 +35,9 @@ use rayon::prelude::*;
 use super::{resolution::extent, stencils::Stencils};
 use crate::{
     model::{
-        columns::{Bundle, MOST_BUNDLED, Patch, Place},
+        columns::{Patch, Place},
         fft_operator::Sums,
+        products::{Bundle, MOST_BUNDLED},
     },
     objective::Penalty,
 };
@@ -354,7 +355,8 @@ impl Coarse {
                 let of_rows = changed[rows.clone()].contains(&true);
                 let mut bundle = None;
                 for k in near.coupled().filter(|k| of_rows || changed[*k]) {
-                    let bundle = bundle.get_or_insert_with(|| Bundle::new(&patches[rows.clone()]));
+                    let bundle =
+                        bundle.get_or_insert_with(|| Bundle::new(patches[rows.clone()].iter()));
                     for (i, dot) in rows.clone().zip(bundle.dots(&patches[k])) {
                         if let Some(v) = near.at(i, k).filter(|_| changed[i] || changed[k]) {
                             *v = dot;

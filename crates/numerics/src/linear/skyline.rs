@@ -103,13 +103,28 @@ impl Skyline {
     /// Writes every row: `write(i, row)` with `row[0]` the element of column `first(i)`, the last
     /// one that of the diagonal.
     pub fn fill(&mut self, write: impl Fn(usize, &mut [f64]) + Sync) {
+        self.fill_together(1, |rows, elements| write(rows.start, elements[0]));
+    }
+
+    /// The same for some neighbouring rows at a time, `most` or fewer, which has to divide the rows of a block:
+    /// `write(rows, elements)` with the elements of each.
+    pub fn fill_together(
+        &mut self,
+        most: usize,
+        write: impl Fn(Range<usize>, &mut [&mut [f64]]) + Sync,
+    ) {
+        assert!(most > 0 && BLOCK.is_multiple_of(most), "{most} rows do not divide a block");
         let first = &self.first;
-        self.blocks.par_iter_mut().enumerate().for_each(|(b, rows)| {
-            let start = rows.start;
-            for (r, mut row) in rows.values.outer_iter_mut().enumerate() {
-                let i = b * BLOCK + r;
-                let row = row.as_slice_mut().expect("rows are contiguous");
-                write(i, &mut row[first[i] - start..=i - start]);
+        self.blocks.par_iter_mut().enumerate().for_each(|(b, block)| {
+            let (start, columns) = (block.start, block.values.ncols());
+            let all = block.values.as_slice_mut().expect("in C order");
+            for (k, together) in all.chunks_mut(most * columns).enumerate() {
+                let top = b * BLOCK + k * most;
+                let rows = together.chunks_exact_mut(columns).enumerate();
+                let mut rows: Vec<&mut [f64]> = rows
+                    .map(|(r, row)| &mut row[first[top + r] - start..=top + r - start])
+                    .collect();
+                write(top..top + rows.len(), &mut rows);
             }
         });
     }

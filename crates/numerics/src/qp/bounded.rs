@@ -65,14 +65,24 @@ impl Quadratic {
     }
 
     /// x of `H_II x = r` with I = `keep`; `None` when H_II is not positive definite.
-    fn solve(&self, keep: &[usize], mut r: Vec<f64>) -> Option<Vec<f64>> {
-        let factor = self.k.principal(keep).factorise()?;
-        let u: Vec<Vec<f64>> =
-            self.u.iter().map(|u| keep.iter().map(|j| u[*j]).collect()).collect();
-        Woodbury::new(factor, &u)?.solve(&mut r);
+    fn solve(&self, keep: &[usize], mut r: Vec<f64>, last: &mut LastFactor) -> Option<Vec<f64>> {
+        if !last.0.as_ref().is_some_and(|(of, _)| of == keep) {
+            // One factor at a time.
+            last.0 = None;
+            let factor = self.k.principal(keep).factorise()?;
+            let u: Vec<Vec<f64>> =
+                self.u.iter().map(|u| keep.iter().map(|j| u[*j]).collect()).collect();
+            last.0 = Some((keep.to_vec(), Woodbury::new(factor, &u)?));
+        }
+        last.0.as_ref()?.1.solve(&mut r);
         Some(r)
     }
 }
+
+/// The set I that [`active_set`] solved for last and the factor of H_II, for the next g with the same H: where one
+/// solution is corrected by another, the free components are soon the same ones again.
+#[derive(Debug, Default)]
+pub struct LastFactor(Option<(Vec<usize>, Woodbury)>);
 
 /// A candidate solution of (1).
 #[derive(Clone, Debug)]
@@ -81,7 +91,7 @@ pub struct Solution {
     pub value: Vec<f64>,
     /// (2).
     pub natural_residual: f64,
-    /// Factorisations, products, or gradient steps.
+    /// Sets of free components, products, or gradient steps.
     pub iterations: usize,
     /// Why the iteration ended.
     pub end: End,
@@ -120,16 +130,16 @@ pub fn natural_residual(
 /// (the one of largest index, Murty's rule), which ends.
 ///
 /// `start` is a first guess: its components at a bound are the first sets. It ends at the latest when
-/// the sets repeat, and as soon as (2) is below `enough`.
+/// the sets repeat, and as soon as (2) is below `enough`. `last` is of the same H, or empty.
 /// `None` when H is not positive definite.
 pub fn active_set(
     h: &Quadratic,
     g: &[f64],
-    lo: &[f64],
-    hi: &[f64],
+    (lo, hi): (&[f64], &[f64]),
     start: &[f64],
     enough: f64,
     max_iterations: usize,
+    last: &mut LastFactor,
 ) -> Option<Solution> {
     let n = g.len();
     let diagonal = h.diagonal();
@@ -147,10 +157,17 @@ pub fn active_set(
     let mut without_progress = 0;
     for iterations in 1..=max_iterations {
         // Free components: H_II t_I = g_I - H_IA t_A
-        let t = solve_free(h, g, lo, hi, &state)?;
+        let t = solve_free(h, g, (lo, hi), &state, last)?;
         let gradient_at_t = gradient(h, g, &t);
         let clipped = clip(&t, lo, hi);
-        let residual = natural_residual(&clipped, &gradient(h, g, &clipped), &diagonal, lo, hi);
+        let at_clipped;
+        let gradient_at_clipped = if clipped == t {
+            &gradient_at_t
+        } else {
+            at_clipped = gradient(h, g, &clipped);
+            &at_clipped
+        };
+        let residual = natural_residual(&clipped, gradient_at_clipped, &diagonal, lo, hi);
         let wanted: Vec<Place> = (0..n)
             .map(|j| {
                 let multiplier = if state[j] == Place::Free { 0.0 } else { gradient_at_t[j] };
@@ -217,9 +234,9 @@ fn gradient(h: &Quadratic, g: &[f64], t: &[f64]) -> Vec<f64> {
 fn solve_free(
     h: &Quadratic,
     g: &[f64],
-    lo: &[f64],
-    hi: &[f64],
+    (lo, hi): (&[f64], &[f64]),
     state: &[Place],
+    last: &mut LastFactor,
 ) -> Option<Vec<f64>> {
     let n = g.len();
     let mut t: Vec<f64> = (0..n)
@@ -234,7 +251,7 @@ fn solve_free(
         return Some(t);
     }
     let at_bounds = h.product(&t);
-    let x = h.solve(&free, free.iter().map(|&i| g[i] - at_bounds[i]).collect())?;
+    let x = h.solve(&free, free.iter().map(|&i| g[i] - at_bounds[i]).collect(), last)?;
     for (x, &i) in x.iter().zip(&free) {
         t[i] = *x;
     }
@@ -561,6 +578,40 @@ mod tests {
         [Quadratic { k, u: Vec::new() }, Quadratic { k: fuller, u }]
     }
 
+    /// [`active_set`] to the end, with no factor at hand.
+    fn active_set_alone(
+        h: &Quadratic,
+        g: &[f64],
+        bounds: (&[f64], &[f64]),
+        start: &[f64],
+        max_iterations: usize,
+    ) -> Option<Solution> {
+        active_set(h, g, bounds, start, 0.0, max_iterations, &mut LastFactor::default())
+    }
+
+    #[test]
+    fn a_factor_at_hand_changes_nothing_but_the_time() {
+        let (h, g) = random_problem(24, 0.5, 7);
+        let (lo, hi) = (vec![-0.3; 24], vec![0.3; 24]);
+        for h in forms(&h) {
+            let mut last = LastFactor::default();
+            let mut start = lo.clone();
+            let mut again = 0;
+            // The right side moves: first the free components stay the same ones, then they change.
+            for by in [0.0, 1e-6, 2e-6, 0.8, -1.5] {
+                let g: Vec<f64> = g.iter().map(|g| g + by).collect();
+                let of = |last: &LastFactor| last.0.as_ref().map(|(keep, _)| keep.clone());
+                let before = of(&last);
+                let found = active_set(&h, &g, (&lo, &hi), &start, 0.0, 50, &mut last).unwrap();
+                let alone = active_set_alone(&h, &g, (&lo, &hi), &start, 50).unwrap();
+                assert_eq!((found.value.clone(), found.end), (alone.value, End::Optimal));
+                again += usize::from(before == of(&last));
+                start = found.value;
+            }
+            assert_eq!(again, 2);
+        }
+    }
+
     /// A coarse space of some sines on the free components, and the diagonal for the rest.
     struct OfSines {
         v: Vec<Vec<f64>>,
@@ -624,7 +675,7 @@ mod tests {
         let h = Array2::from_diag(&ndarray::array![1.0, 4.0, 16.0, 64.0]);
         let g = [3.0, 2.0, -4.0, 64.0];
         for (h, rounding) in forms(&h).iter().zip([0.0, 1e-14]) {
-            let s = active_set(h, &g, &[0.0; 4], &[2.0; 4], &[1.0; 4], 0.0, 50).unwrap();
+            let s = active_set_alone(h, &g, (&[0.0; 4], &[2.0; 4]), &[1.0; 4], 50).unwrap();
             let expected = [2.0, 0.5, 0.0, 1.0];
             assert!((0..4).all(|j| (s.value[j] - expected[j]).abs() <= rounding), "{s:?}");
             assert!(s.end == End::Optimal && s.natural_residual <= rounding, "{s:?}");
@@ -636,7 +687,7 @@ mod tests {
         let (h, g) = random_problem(30, 0.1, 7);
         let (lo, hi) = (vec![f64::NEG_INFINITY; 30], vec![f64::INFINITY; 30]);
         for h in forms(&h) {
-            let s = active_set(&h, &g, &lo, &hi, &[0.0; 30], 0.0, 50).unwrap();
+            let s = active_set_alone(&h, &g, (&lo, &hi), &[0.0; 30], 50).unwrap();
             let q = gradient(&h, &g, &s.value);
             assert!(q.iter().all(|q| q.abs() < 1e-10), "{q:?}");
         }
@@ -646,7 +697,9 @@ mod tests {
     fn not_positive_definite_is_refused() {
         let h = Array2::from_diag(&ndarray::array![1.0, -1.0]);
         for h in forms(&h) {
-            assert!(active_set(&h, &[1.0; 2], &[-9.0; 2], &[9.0; 2], &[0.0; 2], 0.0, 50).is_none());
+            assert!(
+                active_set_alone(&h, &[1.0; 2], (&[-9.0; 2], &[9.0; 2]), &[0.0; 2], 50).is_none()
+            );
         }
     }
 
@@ -658,10 +711,10 @@ mod tests {
             let (h, g) = random_problem(n, 0.3, seed);
             let (lo, hi) = (vec![low; n], vec![low + 0.8; n]);
             let [plain, split] = forms(&h);
-            let a = active_set(&plain, &g, &lo, &hi, &lo, 0.0, 200).unwrap();
+            let a = active_set_alone(&plain, &g, (&lo, &hi), &lo, 200).unwrap();
             prop_assert_eq!(a.end, End::Optimal);
             prop_assert!(a.natural_residual < 1e-11);
-            let c = active_set(&split, &g, &lo, &hi, &lo, 0.0, 200).unwrap();
+            let c = active_set_alone(&split, &g, (&lo, &hi), &lo, 200).unwrap();
             // The outer products cost the digits of their size, some 1e2.
             prop_assert!((0..n).all(|j| (a.value[j] - c.value[j]).abs() < 1e-9));
             let diagonal: Vec<f64> = (0..n).map(|j| h[[j, j]]).collect();

@@ -181,7 +181,7 @@ mod tests {
     use super::*;
     use crate::{
         linear::skyline::Skyline,
-        qp::bounded::{Quadratic, active_set},
+        qp::bounded::{LastFactor, Quadratic, active_set},
     };
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
@@ -224,7 +224,7 @@ mod tests {
             prop_assert!(found.violation < 1e-10, "{}", found.violation);
             let (lo, hi) = (vec![0.0; n], vec![f64::INFINITY; n]);
             let quadratic = Quadratic { k: Skyline::from_dense(&h), u: Vec::new() };
-            let other = active_set(&quadratic, &g, &lo, &hi, &lo, 0.0, 200).unwrap();
+            let other = active_set(&quadratic, &g, (&lo, &hi), &lo, 0.0, 200, &mut LastFactor::default()).unwrap();
             for j in 0..n {
                 // Both at rounding times a condition number below about 1e3.
                 prop_assert!((found.value[j] - other.value[j]).abs() < 1e-9);

@@ -1,0 +1,271 @@
+//! Products of columns of B with each other: the elements of `B' B`.
+//!
+//! Columns meet only where their TIFs overlap. In the order of their positions along one axis of the map every row
+//! of the matrix begins near its diagonal, and a factor fills nothing outside of that.
+
+use std::ops::Range;
+
+use planish_numerics::linear::{
+    interleaved::{self, Rows},
+    skyline::Skyline,
+};
+
+use super::columns::Patch;
+
+/// Most patches of a [`Bundle`].
+pub const MOST_BUNDLED: usize = interleaved::EIGHT;
+
+/// A few columns of B side by side, on the pixels of any of them. The products of all of them with another column read
+/// that one once.
+#[derive(Debug)]
+pub struct Bundle {
+    origin: (usize, usize),
+    shape: (usize, usize),
+    /// nm/s of every column, pixel by pixel ([`MOST_BUNDLED`] of each); zero where a column is not.
+    rate_nm_per_s: Vec<f64>,
+}
+
+impl Bundle {
+    /// Of up to [`MOST_BUNDLED`] patches near each other.
+    pub fn new<'a>(patches: impl Iterator<Item = &'a Patch> + Clone) -> Self {
+        let range = |axis: usize| {
+            let ranges = patches.clone().filter(|p| !p.rate_nm_per_s.is_empty());
+            let ranges = ranges.map(|p| p.range(axis));
+            ranges.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or_default()
+        };
+        let (rows, columns) = (range(0), range(1));
+        let mut rate_nm_per_s = vec![0.0; rows.len() * columns.len() * MOST_BUNDLED];
+        for (lane, patch) in patches.enumerate() {
+            assert!(lane < MOST_BUNDLED, "more patches than a bundle holds");
+            for ((r, c), rate) in patch.rate_nm_per_s.indexed_iter() {
+                let (r, c) = (r + patch.origin.0 - rows.start, c + patch.origin.1 - columns.start);
+                rate_nm_per_s[(r * columns.len() + c) * MOST_BUNDLED + lane] = *rate;
+            }
+        }
+        let (origin, shape) = ((rows.start, columns.start), (rows.len(), columns.len()));
+        Self { origin, shape, rate_nm_per_s }
+    }
+
+    /// Sum of the products of every patch of the bundle with another one, where both are; zero beyond the last one of
+    /// the bundle.
+    pub fn dots(&self, other: &Patch) -> [f64; MOST_BUNDLED] {
+        let mut dots = [0.0; MOST_BUNDLED];
+        let overlap = |start: usize, len: usize, other: Range<usize>| {
+            start.max(other.start)..(start + len).min(other.end)
+        };
+        let rows = overlap(self.origin.0, self.shape.0, other.range(0));
+        let columns = overlap(self.origin.1, self.shape.1, other.range(1));
+        if !rows.is_empty() && !columns.is_empty() {
+            let (nx, mx) = (self.shape.1, other.rate_nm_per_s.ncols());
+            let from = |origin: (usize, usize), pitch: usize| {
+                (rows.start - origin.0) * pitch + columns.start - origin.1
+            };
+            let from_a = from(self.origin, nx) * MOST_BUNDLED;
+            let a = Rows { numbers: &self.rate_nm_per_s[from_a..], pitch: nx };
+            let b = Rows { numbers: &other.all()[from(other.origin, mx)..], pitch: mx };
+            interleaved::add_products(a, b, (rows.len(), columns.len()), &mut dots);
+        }
+        dots
+    }
+}
+
+/// Columns in an order in which the matrix of their products has a small skyline.
+pub struct Order {
+    /// Column of every row of the matrix.
+    pub order: Vec<usize>,
+    /// First column of the matrix in every row.
+    pub first: Vec<usize>,
+    /// Elements from there to the diagonal, of all rows.
+    pub elements: usize,
+}
+
+impl Order {
+    /// Some `columns` along the one of the axes of the map with the smaller skyline. `at(axis, j)` is where column j is
+    /// along x (0) or y (1). There is room for the elements of these pairs, too.
+    pub fn new(
+        columns: &[usize],
+        patches: &[Patch],
+        at: impl Fn(usize, usize) -> f64,
+        pairs: &[(usize, usize)],
+    ) -> Self {
+        let [x, y] = [0, 1].map(|axis| Self::along(axis, columns, patches, &at, pairs));
+        if x.elements <= y.elements { x } else { y }
+    }
+
+    fn along(
+        axis: usize,
+        columns: &[usize],
+        patches: &[Patch],
+        at: impl Fn(usize, usize) -> f64,
+        pairs: &[(usize, usize)],
+    ) -> Self {
+        let mut order = columns.to_vec();
+        order.sort_by(|a, b| at(axis, *a).total_cmp(&at(axis, *b)).then(a.cmp(b)));
+        // Columns up to the first one that reaches so far cannot meet it.
+        let range = |j: usize| patches[j].range(1 - axis);
+        let mut reached = 0;
+        let so_far: Vec<usize> = order
+            .iter()
+            .map(|j| {
+                reached = range(*j).end.max(reached);
+                reached
+            })
+            .collect();
+        let meets = |i: usize| {
+            let own = &patches[order[i]];
+            let from = so_far[..i].partition_point(|end| *end <= range(order[i]).start);
+            (from..i).find(|l| patches[order[*l]].overlaps(own)).unwrap_or(i)
+        };
+        let mut first: Vec<usize> = (0..order.len()).map(meets).collect();
+        let row_of = rows(&order, patches.len());
+        for (a, b) in pairs {
+            if let (Some(a), Some(b)) = (row_of[*a], row_of[*b]) {
+                first[a.max(b)] = first[a.max(b)].min(a.min(b));
+            }
+        }
+        let elements = first.iter().enumerate().map(|(i, f)| i + 1 - f).sum();
+        Self { order, first, elements }
+    }
+
+    /// The matrix of the products of these patches. Where `known(i, l)` has the element of row i and column l it is
+    /// not computed.
+    pub fn products(
+        &self,
+        patches: &[Patch],
+        known: impl Fn(usize, usize) -> Option<f64> + Sync,
+    ) -> Skyline {
+        let Self { order, first, .. } = self;
+        let mut products = Skyline::zeros(first.clone());
+        products.fill_together(MOST_BUNDLED, |rows, elements| {
+            let bundled = rows.clone().map(|i| &patches[order[i]]);
+            let mut bundle = None;
+            for l in first[rows.clone()].iter().copied().min().unwrap_or(rows.end)..rows.end {
+                let mut dots = None;
+                for (k, i) in rows.clone().enumerate().filter(|(_, i)| first[*i] <= l && l <= *i) {
+                    elements[k][l - first[i]] = known(i, l).unwrap_or_else(|| {
+                        let bundle = bundle.get_or_insert_with(|| Bundle::new(bundled.clone()));
+                        dots.get_or_insert_with(|| bundle.dots(&patches[order[l]]))[k]
+                    });
+                }
+            }
+        });
+        products
+    }
+}
+
+/// Row of every one of `columns` columns that has one in this order.
+pub fn rows(order: &[usize], columns: usize) -> Vec<Option<usize>> {
+    let mut rows = vec![None; columns];
+    order.iter().enumerate().for_each(|(i, j)| rows[*j] = Some(i));
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+
+    use super::*;
+
+    /// A patch with numbers that no other one has.
+    fn patch(origin: (usize, usize), shape: (usize, usize)) -> Patch {
+        let of = |(r, c)| {
+            let (r, c) = ((r + origin.0) as f64, (c + origin.1) as f64);
+            (1.3 * r).sin() + (0.7 * c + r).cos() + shape.1 as f64
+        };
+        Patch { origin, rate_nm_per_s: Array2::from_shape_fn(shape, of) }
+    }
+
+    /// Pixel by pixel.
+    fn product(a: &Patch, b: &Patch) -> f64 {
+        let at = |p: &Patch, (r, c): (usize, usize)| {
+            let inside = p.range(0).contains(&r) && p.range(1).contains(&c);
+            if inside { p.rate_nm_per_s[[r - p.origin.0, c - p.origin.1]] } else { 0.0 }
+        };
+        let pixels = a.range(0).flat_map(|r| a.range(1).map(move |c| (r, c)));
+        pixels.map(|pixel| at(a, pixel) * at(b, pixel)).sum()
+    }
+
+    #[test]
+    fn a_bundle_has_the_products_of_its_patches() {
+        // One above the other, empty, and on its own far from them.
+        let patches = [
+            patch((0, 0), (7, 9)),
+            patch((3, 2), (8, 5)),
+            patch((0, 0), (0, 0)),
+            patch((5, 8), (4, 4)),
+            patch((30, 31), (3, 2)),
+        ];
+        let bundle = Bundle::new(patches.iter());
+        for other in patches.iter().chain([&patch((2, 1), (9, 11)), &patch((50, 50), (3, 3))]) {
+            let dots = bundle.dots(other);
+            for (patch, dot) in patches.iter().zip(dots) {
+                // Some 60 products of at most 200 in another order.
+                assert!((dot - product(patch, other)).abs() < 1e-11);
+            }
+            assert_eq!(dots[patches.len()..], [0.0; 3]);
+        }
+        assert!(bundle.dots(&patches[1])[0] > 1.0);
+        assert_eq!(Bundle::new(patches[2..3].iter()).dots(&patches[0]), [0.0; MOST_BUNDLED]);
+    }
+
+    /// Patches of different sizes at scattered places, so that some reach much further than their neighbours.
+    fn scattered() -> Vec<Patch> {
+        let at = |k: usize| {
+            let length = if k.is_multiple_of(6) { 30 } else { 9 };
+            patch((8 * (k % 5), 5 * (k * 7 % 25)), (11, length))
+        };
+        (0..25).map(at).collect()
+    }
+
+    fn centre(patch: &Patch, axis: usize) -> f64 {
+        let range = patch.range(1 - axis);
+        (range.start + range.end) as f64
+    }
+
+    #[test]
+    fn a_row_begins_where_the_first_column_meets_it() {
+        let patches = scattered();
+        let all: Vec<usize> = (0..patches.len()).collect();
+        for axis in [0, 1] {
+            let at = |axis: usize, j: usize| centre(&patches[j], axis);
+            let order = Order::along(axis, &all, &patches, at, &[]);
+            for (i, first) in order.first.iter().enumerate() {
+                let meets = |l: &usize| patches[order.order[*l]].overlaps(&patches[order.order[i]]);
+                assert_eq!(*first, (0..i).find(meets).unwrap_or(i), "{i} along {axis}");
+            }
+            assert!(order.first.iter().enumerate().any(|(i, first)| first + 3 < i));
+            assert!(order.first.iter().any(|first| *first > 3));
+        }
+    }
+
+    #[test]
+    fn the_matrix_has_the_products_of_its_columns_and_what_is_known() {
+        let patches = scattered();
+        let columns: Vec<usize> = (0..patches.len()).filter(|j| *j != 3).collect();
+        let at = |axis: usize, j: usize| centre(&patches[j], axis);
+        let order = Order::new(&columns, &patches, at, &[(0, 24), (3, 4)]);
+        let given = |i: usize, l: usize| ((i + l) % 7 == 2).then_some(-1.0);
+        let matrix = order.products(&patches, given);
+        assert!(matrix.elements() >= order.elements);
+        let (mut products, mut taken) = (0, 0);
+        for i in 0..columns.len() {
+            for l in 0..=i {
+                let (a, b) = (&patches[order.order[i]], &patches[order.order[l]]);
+                let expected = product(a, b);
+                let expected = match given(i, l) {
+                    Some(v) if order.first[i] <= l => v,
+                    _ => expected,
+                };
+                products += usize::from(l < i && expected > 0.0);
+                taken += usize::from(expected == -1.0);
+                // Some 300 products of at most 1000 in another order.
+                assert!((matrix.at(i, l) - expected).abs() < 1e-9, "{i} {l}");
+            }
+        }
+        assert!(products > 5 && taken > 5, "{products} {taken}");
+        // The pair has room; that of the column that is left out does not exist.
+        let row = |j: usize| order.order.iter().position(|k| *k == j).unwrap();
+        let (a, b) = (row(0), row(24));
+        assert!(order.first[a.max(b)] <= a.min(b));
+    }
+}
