@@ -14,7 +14,9 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
-use planish_numerics::{keys, linear::skyline::dot, quadrature::gauss_legendre};
+use planish_numerics::{
+    keys, linear::skyline::dot, quadrature::gauss_legendre, vectors::vectorised,
+};
 use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -412,35 +414,80 @@ impl<'a> Cells<'a> {
             return None;
         }
         let mut cells = Array2::zeros(alike.dim());
-        let samples = tif.with_ghosts();
-        let mut row = vec![0.0; samples.ncols()];
+        let mut sums = TwoSums::new(tif.with_ghosts(), alike.dim());
         for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
             let of_cells = |axis: usize, p: &Place, map: &Axis, own: &Axis, range, fraction| {
                 let under = Under::new(p.position_mm[axis], map, own, range, fraction);
                 Summed::new(&under, range.0, size)
             };
-            let along_x: Vec<Summed> = places
-                .iter()
-                .map(|p| of_cells(0, p, &grid.x, &tif.grid().x, x, p.fraction))
-                .collect();
             let along_y = of_cells(1, &places[0], &grid.y, &tif.grid().y, y, 1.0);
-            for (r, (node, weights)) in along_y.cells() {
-                row.fill(0.0);
-                for (k, w) in weights.iter().enumerate() {
-                    let g = samples.row(node + k);
-                    let g = g.to_slice().expect("whole rows of an array in C order");
-                    row.iter_mut().zip(g).for_each(|(sum, g)| *sum += w * g);
-                }
-                for (c, (node, weights)) in along_x.iter().flat_map(Summed::cells) {
-                    let g = &row[node..node + weights.len()];
-                    let sum: f64 = weights.iter().zip(g).map(|(w, g)| w * g).sum();
-                    cells[[r - top, c - left]] += sum;
-                }
-            }
+            let along_x =
+                places.iter().map(|p| of_cells(0, p, &grid.x, &tif.grid().x, x, p.fraction));
+            sums.add(&along_y, top, &along_x.collect::<Vec<_>>(), left);
         }
+        sums.write(&mut cells);
         cells *= &alike;
         cells *= &self.scale.slice(window);
         Some(Patch { origin: (top, left), rate_nm_per_s: cells })
+    }
+}
+
+/// The right side of (1) for all cells under a column.
+struct TwoSums<'a> {
+    /// g
+    samples: &'a Array2<f64>,
+    /// `sum_m A_m g[m, n]` of a row of cells, by n.
+    row: Vec<f64>,
+    /// The same of all rows of cells: those of one n side by side.
+    rows: Vec<f64>,
+    /// (1): the cells of one column of them side by side.
+    cells: Vec<f64>,
+    /// Rows of cells.
+    height: usize,
+}
+
+impl<'a> TwoSums<'a> {
+    fn new(samples: &'a Array2<f64>, (height, width): (usize, usize)) -> Self {
+        let nodes = samples.ncols();
+        let zeros = |count: usize| vec![0.0; count];
+        let (row, rows, cells) = (zeros(nodes), zeros(nodes * height), zeros(width * height));
+        Self { samples, row, rows, cells, height }
+    }
+
+    /// Adds the places on one line along x, by A from the row of cells `top` on and by the B of each from the column
+    /// `left` on.
+    fn add(&mut self, along_y: &Summed, top: usize, along_x: &[Summed], left: usize) {
+        let Self { samples, row, rows, cells, height } = self;
+        let (nodes, height) = (samples.ncols(), *height);
+        let g = samples.as_slice().expect("in C order");
+        rows.fill(0.0);
+        vectorised(
+            #[inline(always)]
+            || {
+                for (r, (node, weights)) in along_y.cells() {
+                    row.fill(0.0);
+                    for (w, g) in weights.iter().zip(g[node * nodes..].chunks_exact(nodes)) {
+                        row.iter_mut().zip(g).for_each(|(sum, g)| *sum += w * g);
+                    }
+                    let of_row = rows[r - top..].iter_mut().step_by(height);
+                    of_row.zip(row.iter()).for_each(|(to, from)| *to = *from);
+                }
+                for along_x in along_x {
+                    for (c, (node, weights)) in along_x.cells() {
+                        let cells = &mut cells[(c - left) * height..][..height];
+                        let rows = rows[node * height..].chunks_exact(height);
+                        for (w, rows) in weights.iter().zip(rows) {
+                            cells.iter_mut().zip(rows).for_each(|(sum, row)| *sum += w * row);
+                        }
+                    }
+                }
+            },
+        );
+    }
+
+    /// The sums of all places, (rows of cells, columns of cells).
+    fn write(&self, cells: &mut Array2<f64>) {
+        cells.indexed_iter_mut().for_each(|((r, c), v)| *v = self.cells[c * self.height + r]);
     }
 }
 
