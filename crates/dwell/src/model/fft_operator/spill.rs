@@ -7,6 +7,7 @@ use ndarray::{Array2, ArrayView2, Axis as NdAxis};
 use planish_numerics::{
     fft::{Complex64, add_conjugate_products, add_products, line},
     keys,
+    vectors::vectorised,
 };
 use rayon::prelude::*;
 
@@ -50,8 +51,20 @@ impl Under {
     }
 }
 
-/// Rows of the samples that what spills over one edge is made of, at most: the edge may be between two of them.
-const MAX_CORNER_ROWS: usize = 4;
+/// Most nodes of one axis that get something from beyond the samples, and most samples that they get it from: three at
+/// the lower edge, and four nodes or five samples at the upper one, which may be between two of them.
+const MAX_BORDER: usize = 8;
+
+/// A number for each of these nodes.
+type Nodes = [f64; MAX_BORDER];
+
+/// The samples at the corners of R, for what spills over two edges.
+pub struct Corners {
+    /// Offsets c of the nodes beyond the edges of the lines.
+    nodes: Vec<isize>,
+    /// For every sample j across that spills, and every weight e along: g[j, c - e] of every node.
+    samples: Vec<[Nodes; 4]>,
+}
 
 /// Lines that one thread takes at a time.
 pub const LINES_PER_TASK: usize = 32;
@@ -200,8 +213,8 @@ impl Across {
         }
     }
 
-    /// (2): lines of the map; with `corners` (the samples) what spills over both edges is left out.
-    pub fn spill(&self, t: &[f64], corners: Option<&Array2<f64>>) -> Array2<f64> {
+    /// (2): lines of the map; with `corners` what spills over both edges is left out.
+    pub fn spill(&self, t: &[f64], corners: Option<&Corners>) -> Array2<f64> {
         let pixels = self.along.pixels;
         let mut map = Array2::zeros((self.across.pixels, pixels));
         let half = self.lines.half();
@@ -245,61 +258,114 @@ impl Across {
                         let from = self.along.last as usize + 1;
                         row.iter_mut().zip(&line[from..]).for_each(|(v, l)| *v = *l);
                     }
-                    let Some(samples) = corners else { return };
-                    for upper in [false, true] {
-                        for group in self.within(self.cells(&range, upper)) {
-                            for p in &self.places[group.places.clone()] {
-                                let seconds = t[p.column as usize] * p.fraction;
-                                self.corner(p, group, upper, samples, &range, |r, c, rate| {
-                                    band[[r - range.start as usize, c]] -= seconds * rate;
-                                });
+                    let Some(corners) = corners else { return };
+                    let (top, band) =
+                        (range.start as usize, band.as_slice_mut().expect("in C order"));
+                    vectorised(
+                        #[inline(always)]
+                        || {
+                            for upper in [false, true] {
+                                for group in self.within(self.cells(&range, upper)) {
+                                    for p in &self.places[group.places.clone()] {
+                                        let seconds = t[p.column as usize] * p.fraction;
+                                        self.corner(
+                                            p,
+                                            group,
+                                            upper,
+                                            corners,
+                                            &range,
+                                            |r, c, rate| {
+                                                band[(r - top) * pixels + c] -= seconds * rate;
+                                            },
+                                        );
+                                    }
+                                }
                             }
-                        }
-                    }
+                        },
+                    );
                 },
             );
         map
     }
 
+    /// The corners of these samples [across, along].
+    pub fn corners(&self, samples: &Array2<f64>) -> Corners {
+        let last = self.along.last;
+        let beyond = keys::split(self.along.edge).0 + 1;
+        let nodes: Vec<isize> = (-2..=0).chain(beyond.max(1)..=last + 2).collect();
+        assert!(nodes.len() <= MAX_BORDER && self.border.len() <= MAX_BORDER, "nodes of a corner");
+        let of = |(j, _): &(isize, Vec<Complex64>)| {
+            let mut corner = [[0.0; MAX_BORDER]; 4];
+            for (e, of_weight) in (-1..=2).zip(&mut corner) {
+                for (c, v) in nodes.iter().zip(of_weight) {
+                    if (-1..=last).contains(&(c - e)) {
+                        *v = samples[[(j + 1) as usize, (c - e + 1) as usize]];
+                    }
+                }
+            }
+            corner
+        };
+        Corners { samples: self.border.iter().map(of).collect(), nodes }
+    }
+
+    /// Where sample j is among those that spill.
+    #[inline(always)]
+    fn slot(&self, j: isize) -> usize {
+        (if j <= 1 { j + 1 } else { j - self.across.last + self.border.len() as isize - 1 })
+            as usize
+    }
+
     /// `E ly lx` of one tool on the lines of the range: (line, pixel, rate).
+    ///
+    /// ```text
+    /// rate[k, c] = sum_d wy_d sum_e wx_e g[k - d, c - e]
+    /// ```
+    #[inline(always)]
     fn corner(
         &self,
         p: &Placed,
         group: &Group,
         upper: bool,
-        samples: &Array2<f64>,
+        corners: &Corners,
         range: &Range<isize>,
         mut add: impl FnMut(usize, usize, f64),
     ) {
-        let (wy, wx) = (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]));
-        let (width, all) = (samples.ncols(), samples.as_slice().expect("in C order"));
         let lines = self.lines_beyond(group, upper);
-        // Rows j = k - d of the samples that these get something from.
-        let rows =
-            if upper { *lines.start() - 2..=self.across.last } else { -1..=*lines.end() + 1 };
-        let first_row = *rows.start();
+        let (first, end) = (*lines.start(), *lines.end());
+        if group.cell + end < range.start || group.cell + first >= range.end {
+            return;
+        }
+        let (wy, wx) = (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]));
         let [low, high] = self.along.spills(p.offset[1]);
-        let before = (-2..=low).map(|c| (c, -1, (c + 1).min(2)));
-        let after = (high..=self.along.last + 2).map(|c| (c, (c - self.along.last).max(-1), 2));
-        for (c, from, to) in before.chain(after) {
-            let pixel = p.cell[1] as isize + c;
-            if pixel < 0 || pixel >= self.along.pixels as isize {
+        let pixels = 0..self.along.pixels as isize;
+        // h[j, c] = sum_e w_e g[j, c - e] of the samples j = k - d that these lines get something from
+        let rows = if upper { (first - 2).max(-1)..=self.across.last } else { -1..=end + 1 };
+        let from = self.slot(*rows.start());
+        let mut h = [[0.0; MAX_BORDER]; MAX_BORDER];
+        for (h, g) in h.iter_mut().zip(&corners.samples[from..=self.slot(*rows.end())]) {
+            for (w, g) in wx.iter().zip(g) {
+                for i in 0..MAX_BORDER {
+                    h[i] += w * g[i];
+                }
+            }
+        }
+        for k in first..=end {
+            let line = group.cell + k;
+            if !range.contains(&line) {
                 continue;
             }
-            // h[j] = sum_e w_e g[j, c - e]
-            let weights = &wx[(from + 1) as usize..=(to + 1) as usize];
-            let mut h = [0.0; MAX_CORNER_ROWS];
-            for (h, j) in h.iter_mut().zip(rows.clone()) {
-                let at = (j + 1) as usize * width;
-                let g = &all[at + (c - to + 1) as usize..=at + (c - from + 1) as usize];
-                *h = weights.iter().zip(g.iter().rev()).map(|(w, g)| w * g).sum();
-            }
-            for k in lines.clone().filter(|k| range.contains(&(group.cell + k))) {
-                let mut rate = 0.0;
-                for d in self.weights_of(k, upper) {
-                    rate += wy[(d + 1) as usize] * h[(k - d - first_row) as usize];
+            let mut rates = [0.0; MAX_BORDER];
+            for d in self.weights_of(k, upper) {
+                let (w, h) = (wy[(d + 1) as usize], &h[self.slot(k - d) - from]);
+                for i in 0..MAX_BORDER {
+                    rates[i] += w * h[i];
                 }
-                add((group.cell + k) as usize, pixel as usize, rate);
+            }
+            for (c, rate) in corners.nodes.iter().zip(rates) {
+                let pixel = p.cell[1] as isize + c;
+                if (*c <= low || *c >= high) && pixels.contains(&pixel) {
+                    add(line as usize, pixel as usize, rate);
+                }
             }
         }
     }
@@ -308,7 +374,7 @@ impl Across {
     pub fn subtract_spill(
         &self,
         map: ArrayView2<f64>,
-        corners: Option<&Array2<f64>>,
+        corners: Option<&Corners>,
         sums: &mut [f64],
     ) {
         let half = self.lines.half();
@@ -330,6 +396,9 @@ impl Across {
             |(work, sum), (groups, values)| {
                 // Spectra of the lines that are needed, by their number.
                 let mut spectra: Vec<(isize, Vec<Complex64>)> = Vec::new();
+                if let Some(corners) = corners {
+                    self.subtract_corners(groups, map, corners, values);
+                }
                 let mut values = values.iter_mut();
                 for group in groups {
                     let mut field = Vec::new();
@@ -369,15 +438,8 @@ impl Across {
                         let of = |(d, field): &(isize, Vec<f64>)| {
                             across[(d + 1) as usize] * at.sum(&along, field)
                         };
-                        let mut spill: f64 = field.iter().map(of).sum();
-                        if let Some(samples) = corners {
-                            for upper in [false, true] {
-                                self.corner(p, group, upper, samples, &lines, |r, c, rate| {
-                                    spill -= map[[r, c]] * rate;
-                                });
-                            }
-                        }
-                        *values.next().expect("one for each place") = spill;
+                        *values.next().expect("one for each place") +=
+                            field.iter().map(of).sum::<f64>();
                     }
                 }
             },
@@ -385,5 +447,32 @@ impl Across {
         for (p, spill) in self.places.iter().zip(&values) {
             sums[p.column as usize] -= p.fraction * spill;
         }
+    }
+
+    /// Subtracts what the corners of the places of some groups have on a map.
+    fn subtract_corners(
+        &self,
+        groups: &[Group],
+        map: ArrayView2<f64>,
+        corners: &Corners,
+        values: &mut [f64],
+    ) {
+        let (all, lines) = (map.as_slice().expect("in C order"), 0..self.across.pixels as isize);
+        let pixels = self.along.pixels;
+        vectorised(
+            #[inline(always)]
+            || {
+                let mut values = values.iter_mut();
+                for group in groups {
+                    for (p, value) in self.places[group.places.clone()].iter().zip(&mut values) {
+                        for upper in [false, true] {
+                            self.corner(p, group, upper, corners, &lines, |r, c, rate| {
+                                *value -= all[r * pixels + c] * rate;
+                            });
+                        }
+                    }
+                }
+            },
+        );
     }
 }
