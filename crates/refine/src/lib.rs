@@ -406,6 +406,8 @@ fn rounds(
                     solver.smoothness *= MORE_SMOOTHNESS;
                 } else if round > 0 && !at_last {
                     solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
+                    // What that changes is not known yet.
+                    without_progress = 0;
                 }
             }
             // B of the motion; t^ = bounded least squares.
