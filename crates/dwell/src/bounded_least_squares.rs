@@ -115,6 +115,7 @@ pub fn solve_columns(
     settings: &Settings,
     program: &Program<'_>,
 ) -> Result<BoundedSolution, DwellError> {
+    let tif = &*tif.without_zero_margins();
     let weight = pixel_weights(desired, weight)?;
     let weights = [
         ("tikhonov", settings.tikhonov),

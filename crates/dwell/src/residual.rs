@@ -26,6 +26,8 @@
 //! | B | `operator` | (pixels, n) | nm/s |
 //! | t | `time_s` | (n) | s |
 
+use std::borrow::Cow;
+
 use ndarray::{Array2, Zip};
 use planish_numerics::{linear::skyline::Skyline, qp::bounded::Quadratic};
 use planish_types::{Invalid, Surface, Tif, budget};
@@ -44,7 +46,7 @@ use crate::{
 /// (1) for fixed places of the tool.
 pub struct Residual<'a> {
     desired: &'a Surface,
-    tif: &'a Tif,
+    tif: Cow<'a, Tif>,
     places_mm: &'a [[f64; 2]],
     /// Of the pixels; their sum is 1.
     weight: Array2<f64>,
@@ -71,11 +73,12 @@ impl<'a> Residual<'a> {
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
+        let tif = tif.without_zero_margins();
         let mut weight = pixel_weights(desired, weight)?;
         weight /= weight.sum();
         let alone = |p: &[f64; 2]| vec![Place { position_mm: *p, fraction: 1.0 }];
         let places: Vec<Vec<Place>> = places_mm.iter().map(alone).collect();
-        let operator = Operator::new(&places, tif, desired.grid())?;
+        let operator = Operator::new(&places, &tif, desired.grid())?;
         let largest = operator.adjoint(&weight).into_iter().fold(0.0, f64::max);
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
             return Err(DwellError::OutOfReach { points: places_mm.len() });
@@ -157,14 +160,14 @@ impl<'a> Residual<'a> {
             let m = columns::map_on_cells(m, &self.weight, size);
             order.par_iter().map(|j| cells[*j].product(&m)).collect()
         });
-        let exact = self.operator.is_exact(self.tif, self.desired.grid());
+        let exact = self.operator.is_exact(&self.tif, self.desired.grid());
         let below_curvature = exact && self.free == Free::Piston;
         Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
     }
 
     /// Pixels along the side of a cell.
     fn cell_size(&self) -> usize {
-        cell_size(self.tif, self.desired.grid(), MAX_LOSS_FACTORISED)
+        cell_size(&self.tif, self.desired.grid(), MAX_LOSS_FACTORISED)
     }
 
     /// What every column removes, on cells of pixels; those that are known are taken from there.
@@ -173,7 +176,7 @@ impl<'a> Residual<'a> {
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
         let new: Vec<Vec<Place>> = new.map(|(places, _)| places.clone()).collect();
         let size = self.cell_size();
-        let mut made = columns::on_cells(&new, self.tif, grid, &self.weight, size).into_iter();
+        let mut made = columns::on_cells(&new, &self.tif, grid, &self.weight, size).into_iter();
         let of = |before: &Option<usize>| match before {
             Some(j) => std::mem::take(&mut known.cells[*j]),
             None => made.next().expect("one for every new column"),

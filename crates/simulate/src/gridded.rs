@@ -90,6 +90,7 @@ pub struct Plan {
 impl Plan {
     /// Plans the removal of `tif` on `grid`.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
+        let tif = &*tif.without_zero_margins();
         let own = [grid.x, grid.y].into_iter().zip([tif.grid().x, tif.grid().y]);
         let subdivision: Vec<usize> = own.map(|(map, tif)| least_subdivision(&map, &tif)).collect();
         let mut refinement = 1;

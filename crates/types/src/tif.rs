@@ -1,9 +1,11 @@
 //! The tool influence function: how fast the resting tool removes material around itself.
 
-use ndarray::Array2;
+use std::borrow::Cow;
+
+use ndarray::{Array2, Axis as NdAxis, s};
 use planish_numerics::keys;
 
-use crate::{Grid, Invalid};
+use crate::{Axis, Grid, Invalid};
 
 /// Largest rate and smallest peak, nm/s: beyond them the unit is wrong.
 const LARGEST_RATE: f64 = 1e12;
@@ -11,6 +13,9 @@ const SMALLEST_PEAK: f64 = 1e-12;
 
 /// A negative rate above this fraction of the peak is metrology noise; below, it is an error.
 const NEGATIVE_NOISE: f64 = 0.02;
+
+/// Samples of 0 that a margin keeps: a ghost node is made of three.
+const MARGIN: usize = 3;
 
 /// Removal rate `R(dx, dy)` in nm/s, sampled at the offsets (pixel - tool) of `grid`.
 ///
@@ -74,6 +79,30 @@ impl Tif {
             ));
         }
         Ok(tif)
+    }
+
+    /// The same R without margins in which all samples are 0: of every margin three are left, by which the interpolation
+    /// before them stays what it is. A TIF is often stored with more room than the tool takes.
+    pub fn without_zero_margins(&self) -> Cow<'_, Self> {
+        let rate = &self.rate_nm_per_s;
+        let kept = |axis: usize| {
+            let is_used = |i: &usize| rate.index_axis(NdAxis(axis), *i).iter().any(|r| *r != 0.0);
+            let n = rate.len_of(NdAxis(axis));
+            let (first, last) = ((0..n).find(is_used), (0..n).rev().find(is_used));
+            let first = first.unwrap_or(0).saturating_sub(MARGIN);
+            first..(last.unwrap_or(n) + MARGIN + 1).min(n)
+        };
+        let (rows, columns) = (kept(0), kept(1));
+        let shape = (rows.len(), columns.len());
+        if shape == rate.dim() {
+            return Cow::Borrowed(self);
+        }
+        let rate = rate.slice(s![rows.clone(), columns.clone()]).to_owned();
+        let x = self.grid.x.crop(columns.start, columns.end - 1);
+        let y = self.grid.y.crop(rows.start, rows.end - 1);
+        let (Ok(x), Ok(y)) = (x, y) else { return Cow::Borrowed(self) };
+        let with_ghosts = keys::with_ghosts(rate.view());
+        Cow::Owned(Self { grid: Grid { x, y }, rate_nm_per_s: rate, with_ghosts })
     }
 
     /// Offsets of the samples from the tool centre.
@@ -149,7 +178,7 @@ impl Tif {
 
     /// `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.
     pub fn rate_at(&self, dx_mm: f64, dy_mm: f64) -> f64 {
-        let node = |axis: &crate::Axis, d: f64| {
+        let node = |axis: &Axis, d: f64| {
             let (i, f) = keys::split((d - axis.start_mm()) / axis.step_mm());
             let last = axis.len() as isize - 1;
             match i {
@@ -177,10 +206,35 @@ impl Tif {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Axis;
 
     fn axis(half: f64, n: usize) -> Axis {
         Axis::new(-half, 2.0 * half / (n - 1) as f64, n).unwrap()
+    }
+
+    #[test]
+    fn without_its_zero_margins_a_tif_is_the_same() {
+        // Before, after, below and above the samples 0, 9, 5 and 2 columns and rows of zeros.
+        let rate = Array2::from_shape_fn((10, 17), |(r, c)| {
+            let inside = (5..8).contains(&r) && c < 8;
+            if inside { 1.0 + ((3 * r + 5 * c) as f64).sin() } else { 0.0 }
+        });
+        let x = Axis::new(-0.7, 0.1, 17).unwrap();
+        let y = Axis::new(-0.5, 0.2, 10).unwrap();
+        let tif = Tif::new(Grid { x, y }, rate).unwrap();
+        let part = tif.without_zero_margins();
+        assert_eq!(part.rate_nm_per_s().dim(), (8, 11));
+        assert!((part.grid().y.start_mm() + 0.1).abs() < 1e-12);
+        let mut largest = 0.0_f64;
+        for k in 0..4000 {
+            let d = [0.021, 0.0173].map(|step| f64::from(k) * step);
+            let (dx, dy) = (d[0] % 2.0 - 0.9, d[1] % 2.4 - 0.7);
+            let (whole, part) = (tif.rate_at(dx, dy), part.rate_at(dx, dy));
+            // The coordinates round.
+            assert!((whole - part).abs() < 1e-12, "{dx} {dy}: {whole} {part}");
+            largest = largest.max(whole);
+        }
+        assert!(largest > 1.5);
+        assert!(matches!(part.without_zero_margins(), Cow::Borrowed(_)));
     }
 
     #[test]
