@@ -106,12 +106,9 @@ fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Optio
 /// matrix when what a dwell point removes is `reach_mm` wide.
 fn lattice_size(size_mm: [f64; 2], reach_mm: [f64; 2], pitch_mm: f64) -> (f64, f64) {
     let nodes = size_mm.map(|v| v / pitch_mm + 4.0);
-    let row = if nodes[0] < nodes[1] {
-        (reach_mm[1] / pitch_mm + 4.0).min(nodes[1]) * nodes[0]
-    } else {
-        (reach_mm[0] / pitch_mm + 4.0).min(nodes[0]) * nodes[1]
-    };
-    (nodes[0] * nodes[1], row)
+    let row =
+        |across: usize| (reach_mm[across] / pitch_mm + 4.0).min(nodes[across]) * nodes[1 - across];
+    (nodes[0] * nodes[1], row(0).min(row(1)))
 }
 
 /// Least and largest [x, y].

@@ -5,22 +5,22 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-/// Nodes of a lattice, numbered along the shorter side first.
+/// Nodes of a lattice, numbered line by line.
 #[cfg_attr(test, derive(Debug, PartialEq))]
 pub struct Stencils {
-    /// Nodes along the shorter side.
-    shorter: usize,
-    /// Most nodes from one to another that is coupled with it, along the longer side and along the shorter one.
+    /// Nodes of a line.
+    per_line: usize,
+    /// Most nodes from one to another that is coupled with it, across the lines and along them.
     reach: [usize; 2],
-    /// For every row those that are coupled with it and do not come after it: by the distance along the longer side, then
-    /// along the shorter one.
+    /// For every row those that are coupled with it and do not come after it: by the distance across the lines, then
+    /// along them.
     values: Vec<f64>,
 }
 
 impl Stencils {
     /// Zero, for so many nodes.
-    pub fn zeros(nodes: usize, shorter: usize, reach: [usize; 2]) -> Self {
-        Self { shorter, reach, values: vec![0.0; nodes * Self::len(reach)] }
+    pub fn zeros(nodes: usize, per_line: usize, reach: [usize; 2]) -> Self {
+        Self { per_line, reach, values: vec![0.0; nodes * Self::len(reach)] }
     }
 
     /// Elements of a row.
@@ -28,22 +28,22 @@ impl Stencils {
         (reach[0] + 1) * (2 * reach[1] + 1)
     }
 
-    /// Index in a row at s along the shorter side of the node at m there, so many before it along the longer side.
+    /// Index in a row at s along a line of the node at m there, so many before it across the lines.
     fn at(reach: [usize; 2], before: usize, s: usize, m: usize) -> usize {
         before * (2 * reach[1] + 1) + m + reach[1] - s
     }
 
     /// The nodes that may be coupled with some of these rows of one line and do not come after the last of them: how many
-    /// lines before, and where along the shorter side.
+    /// lines before, and where along a line.
     fn near(
         rows: &Range<usize>,
-        shorter: usize,
+        per_line: usize,
         reach: [usize; 2],
     ) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (l, first, last) =
-            (rows.start / shorter, rows.start % shorter, (rows.end - 1) % shorter);
+            (rows.start / per_line, rows.start % per_line, (rows.end - 1) % per_line);
         (0..=reach[0].min(l)).flat_map(move |before| {
-            let end = if before == 0 { last } else { (last + reach[1]).min(shorter - 1) };
+            let end = if before == 0 { last } else { (last + reach[1]).min(per_line - 1) };
             (first.saturating_sub(reach[1])..=end).map(move |m| (before, m))
         })
     }
@@ -51,31 +51,31 @@ impl Stencils {
     /// The nodes that may be coupled with row i and do not come after it, and their indices in the row.
     fn coupled(
         i: usize,
-        shorter: usize,
+        per_line: usize,
         reach: [usize; 2],
     ) -> impl Iterator<Item = (usize, usize)> {
-        let (l, s) = (i / shorter, i % shorter);
-        Self::near(&(i..i + 1), shorter, reach)
-            .map(move |(before, m)| ((l - before) * shorter + m, Self::at(reach, before, s, m)))
+        let (l, s) = (i / per_line, i % per_line);
+        Self::near(&(i..i + 1), per_line, reach)
+            .map(move |(before, m)| ((l - before) * per_line + m, Self::at(reach, before, s, m)))
     }
 
-    /// Lets `write` see all of these rows, which begin and end with whole lines along the shorter side: up to `most` of one
+    /// Lets `write` see all of these rows, which begin and end with whole lines along a line: up to `most` of one
     /// line at a time.
     pub fn fill(&mut self, rows: Range<usize>, most: usize, write: impl Fn(Near<'_>) + Sync) {
-        let (shorter, reach, len) = (self.shorter, self.reach, Self::len(self.reach));
+        let (per_line, reach, len) = (self.per_line, self.reach, Self::len(self.reach));
         let values = &mut self.values[rows.start * len..rows.end * len];
-        values.par_chunks_mut(shorter * len).enumerate().for_each(|(line, values)| {
-            let first = rows.start + line * shorter;
+        values.par_chunks_mut(per_line * len).enumerate().for_each(|(line, values)| {
+            let first = rows.start + line * per_line;
             values.par_chunks_mut(most * len).enumerate().for_each(|(i, values)| {
                 let start = first + i * most;
-                write(Near { rows: start..start + values.len() / len, shorter, reach, values });
+                write(Near { rows: start..start + values.len() / len, per_line, reach, values });
             });
         });
     }
 
     /// The rows in as many parts as leaves the rows coupled with one in it and in the part before.
     pub fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        let (rows, part) = (self.rows(), self.reach[0].max(1) * self.shorter);
+        let (rows, part) = (self.rows(), self.reach[0].max(1) * self.per_line);
         (0..rows).step_by(part).map(move |from| from..(from + part).min(rows))
     }
 
@@ -87,7 +87,7 @@ impl Stencils {
     pub fn coupled_with(&self, these: &[bool]) -> Vec<bool> {
         let mut found = these.to_vec();
         for i in 0..self.rows() {
-            for (k, _) in Self::coupled(i, self.shorter, self.reach) {
+            for (k, _) in Self::coupled(i, self.per_line, self.reach) {
                 found[i] |= these[k];
                 found[k] |= these[i];
             }
@@ -95,11 +95,11 @@ impl Stencils {
         found
     }
 
-    /// Adds to the element of two nodes, of which the second one does not come after the first: where they are along the
-    /// longer and the shorter side.
+    /// Adds to the element of two nodes, of which the second one does not come after the first: line and
+    /// place in it of either.
     #[inline]
     pub fn add(&mut self, [l, s]: [usize; 2], [k, m]: [usize; 2], value: f64) {
-        let row = (l * self.shorter + s) * Self::len(self.reach);
+        let row = (l * self.per_line + s) * Self::len(self.reach);
         self.values[row + Self::at(self.reach, l - k, s, m)] += value;
     }
 
@@ -112,7 +112,7 @@ impl Stencils {
     pub fn add_row(&self, i: usize, first: usize, to: &mut [f64]) {
         let len = Self::len(self.reach);
         let row = &self.values[i * len..(i + 1) * len];
-        for (k, at) in Self::coupled(i, self.shorter, self.reach) {
+        for (k, at) in Self::coupled(i, self.per_line, self.reach) {
             if row[at] != 0.0 {
                 to[k - first] += row[at];
             }
@@ -120,10 +120,10 @@ impl Stencils {
     }
 }
 
-/// A few rows of [`Stencils`], one beside the other along the shorter side.
+/// A few rows of [`Stencils`], one beside the other along a line.
 pub struct Near<'a> {
     rows: Range<usize>,
-    shorter: usize,
+    per_line: usize,
     reach: [usize; 2],
     values: &'a mut [f64],
 }
@@ -136,16 +136,16 @@ impl Near<'_> {
 
     /// The nodes that may be coupled with some of these rows and do not come after the last of them.
     pub fn coupled(&self) -> impl Iterator<Item = usize> + use<> {
-        let (shorter, l) = (self.shorter, self.rows.start / self.shorter);
-        let near = Stencils::near(&self.rows, shorter, self.reach);
-        near.map(move |(before, m)| (l - before) * shorter + m)
+        let (per_line, l) = (self.per_line, self.rows.start / self.per_line);
+        let near = Stencils::near(&self.rows, per_line, self.reach);
+        near.map(move |(before, m)| (l - before) * per_line + m)
     }
 
     /// The element (i, k) of one of these rows and a node of [`Self::coupled`]; `None` where k comes after i or is too far
     /// away.
     pub fn at(&mut self, i: usize, k: usize) -> Option<&mut f64> {
-        let (l, s) = (i / self.shorter, i % self.shorter);
-        let (n, m) = (k / self.shorter, k % self.shorter);
+        let (l, s) = (i / self.per_line, i % self.per_line);
+        let (n, m) = (k / self.per_line, k % self.per_line);
         let is_near = k <= i && l - n <= self.reach[0] && s.abs_diff(m) <= self.reach[1];
         let row = (i - self.rows.start) * Stencils::len(self.reach);
         is_near.then(|| &mut self.values[row + Stencils::at(self.reach, l - n, s, m)])
@@ -158,13 +158,14 @@ mod tests {
 
     #[test]
     fn rows_are_those_of_the_full_matrix() {
-        // 7 x 4 nodes, coupled up to 2 along the longer side and 1 along the shorter one.
-        let (nodes, shorter, reach) = (28, 4, [2, 1]);
+        // 7 x 4 nodes, coupled up to 2 across the lines and 1 along them.
+        let (nodes, per_line, reach) = (28, 4, [2, 1]);
         let value = |i: usize, k: usize| (1 + i * nodes + k) as f64;
         let is_near = |i: usize, k: usize| {
-            i / shorter - k / shorter <= reach[0] && (i % shorter).abs_diff(k % shorter) <= reach[1]
+            i / per_line - k / per_line <= reach[0]
+                && (i % per_line).abs_diff(k % per_line) <= reach[1]
         };
-        let mut all = Stencils::zeros(nodes, shorter, reach);
+        let mut all = Stencils::zeros(nodes, per_line, reach);
         // By parts of two lines, of which the last is half as long.
         assert_eq!(all.parts().collect::<Vec<_>>(), [0..8, 8..16, 16..24, 24..28]);
         let parts = all.parts();
@@ -180,7 +181,7 @@ mod tests {
                 }
             });
         });
-        let mut one = Stencils::zeros(nodes, shorter, reach);
+        let mut one = Stencils::zeros(nodes, per_line, reach);
         one.add([2, 1], [1, 0], 0.25);
         one.add([2, 1], [1, 2], 0.5);
         all.add_all(&one);

@@ -46,6 +46,8 @@ use crate::{
 pub struct Nodes {
     /// (y, x)
     shape: (usize, usize),
+    /// Whether a line of nodes in the matrix is one along x; else it is one along y.
+    by_rows: bool,
     /// Of every reached column.
     at: Vec<Option<Weights>>,
     /// Columns by cell.
@@ -84,8 +86,8 @@ const SPLINE_RIDGE: f64 = 1e-3;
 const MAX_KEPT_PATCH_ELEMENTS: usize = 200_000_000;
 
 impl Nodes {
-    /// The lattice over the reached columns.
-    pub fn new(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Self {
+    /// The lattice over the reached columns of a TIF of the size [x, y].
+    pub fn new(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64, tif_mm: [f64; 2]) -> Self {
         let centre = |places: &Vec<Place>| {
             let of = |k: usize| places.iter().map(|p| p.fraction * p.position_mm[k]).sum::<f64>();
             [of(0), of(1)]
@@ -107,23 +109,33 @@ impl Nodes {
         let at: Vec<Option<Weights>> = centres.into_iter().map(|c| c.map(weights)).collect();
         let cell = |w: &Weights| w.cell.0 as usize * columns + w.cell.1 as usize;
         let by_cell = Grouped::new(rows * columns, at.iter().map(|w| w.as_ref().map(cell)));
-        Self { shape: (rows + 3, columns + 3), at, by_cell }
+        // Lines that meet lie as far apart as a spline and the TIF reach: the product with the length of a line is the
+        // width of the band.
+        let (ny, nx) = (rows + 3, columns + 3);
+        let reach = tif_mm.map(|size| size + 4.0 * pitch_mm);
+        let by_rows = reach[1] * (nx as f64) < reach[0] * ny as f64;
+        Self { shape: (ny, nx), by_rows, at, by_cell }
     }
 
     fn len(&self) -> usize {
         self.shape.0 * self.shape.1
     }
 
-    /// Row of a node in the matrix: along the shorter side first.
+    /// Nodes of a line.
+    fn line(&self) -> usize {
+        if self.by_rows { self.shape.1 } else { self.shape.0 }
+    }
+
+    /// Row of a node in the matrix: line by line.
     fn row(&self, r: usize, c: usize) -> usize {
         let (ny, nx) = self.shape;
-        if ny > nx { r * nx + c } else { c * ny + r }
+        if self.by_rows { r * nx + c } else { c * ny + r }
     }
 
     /// The node of a row.
     fn node(&self, i: usize) -> (usize, usize) {
         let (ny, nx) = self.shape;
-        if ny > nx { (i / nx, i % nx) } else { (i % ny, i / ny) }
+        if self.by_rows { (i / nx, i % nx) } else { (i % ny, i / ny) }
     }
 
     /// Whether a difference of near columns couples two rows.
@@ -224,13 +236,12 @@ impl Nodes {
                 g[r + k / 4][c + k % 4] += f * v;
             }
         }
-        let is_tall = self.shape.0 > self.shape.1;
         let mut nodes = [([0; 2], 0.0); SIDE * SIDE];
         let mut count = 0;
         for (r, g) in g.iter().enumerate() {
             for (c, g) in g.iter().enumerate().filter(|(_, g)| **g != 0.0) {
                 let (r, c) = (r0 as usize + r, c0 as usize + c);
-                nodes[count] = (if is_tall { [r, c] } else { [c, r] }, *g);
+                nodes[count] = (if self.by_rows { [r, c] } else { [c, r] }, *g);
                 count += 1;
             }
         }
@@ -243,7 +254,7 @@ impl Nodes {
 
     /// Zero for all nodes.
     fn stencils(&self, reach: [usize; 2]) -> Stencils {
-        Stencils::zeros(self.len(), self.shape.0.min(self.shape.1), reach)
+        Stencils::zeros(self.len(), self.line(), reach)
     }
 }
 
@@ -301,10 +312,10 @@ impl Coarse {
             line_reach(nx, extents.iter().enumerate().map(|(i, e)| (nodes.node(i).1, &e.1))),
         ]
         .map(|reach| reach.max(PENALTY_REACH));
-        let reach = if ny > nx { [of_rows, of_columns] } else { [of_columns, of_rows] };
-        let shorter = ny.min(nx);
+        let reach = if nodes.by_rows { [of_rows, of_columns] } else { [of_columns, of_rows] };
+        let line = nodes.line();
         let first = |i: usize| {
-            let mut near = (i / shorter).saturating_sub(reach[0]) * shorter..i;
+            let mut near = (i / line).saturating_sub(reach[0]) * line..i;
             let are_coupled = |k: &usize| {
                 let (a, b) = (&extents[*k], &extents[i]);
                 nodes.are_linked(*k, i) || meet(&a.0, &b.0) && meet(&a.1, &b.1)
@@ -487,6 +498,12 @@ mod tests {
 
     #[test]
     fn what_the_splines_say_is_solved_exactly_whatever_is_free() {
+        // Lines of the lattice along y, and along x where a TIF would reach far along that.
+        assert!(!are_along_x_and_solved_exactly([4.0, 4.0]));
+        assert!(are_along_x_and_solved_exactly([40.0, 4.0]));
+    }
+
+    fn are_along_x_and_solved_exactly(tif_mm: [f64; 2]) -> bool {
         let axis = |start: f64, n: usize| Axis::new(start, 0.25, n).unwrap();
         let map = Grid { x: axis(0.0, 37), y: axis(0.0, 23) };
         let own = Grid { x: axis(-2.0, 17), y: axis(-2.0, 17) };
@@ -527,7 +544,7 @@ mod tests {
             h_t
         };
         let sums = Sums::new(&places, &tif, &map, 5.0, Spread::Keys);
-        let nodes = Nodes::new(&places, &vec![true; n], 1.0);
+        let nodes = Nodes::new(&places, &vec![true; n], 1.0, tif_mm);
         let mut coarse = Coarse::new(&nodes, &sums, &vec![true; n]);
         let mut forgetful = Coarse::new(&nodes, &sums, &vec![true; n]);
         assert!(coarse.keeps_patches);
@@ -575,5 +592,6 @@ mod tests {
         let error = largest_difference(&two.coarse(&h_v_c), &v_c);
         // As above; with the inverse for the other penalty it would be 1e2.
         assert!(error < 1e-2 * largest_magnitude(v_c.iter().copied()), "{error}");
+        nodes.by_rows
     }
 }
