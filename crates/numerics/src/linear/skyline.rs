@@ -518,12 +518,12 @@ pub fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
 
 /// A sum in eight independent ones, which a compiler turns into vectors.
 #[derive(Default)]
-pub struct Sums([f64; 8]);
+struct Sums([f64; 8]);
 
 impl Sums {
     /// Adds the products of the elements of two slices of the same length.
     #[inline(always)]
-    pub fn add_products<T: Copy + Into<f64>>(&mut self, a: &[T], b: &[f64]) {
+    fn add_products<T: Copy + Into<f64>>(&mut self, a: &[T], b: &[f64]) {
         let ((a8, a_rest), (b8, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
         for (a, b) in a8.iter().zip(b8) {
             for k in 0..8 {
@@ -537,7 +537,7 @@ impl Sums {
 
     /// The sum.
     #[inline(always)]
-    pub fn total(&self) -> f64 {
+    fn total(&self) -> f64 {
         self.0.iter().sum()
     }
 }

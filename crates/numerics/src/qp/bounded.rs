@@ -66,7 +66,7 @@ impl Quadratic {
 
     /// x of `H_II x = r` with I = `keep`; `None` when H_II is not positive definite.
     fn solve(&self, keep: &[usize], mut r: Vec<f64>, last: &mut LastFactor) -> Option<Vec<f64>> {
-        if !last.0.as_ref().is_some_and(|(of, _)| of == keep) {
+        if last.0.as_ref().is_none_or(|(of, _)| of != keep) {
             // One factor at a time.
             last.0 = None;
             let factor = self.k.principal(keep).factorise()?;
