@@ -1,7 +1,11 @@
 //! Statistics of a height map; NaN marks an invalid pixel and is skipped.
 
-use ndarray::{Array2, ArrayView2, Axis};
+use std::borrow::Cow;
+
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use rayon::prelude::*;
+
+use crate::vectors::vectorised;
 
 /// RMS, PV and friends of the valid pixels of a map. Units are those of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,65 +24,182 @@ pub struct Statistics {
     pub max: f64,
 }
 
-/// Elements whose sums are made on one thread.
+/// Elements that one thread takes at a time.
 const PART: usize = 1 << 14;
 
-/// Sums of what `of` makes of (row, column, value) of every valid pixel: parts of rows, then their sums in
-/// order, the same on any number of threads.
+/// Sums that are made side by side, of every eighth pixel of a row each: the processor adds them together.
+const SIDE_BY_SIDE: usize = 8;
+
+/// What `of` makes of parts of some rows, numbered from the first of them, in order.
+fn by_parts<T: Send>(
+    map: ArrayView2<f64>,
+    of: impl Fn(usize, ArrayView2<f64>) -> T + Sync,
+) -> Vec<T> {
+    let rows = (PART / map.ncols().max(1)).max(1);
+    let parts = map.axis_chunks_iter(Axis(0), rows).into_par_iter().enumerate();
+    parts.map(|(part, map)| of(part * rows, map)).collect()
+}
+
+/// The pixels of a row.
+#[inline(always)]
+fn pixels(row: ArrayView1<'_, f64>) -> Cow<'_, [f64]> {
+    row.to_slice().map_or_else(|| row.to_vec().into(), Cow::Borrowed)
+}
+
+/// Sums of what `of` makes of (x, y, value) of every valid pixel, x and y being what stands there for its column and
+/// its row: parts of rows, then their sums in order, the same on any number of threads.
 fn sums<const N: usize>(
     map: ArrayView2<f64>,
-    of: impl Fn(usize, usize, f64) -> [f64; N] + Sync,
+    (x, y): (&[f64], &[f64]),
+    of: impl Fn(f64, f64, f64) -> [f64; N] + Sync,
 ) -> [f64; N] {
-    let rows = (PART / map.ncols().max(1)).max(1);
-    let parts: Vec<[f64; N]> = map
-        .axis_chunks_iter(Axis(0), rows)
-        .into_par_iter()
-        .enumerate()
-        .map(|(part, map)| {
-            let mut total = [0.0; N];
-            for (r, line) in map.outer_iter().enumerate() {
-                let mut sums = [0.0; N];
-                for (c, v) in line.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
-                    add(&mut sums, of(part * rows + r, c, *v));
+    let parts = by_parts(map, |first, map| {
+        vectorised(
+            #[inline(always)]
+            || {
+                let mut total = [0.0; N];
+                for (row, y) in map.outer_iter().zip(&y[first..]) {
+                    let mut sums = [[0.0; SIDE_BY_SIDE]; N];
+                    let row = pixels(row);
+                    let places = x.chunks(SIDE_BY_SIDE);
+                    for (pixels, x) in row.chunks(SIDE_BY_SIDE).zip(places) {
+                        if let (Ok(pixels), Ok(x)) = (pixels.try_into(), x.try_into()) {
+                            add::<SIDE_BY_SIDE, N>(pixels, x, *y, &of, &mut sums);
+                        } else {
+                            // The last ones, and what is not counted beside them.
+                            let mut whole = [[f64::NAN; SIDE_BY_SIDE]; 2];
+                            whole[0][..pixels.len()].copy_from_slice(pixels);
+                            whole[1][..x.len()].copy_from_slice(x);
+                            add(&whole[0], &whole[1], *y, &of, &mut sums);
+                        }
+                    }
+                    for (total, sums) in total.iter_mut().zip(sums) {
+                        *total += sums.iter().sum::<f64>();
+                    }
                 }
-                add(&mut total, sums);
-            }
-            total
-        })
-        .collect();
+                total
+            },
+        )
+    });
     parts.into_iter().fold([0.0; N], |mut total, part| {
-        add(&mut total, part);
+        total.iter_mut().zip(part).for_each(|(t, p)| *t += p);
         total
     })
 }
 
-fn add<const N: usize>(total: &mut [f64; N], part: [f64; N]) {
-    total.iter_mut().zip(part).for_each(|(t, p)| *t += p);
+#[inline(always)]
+fn add<const M: usize, const N: usize>(
+    pixels: &[f64; M],
+    x: &[f64; M],
+    y: f64,
+    of: &impl Fn(f64, f64, f64) -> [f64; N],
+    sums: &mut [[f64; M]; N],
+) {
+    for i in 0..M {
+        let terms = of(x[i], y, pixels[i]);
+        for k in 0..N {
+            sums[k][i] += if pixels[i].is_nan() { 0.0 } else { terms[k] };
+        }
+    }
 }
 
-/// Smallest and largest of the valid pixels.
-fn range(map: ArrayView2<f64>) -> (f64, f64) {
-    // min and max pass over NaN
-    let of = |map: ArrayView2<f64>| {
-        let least = map.iter().copied().fold(f64::INFINITY, f64::min);
-        (least, map.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+/// [`sums`] of what does not depend on the place.
+fn sums_of_values<const N: usize>(
+    map: ArrayView2<f64>,
+    of: impl Fn(f64) -> [f64; N] + Sync,
+) -> [f64; N] {
+    let nowhere = vec![0.0; map.nrows().max(map.ncols())];
+    sums(
+        map,
+        (&nowhere[..map.ncols()], &nowhere),
+        #[inline(always)]
+        |_, _, v| of(v),
+    )
+}
+
+/// Smallest and largest of the valid pixels; without one, infinity and minus infinity.
+pub fn range(map: ArrayView2<f64>) -> (f64, f64) {
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    let parts = by_parts(map, |_, map| {
+        vectorised(
+            #[inline(always)]
+            || {
+                let mut ends = [none; SIDE_BY_SIDE];
+                for row in map.outer_iter() {
+                    for pixels in pixels(row).chunks(SIDE_BY_SIDE) {
+                        // No comparison with NaN is true.
+                        for ((low, high), v) in ends.iter_mut().zip(pixels) {
+                            *low = if v < low { *v } else { *low };
+                            *high = if v > high { *v } else { *high };
+                        }
+                    }
+                }
+                ends
+            },
+        )
+    });
+    parts.into_iter().flatten().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
+/// How many of the valid pixels have each of these values.
+pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize; N] {
+    let found = sums_of_values(
+        map,
+        #[inline(always)]
+        |v| values.map(|value| if v == value { 1.0 } else { 0.0 }),
+    );
+    found.map(|n| n as usize)
+}
+
+/// Sum of what the valid pixels are above `level`.
+pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
+    let above = sums_of_values(
+        map,
+        #[inline(always)]
+        |v| [if v > level { v - level } else { 0.0 }],
+    );
+    above[0]
+}
+
+/// Of how many rows one tells [`lowest`] what need not be looked at.
+const ROWS_PER_LOOK: usize = 16;
+
+/// The lowest of the valid pixels but for this fraction of them, in [0, 1); of those with a `weight` (ny, nx) > 0
+/// where weights are given. `None` without such a pixel.
+pub fn lowest(map: ArrayView2<f64>, weight: Option<ArrayView2<f64>>, fraction: f64) -> Option<f64> {
+    let row = |r: usize| {
+        let counts = move |c: usize| weight.is_none_or(|w| w[[r, c]] > 0.0);
+        map.row(r).into_iter().enumerate().filter(move |(c, v)| !v.is_nan() && counts(*c))
     };
-    let rows = (PART / map.ncols().max(1)).max(1);
-    map.axis_chunks_iter(Axis(0), rows)
-        .into_par_iter()
-        .map(of)
-        .reduce(|| (f64::INFINITY, f64::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)))
+    let rows = (0..map.nrows()).into_par_iter();
+    let count: usize = rows.clone().map(|r| row(r).count()).sum();
+    let rank = ((fraction * count as f64) as usize).min(count.checked_sub(1)?);
+    let at_rank = |mut values: Vec<f64>| {
+        (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, f64::total_cmp).1)
+    };
+    // At least as many of all pixels as of these are not above this.
+    let looked_at = (0..map.nrows()).step_by(ROWS_PER_LOOK).flat_map(|r| row(r).map(|(_, v)| *v));
+    let enough = at_rank(looked_at.collect()).unwrap_or(f64::INFINITY);
+    at_rank(rows.flat_map_iter(|r| row(r).map(|(_, v)| *v).filter(|v| *v <= enough)).collect())
 }
 
 /// Statistics of the valid pixels; `None` when there are none.
 pub fn statistics(map: ArrayView2<f64>) -> Option<Statistics> {
-    let [n, sum] = sums(map, |_, _, v| [1.0, v]);
+    let [n, sum] = sums_of_values(
+        map,
+        #[inline(always)]
+        |v| [1.0, v],
+    );
     if n == 0.0 {
         return None;
     }
     let mean = sum / n;
     // Two passes: sum (z - mean)^2 keeps its digits when the mean is large.
-    let [squares] = sums(map, |_, _, v| [(v - mean).powi(2)]);
+    let [squares] = sums_of_values(
+        map,
+        #[inline(always)]
+        |v| [(v - mean) * (v - mean)],
+    );
     let (min, max) = range(map);
     let rms = (squares / n).sqrt();
     Some(Statistics { valid_count: n as usize, mean, rms, pv: max - min, min, max })
@@ -102,17 +223,30 @@ pub struct Plane {
 /// The coordinates are centred on the valid pixels and scaled to [-1, 1] before the 2 x 2
 /// normal equations are solved, so the condition number is that of the mask, not of the units.
 pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
-    let [n, x_sum, y_sum, z_sum] = sums(map, |r, c, v| [1.0, x[c], y[r], v]);
+    let [n, x_sum, y_sum, z_sum] = sums(
+        map,
+        (x, y),
+        #[inline(always)]
+        |x, y, v| [1.0, x, y, v],
+    );
     if n == 0.0 {
         return None;
     }
     let [x_mean, y_mean, z_mean] = [x_sum, y_sum, z_sum].map(|sum| sum / n);
     let x_scale = x.iter().fold(0.0_f64, |m, v| m.max((v - x_mean).abs())).max(f64::MIN_POSITIVE);
     let y_scale = y.iter().fold(0.0_f64, |m, v| m.max((v - y_mean).abs())).max(f64::MIN_POSITIVE);
-    let [xx, xy, yy, xz, yz] = sums(map, |r, c, v| {
-        let (u, w, z) = ((x[c] - x_mean) / x_scale, (y[r] - y_mean) / y_scale, v - z_mean);
-        [u * u, u * w, w * w, u * z, w * z]
-    });
+    let scaled = |of: &[f64], mean: f64, scale: f64| -> Vec<f64> {
+        of.iter().map(|v| (v - mean) / scale).collect()
+    };
+    let [xx, xy, yy, xz, yz] = sums(
+        map,
+        (&scaled(x, x_mean, x_scale), &scaled(y, y_mean, y_scale)),
+        #[inline(always)]
+        |u, w, v| {
+            let z = v - z_mean;
+            [u * u, u * w, w * w, u * z, w * z]
+        },
+    );
     // [xx xy; xy yy] [b; c] = [xz; yz]
     let determinant = xx * yy - xy * xy;
     // Collinear pixels: the determinant vanishes against the product of the diagonal.
@@ -138,10 +272,15 @@ pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) 
 pub fn detilted_rms(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<f64> {
     let Some(plane) = fit_plane(map, x, y) else { return statistics(map).map(|s| s.rms) };
     // The mean of what is left is zero but for rounding.
-    let [n, squares] = sums(map, |r, c, v| {
-        let left = v - (plane.a + plane.b * x[c] + plane.c * y[r]);
-        [1.0, left * left]
-    });
+    let [n, squares] = sums(
+        map,
+        (x, y),
+        #[inline(always)]
+        |x, y, v| {
+            let left = v - (plane.a + plane.b * x + plane.c * y);
+            [1.0, left * left]
+        },
+    );
     Some((squares / n).sqrt())
 }
 
@@ -157,6 +296,52 @@ mod tests {
         assert!((s.rms - (8.0_f64 / 3.0).sqrt()).abs() < 1e-15);
         assert_eq!((s.valid_count, s.mean, s.pv), (3, 3.0, 4.0));
         assert!(statistics(array![[f64::NAN]].view()).is_none());
+    }
+
+    #[test]
+    fn sums_are_those_of_every_valid_pixel_whatever_the_width_and_the_order_in_memory() {
+        for (ny, nx) in [(1, 1), (3, 8), (7, 13), (300, 71)] {
+            let map = Array2::from_shape_fn((ny, nx), |(r, c)| {
+                if (3 * r + c) % 7 == 2 { f64::NAN } else { ((5 * r + 11 * c) % 23) as f64 - 7.0 }
+            });
+            for map in [map.view(), map.t()] {
+                let valid: Vec<f64> = map.iter().copied().filter(|v| !v.is_nan()).collect();
+                let s = statistics(map).unwrap();
+                // Sums of integers are exact; of the squares of what is left, but for rounding.
+                let mean = valid.iter().sum::<f64>() / valid.len() as f64;
+                let squares: f64 = valid.iter().map(|v| (v - mean).powi(2)).sum();
+                assert_eq!((s.valid_count, s.mean), (valid.len(), mean));
+                assert!((s.rms.powi(2) * valid.len() as f64 - squares).abs() <= 1e-13 * squares);
+                assert_eq!(s.min, valid.iter().copied().fold(f64::INFINITY, f64::min));
+                assert_eq!(s.max, valid.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+                let above = valid.iter().map(|v| (v - 3.0).max(0.0)).sum::<f64>();
+                assert_eq!(sum_above(map, 3.0), above);
+            }
+        }
+    }
+
+    #[test]
+    fn the_lowest_but_for_a_fraction_is_that_of_a_sorted_list() {
+        // 100 x 41 pixels, one in five invalid, a third without weight; values repeat
+        let value = |r: usize, c: usize| ((37 * r + 91 * c) % 257) as f64 - 128.0;
+        let map = Array2::from_shape_fn((100, 41), |(r, c)| {
+            if (r + 2 * c) % 5 == 0 { f64::NAN } else { value(r, c) }
+        });
+        let weight = Array2::from_shape_fn(map.dim(), |(r, c)| ((r * 3 + c) % 3) as f64);
+        for weight in [None, Some(weight.view())] {
+            let mut sorted: Vec<f64> = (map.indexed_iter())
+                .filter(|(at, v)| !v.is_nan() && weight.is_none_or(|w| w[*at] > 0.0))
+                .map(|(_, v)| *v)
+                .collect();
+            sorted.sort_by(f64::total_cmp);
+            for fraction in [0.0, 1e-3, 0.01, 0.3, 0.999] {
+                let rank = (fraction * sorted.len() as f64) as usize;
+                assert_eq!(lowest(map.view(), weight, fraction), Some(sorted[rank]), "{fraction}");
+            }
+        }
+        assert_eq!(lowest(array![[f64::NAN]].view(), None, 0.0), None);
+        assert_eq!(lowest(array![[1.0]].view(), Some(array![[0.0]].view()), 0.0), None);
+        assert_eq!(counts(array![[1.0, f64::NAN], [2.0, 1.0]].view(), [1.0, 3.0]), [2, 0]);
     }
 
     #[test]
