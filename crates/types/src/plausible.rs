@@ -10,6 +10,8 @@
 //! the surface would be worse than before or the run would last for months, is a result with a
 //! negative verdict: [`drawback`] says why.
 
+use planish_numerics::statistics;
+
 use crate::{Invalid, Surface, Tif, ToolPath};
 
 /// Longest run that is taken for a plan, s: 30 days. Machines run for days on large mirrors; a run of
@@ -220,8 +222,8 @@ fn check_sizes(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
 }
 
 fn check_heights(surface: &Surface) -> Result<(), Invalid> {
-    let valid = || surface.height_nm().iter().copied().filter(|z| !z.is_nan());
-    let (low, high) = valid().fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(z), h.max(z)));
+    let map = surface.height_nm();
+    let (low, high) = statistics::range(map.view());
     let (pv, largest) = (high - low, low.abs().max(high.abs()));
     if pv > ROUNDING * largest && pv < LEAST_PV_NM {
         return Err(Invalid::whole(
@@ -230,14 +232,16 @@ fn check_heights(surface: &Surface) -> Result<(), Invalid> {
             "heights in metres? give nm",
         ));
     }
-    for marker in [low, high] {
-        let count = valid().filter(|z| *z == marker).count();
-        let others = || valid().filter(|z| *z != marker);
-        let (l, h) = others().fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(z), h.max(z)));
+    let markers = [low, high];
+    for (marker, count) in markers.into_iter().zip(statistics::counts(map.view(), markers)) {
+        if count == 1 {
+            continue;
+        }
+        let (l, h) = statistics::range(map.mapv(|z| if z == marker { f64::NAN } else { z }).view());
         let distance = (l - marker).max(marker - h);
         let far = if is_known_marker(marker) { KNOWN_MARKER_DISTANCE } else { MARKER_DISTANCE };
-        if count > 1 && h > l && distance > far * (h - l) {
-            let at = surface.height_nm().indexed_iter().find(|(_, z)| **z == marker);
+        if h > l && distance > far * (h - l) {
+            let at = map.indexed_iter().find(|(_, z)| **z == marker);
             let (index, _) = at.expect("it is one of them");
             return Err(Invalid::at(
                 "height_nm",
@@ -265,10 +269,9 @@ fn is_known_marker(value: f64) -> bool {
 /// Volume above the lowest pixel, but for [`PITS`], over the volumetric removal rate, s: no plan is
 /// faster.
 fn least_time_s(surface: &Surface, tif: &Tif) -> f64 {
-    let mut z: Vec<f64> = surface.height_nm().iter().copied().filter(|z| !z.is_nan()).collect();
-    let rank = ((z.len() - 1) as f64 * PITS).round() as usize;
-    let low = *z.select_nth_unstable_by(rank, f64::total_cmp).1;
-    let height: f64 = z.iter().map(|z| (z - low).max(0.0)).sum();
+    let map = surface.height_nm().view();
+    let low = statistics::lowest(map, None, PITS).expect("a surface has a valid pixel");
+    let height = statistics::sum_above(map, low);
     height * surface.grid().pixel_mm2() / tif.vrr_nm_mm2_per_s()
 }
 
