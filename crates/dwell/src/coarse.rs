@@ -19,7 +19,7 @@
 //! | tau | - | nodes | s |
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2};
 use planish_numerics::{fft::convolution::Convolution, vectors::Lanes};
 use planish_types::{Grid, Invalid, Surface, Tif};
 use rayon::prelude::*;
@@ -155,26 +155,27 @@ impl<T: Lanes> CoarseMap<T> {
         let size = self.size;
         let (py, px) = self.pixels;
         let shape = (py.div_ceil(size), px.div_ceil(size));
+        let [w, e] = [w, e].map(|map| map.as_slice().expect("in C order"));
         // Weight, mean, and centroid from the middle of the square [x, y].
         let mut squares = Array2::from_elem(shape, Square::default());
         squares.outer_iter_mut().into_par_iter().enumerate().for_each(|(i, mut row)| {
             let rows = i * size..((i + 1) * size).min(py);
-            for (j, square) in row.iter_mut().enumerate() {
-                let columns = j * size..((j + 1) * size).min(px);
-                let middle = 0.5 * (size - 1) as f64;
-                let mut sums = [0.0; 4];
-                for r in rows.clone() {
-                    let y = (r - rows.start) as f64 - middle;
-                    let line = s![r, columns.clone()];
-                    for (k, (w, e)) in w.slice(line).iter().zip(e.slice(line)).enumerate() {
+            let middle = 0.5 * (size - 1) as f64;
+            let mut sums = vec![[0.0; 4]; shape.1];
+            for (k, r) in rows.enumerate() {
+                let y = k as f64 - middle;
+                let [w, e] = [w, e].map(|map| map[r * px..(r + 1) * px].chunks(size));
+                for (sums, (w, e)) in sums.iter_mut().zip(w.zip(e)) {
+                    for (k, (w, e)) in w.iter().zip(e).enumerate() {
                         let x = k as f64 - middle;
                         for (sum, v) in sums.iter_mut().zip([*w, w * e, w * x, w * y]) {
                             *sum += v;
                         }
                     }
                 }
-                if sums[0] > 0.0 {
-                    let [weight, mean, x, y] = sums;
+            }
+            for (square, [weight, mean, x, y]) in row.iter_mut().zip(sums) {
+                if weight > 0.0 {
                     *square = Square {
                         weight,
                         mean: mean / weight,
@@ -263,6 +264,7 @@ fn coarse_lines(samples: ArrayView2<f64>, size: usize) -> Array2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ndarray::s;
     use planish_types::Axis;
 
     fn case() -> (Tif, Grid) {

@@ -11,10 +11,13 @@
 //! edge of a margin) alias into the shape of the part. What a path cannot follow between its lines is
 //! lost: the pitch must be fine against the TIF.
 
-use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
+use std::ops::Range;
+
+use ndarray::{Array2, ArrayView2, Axis as NdAxis};
 use planish_numerics::{
     counting::Grouped,
     fft::{Complex64, convolution::Convolution},
+    vectors::vectorised,
 };
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
 use rayon::prelude::*;
@@ -96,48 +99,52 @@ impl Cells {
             .map(|j| (j as u32, path.dwell_point_mm()[j]))
             .collect();
         let points = Buckets::new(&points);
-        // In a lattice of square cells every node has its point within 0.71 sides.
-        let reach = points.side;
-        let mut nearest = points.within(reach, grid);
-        let distance = |j: u32, p: [f64; 2]| {
+        let mut nearest = Array2::from_elem(grid.shape(), NO_POINT);
+        let square = |j: u32, p: [f64; 2]| {
             let q = path.dwell_point_mm()[j as usize];
-            (q[0] - p[0]).hypot(q[1] - p[1])
+            (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
         };
-        let mut inside: Vec<f32> = nearest
-            .outer_iter_mut()
-            .into_par_iter()
-            .enumerate()
-            .flat_map_iter(|(r, mut row)| {
-                let (mut guess, mut distances) = (0, Vec::new());
-                for (c, n) in row.iter_mut().enumerate() {
-                    let p = [grid.x.at(c), grid.y.at(r)];
-                    if !aperture(p) {
-                        continue;
-                    }
-                    if *n == NO_POINT {
+        // Squared distances of the nodes in the aperture.
+        let bands =
+            nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK).into_par_iter().enumerate();
+        let inside: Vec<Vec<f32>> = bands
+            .map(|(band, mut nearest)| {
+                let rows = band * NODE_ROWS_PER_TASK..band * NODE_ROWS_PER_TASK + nearest.nrows();
+                let nearest = nearest.as_slice_mut().expect("whole rows");
+                let mut squares = vec![f64::INFINITY; nearest.len()];
+                points.within_a_side(grid, rows.clone(), nearest, &mut squares);
+                let width = grid.x.len();
+                let lines = nearest.chunks_mut(width).zip(squares.chunks(width));
+                let mut inside = Vec::new();
+                for (r, (nearest, squares)) in rows.zip(lines) {
+                    let mut guess = 0;
+                    for (c, (n, d)) in nearest.iter_mut().zip(squares).enumerate() {
+                        let p = [grid.x.at(c), grid.y.at(r)];
+                        if !aperture(p) {
+                            continue;
+                        }
+                        if *n != NO_POINT {
+                            inside.push(*d as f32);
+                            continue;
+                        }
                         (guess, (*n, _)) = points.nearest(p, guess, f64::INFINITY);
-                    }
-                    if *n != NO_POINT {
-                        distances.push(distance(*n, p) as f32);
+                        if *n != NO_POINT {
+                            inside.push(square(*n, p) as f32);
+                        }
                     }
                 }
-                distances
+                inside
             })
             .collect();
-        let middle = inside.len() / 2;
-        let far = if inside.is_empty() {
-            0.0
-        } else {
-            2.0 * f64::from(*inside.select_nth_unstable_by(middle, f32::total_cmp).1)
-        };
+        let far = median(&inside).map_or(0.0, |square| 2.0 * f64::from(square).sqrt());
         nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
             let mut guess = 0;
             for (c, n) in row.iter_mut().enumerate() {
                 let p = [grid.x.at(c), grid.y.at(r)];
-                if *n == NO_POINT && far > reach {
+                if *n == NO_POINT && far > points.side {
                     (guess, (*n, _)) = points.nearest(p, guess, far);
                 }
-                if *n != NO_POINT && distance(*n, p) > far {
+                if *n != NO_POINT && square(*n, p) > far * far {
                     *n = NO_POINT;
                 }
             }
@@ -153,27 +160,56 @@ impl Cells {
     /// (2) for `n` dwell points, s. Time on a node that nobody is near enough to goes to the nearest
     /// dwell point too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
-        let mut t = vec![0.0; n];
-        let (mut row, mut guess) = (0, 0);
-        Zip::indexed(&self.nearest).and(seconds).for_each(|(r, c), j, tau| {
-            if *tau == 0.0 {
-                return;
-            }
-            let mut j = *j;
-            if j == NO_POINT {
-                // The same guesses whatever came before in other rows.
-                if row != r {
-                    (row, guess) = (r, 0);
+        // Each row by itself, and neighbours with one dwell point together.
+        let rows = (self.nearest.outer_iter().into_par_iter()).zip(seconds.outer_iter());
+        let of_rows: Vec<Vec<(u32, f64)>> = rows
+            .enumerate()
+            .map(|(r, (nearest, seconds))| {
+                let (mut sums, mut guess) = (Vec::<(u32, f64)>::new(), 0);
+                for (c, (j, tau)) in nearest.iter().zip(seconds).enumerate() {
+                    if *tau == 0.0 {
+                        continue;
+                    }
+                    let mut j = *j;
+                    if j == NO_POINT {
+                        let p = [self.grid.x.at(c), self.grid.y.at(r)];
+                        (guess, (j, _)) = self.points.nearest(p, guess, f64::INFINITY);
+                    }
+                    match sums.last_mut() {
+                        Some((last, sum)) if *last == j => *sum += tau,
+                        _ => sums.push((j, *tau)),
+                    }
                 }
-                let p = [self.grid.x.at(c), self.grid.y.at(r)];
-                (guess, (j, _)) = self.points.nearest(p, guess, f64::INFINITY);
-            }
+                sums
+            })
+            .collect();
+        let mut t = vec![0.0; n];
+        for (j, sum) in of_rows.into_iter().flatten() {
             if let Some(t) = t.get_mut(j as usize) {
-                *t += tau;
+                *t += sum;
             }
-        });
+        }
         t
     }
+}
+
+/// The middle one of numbers >= 0, the upper of two; `None` of none.
+fn median(parts: &[Vec<f32>]) -> Option<f32> {
+    // The upper half of the bits grows with the number: the middle is among those that share it.
+    let upper = |v: f32| (v.to_bits() >> 16) as usize;
+    let mut counts = vec![0; 1 << 15];
+    parts.iter().flatten().for_each(|v| counts[upper(*v)] += 1);
+    let mut rank = counts.iter().sum::<usize>() / 2;
+    let shared = counts.iter().position(|count| match rank.checked_sub(*count) {
+        Some(rest) => {
+            rank = rest;
+            false
+        }
+        None => true,
+    })?;
+    let mut near: Vec<f32> =
+        parts.iter().flatten().copied().filter(|v| upper(*v) == shared).collect();
+    Some(*near.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
 /// Nodes that are no unknowns have the time of the unknown next to them.
@@ -265,10 +301,16 @@ impl Buckets {
         Self { start, side, shape, grouped, points }
     }
 
-    /// The nearest point of every node that has one within `reach`, the lowest number of equals.
-    fn within(&self, reach: f64, grid: &Grid) -> Array2<u32> {
-        let mut nearest = Array2::from_elem(grid.shape(), NO_POINT);
-        let (x, y) = (&grid.x, &grid.y);
+    /// The nearest point of every node of some rows that has one within the side of a square (in a lattice of square
+    /// cells every node has one within 0.71 sides), the lowest number of equals, and its squared distance.
+    fn within_a_side(
+        &self,
+        grid: &Grid,
+        rows: Range<usize>,
+        nearest: &mut [u32],
+        squares: &mut [f64],
+    ) {
+        let (reach, x, y) = (self.side, &grid.x, &grid.y);
         // Nodes of an axis within a distance of p.
         let near = |axis: &Axis, p: f64, distance: f64| {
             let node = |p: f64| (p - axis.start_mm()) / axis.step_mm();
@@ -276,35 +318,35 @@ impl Buckets {
             let to = ((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len());
             from.min(to)..to
         };
-        let bands =
-            nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK).into_par_iter().enumerate();
-        bands.for_each(|(band, mut nearest)| {
-            let rows = band * NODE_ROWS_PER_TASK..band * NODE_ROWS_PER_TASK + nearest.nrows();
-            let mut squares = Array2::from_elem(nearest.dim(), f64::INFINITY);
-            let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
-                let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
-                (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
-            });
-            let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
-            let line = |by: usize| self.grouped.first(by * self.shape[0]);
-            for (j, p) in &self.points[line(lines.start)..line(lines.end.max(lines.start))] {
-                let of = near(y, p[1], reach);
-                for r in of.start.max(rows.start)..of.end.min(rows.end) {
-                    let dy = y.at(r) - p[1];
-                    let columns = near(x, p[0], (reach * reach - dy * dy).max(0.0).sqrt());
-                    let line = s![r - rows.start, columns.clone()];
-                    let (mut n, mut d) = (nearest.slice_mut(line), squares.slice_mut(line));
-                    for ((n, d), c) in n.iter_mut().zip(&mut d).zip(columns) {
-                        let dx = x.at(c) - p[0];
-                        let square = dx * dx + dy * dy;
-                        if square < *d || square == *d && *j < *n {
-                            (*n, *d) = (*j, square);
+        let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
+            let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
+            (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
+        });
+        let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
+        let line = |by: usize| self.grouped.first(by * self.shape[0]);
+        let points = &self.points[line(lines.start)..line(lines.end.max(lines.start))];
+        vectorised(
+            #[inline(always)]
+            || {
+                for (j, p) in points {
+                    let of = near(y, p[1], reach);
+                    for r in of.start.max(rows.start)..of.end.min(rows.end) {
+                        let dy = y.at(r) - p[1];
+                        let columns = near(x, p[0], (reach * reach - dy * dy).max(0.0).sqrt());
+                        let first = (r - rows.start) * x.len();
+                        let line = first + columns.start..first + columns.end;
+                        let on_line = nearest[line.clone()].iter_mut().zip(&mut squares[line]);
+                        for ((n, d), c) in on_line.zip(columns) {
+                            let dx = x.at(c) - p[0];
+                            let square = dx * dx + dy * dy;
+                            let nearer = square < *d || square == *d && *j < *n;
+                            *n = if nearer { *j } else { *n };
+                            *d = if nearer { square } else { *d };
                         }
                     }
                 }
-            }
-        });
-        nearest
+            },
+        );
     }
 
     /// Place (for the next guess), and number of and distance to the nearest point; the lowest number
@@ -465,6 +507,24 @@ mod tests {
             }
             assert!(owned > 0 && (n == 1 || owned < grid.shape().0 * grid.shape().1), "{owned}");
         }
+    }
+
+    #[test]
+    fn the_median_is_that_of_a_sorted_list() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for n in [1, 2, 3, 10, 999, 5000] {
+            let parts: Vec<Vec<f32>> = (0..n)
+                .map(|_| rng.random_range(0.0..2.0_f32).powi(8))
+                .collect::<Vec<_>>()
+                .chunks(700)
+                .map(<[f32]>::to_vec)
+                .collect();
+            let mut sorted = parts.concat();
+            sorted.sort_by(f32::total_cmp);
+            assert_eq!(median(&parts), Some(sorted[n / 2]), "{n}");
+        }
+        assert_eq!(median(&[Vec::new()]), None);
+        assert_eq!(median(&[vec![0.0; 4]]), Some(0.0));
     }
 
     #[test]

@@ -170,6 +170,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         Unknowns::Path => on_path(&model, &e, settings),
         Unknowns::Map => on_map(&model, &e, settings)?,
     };
+    drop(e);
     report.clipped_tif_samples = clipped_tif_samples;
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
 }
@@ -196,14 +197,15 @@ fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
 
 /// (1), 0 where the weight is 0.
 fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
-    let target = model.target();
-    let low = model.lowest(&target, settings.pits);
-    let high = model.range(&target).1;
+    let mut e = model.target();
+    let low = model.lowest(&e, settings.pits);
+    let high = model.range(&e).1;
     // A flat map asks for the same everywhere: any positive number.
     let c = if high > low { settings.margin * (high - low) } else { 1.0 };
-    Zip::from(&target)
+    Zip::from(&mut e)
         .and(&model.weight)
-        .par_map_collect(|z, w| if *w > 0.0 { (z - low).max(0.0) + c } else { 0.0 })
+        .par_for_each(|e, w| *e = if *w > 0.0 { (*e - low).max(0.0) + c } else { 0.0 });
+    e
 }
 
 /// What (2) needs.
@@ -332,7 +334,7 @@ fn on_map(
 pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bool {
     let grid = desired.grid();
     let index = |axis: &planish_types::Axis, p: f64| {
-        let i = ((p - axis.start_mm()) / axis.step_mm()).round();
+        let i = (p - axis.start_mm()) / axis.step_mm() + 0.5;
         (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
     };
     match (index(&grid.y, p[1]), index(&grid.x, p[0])) {

@@ -119,8 +119,8 @@ pub(crate) struct Model<'a> {
     /// Zero on invalid pixels.
     pub weight: Array2<f64>,
     pub lo: Vec<f64>,
-    /// B lo.
-    pub floor_removal: Array2<f64>,
+    /// B lo, where a floor is above 0.
+    floor_removal: Option<Array2<f64>>,
     /// B' w.
     pub sensitivity: Vec<f64>,
     unreached_below: f64,
@@ -165,11 +165,7 @@ impl<'a> Model<'a> {
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
             return Err(DwellError::OutOfReach { points: path.len() });
         }
-        let floor_removal = if lo.iter().any(|t| *t > 0.0) {
-            operator.apply(&lo)
-        } else {
-            Array2::zeros(weight.dim())
-        };
+        let floor_removal = lo.iter().any(|t| *t > 0.0).then(|| operator.apply(&lo));
         let model = Self {
             problem: *problem,
             places,
@@ -187,8 +183,9 @@ impl<'a> Model<'a> {
 
     /// A floor that removes more on average than the map has from its lowest to its highest point.
     fn refuse_a_floor_above_the_map(&self) -> Result<(), Invalid> {
+        let Some(floor_removal) = &self.floor_removal else { return Ok(()) };
         let (low, high) = self.range(self.problem.desired.height_nm());
-        let (floor, pv) = (self.mean(&self.floor_removal), high - low);
+        let (floor, pv) = (self.mean(floor_removal), high - low);
         if floor <= pv {
             return Ok(());
         }
@@ -248,20 +245,8 @@ impl<'a> Model<'a> {
 
     /// Lowest value where the weight is not zero, but for this fraction of the pixels.
     pub fn lowest(&self, map: &Array2<f64>, fraction: f64) -> f64 {
-        let counted: usize =
-            self.by_bands(map, |_, w| w.iter().filter(|w| **w > 0.0).count()).iter().sum();
-        let rank = ((fraction * counted as f64) as usize).min(counted - 1);
-        // The lowest of all are among the lowest of every band.
-        let lowest = self.by_bands(map, |z, w| {
-            let counted = z.iter().zip(w).filter(|(_, w)| **w > 0.0);
-            let mut values: Vec<f64> = counted.map(|(z, _)| *z).collect();
-            if rank + 1 < values.len() {
-                values.select_nth_unstable_by(rank, f64::total_cmp);
-                values.truncate(rank + 1);
-            }
-            values
-        });
-        *lowest.concat().select_nth_unstable_by(rank, f64::total_cmp).1
+        statistics::lowest(map.view(), Some(self.weight.view()), fraction)
+            .expect("a model has a pixel that counts")
     }
 
     /// `z - mean z`, 0 where the weight is 0.
@@ -280,8 +265,13 @@ impl<'a> Model<'a> {
 
     /// (1): `z - B lo`, 0 where the weight is 0.
     pub fn target(&self) -> Array2<f64> {
-        let z = self.problem.desired.height_nm() - &self.floor_removal;
-        Zip::from(&z).and(&self.weight).par_map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 })
+        let z = Zip::from(self.problem.desired.height_nm()).and(&self.weight);
+        match &self.floor_removal {
+            Some(floor) => {
+                z.and(floor).par_map_collect(|z, w, f| if *w > 0.0 { z - f } else { 0.0 })
+            }
+            None => z.par_map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 }),
+        }
     }
 
     /// Whether dwell point j reaches the map.
@@ -398,7 +388,7 @@ impl<'a> Model<'a> {
             at_floor: (0..n).filter(|j| self.reached(*j) && dwell_s[*j] <= self.lo[*j]).count(),
             unreached_points: (0..n).filter(|j| !self.reached(*j)).count(),
             unreached_pixels: self.unreached(&removal, &dwell_s),
-            floor_removal_nm: self.mean(&self.floor_removal),
+            floor_removal_nm: self.floor_removal.as_ref().map_or(0.0, |f| self.mean(f)),
         };
         Ok(Solution { dwell: DwellTime::new(dwell_s)?, outcome, report })
     }

@@ -86,8 +86,10 @@ impl FftOperator {
             ..*p
         };
         let swapped = placed.iter().map(swap).collect();
-        let rows = Across::new(y, x, samples.view(), placed);
-        let columns_across = Across::new(x, y, samples.t(), swapped);
+        let (rows, columns_across) = rayon::join(
+            || Across::new(y, x, samples.view(), placed),
+            || Across::new(x, y, samples.t(), swapped),
+        );
         let corners = rows.corners(&samples);
         let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let (my, mx) = samples.dim();
@@ -112,6 +114,7 @@ impl FftOperator {
         if self.spills {
             let spill = self.rows.spill(t, Some(&self.corners));
             Zip::from(&mut map).and(&spill).par_for_each(|map, spill| *map -= spill);
+            drop(spill);
             let spill = self.columns_across.spill(t, None);
             map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
                 .into_par_iter()
