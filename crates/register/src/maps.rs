@@ -215,7 +215,7 @@ impl<'a> Problem<'a> {
     fn new(before: &'a Field, after: &'a Field, order: usize) -> Result<Self, Invalid> {
         let grid = after.grid();
         let centre_mm = [&grid.x, &grid.y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
-        let half_mm = [&grid.x, &grid.y].map(|axis| 0.5 * (axis.end_mm() - axis.start_mm()));
+        let half_mm = grid.size_mm().map(|size| 0.5 * size);
         let steps = [before.grid(), grid].map(|g| g.x.step_mm().max(g.y.step_mm()));
         Ok(Self {
             before,

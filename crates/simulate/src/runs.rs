@@ -76,7 +76,7 @@ impl<'a> Runs<'a> {
 
     /// Half the diagonal of the map, mm.
     fn reach_mm(&self) -> f64 {
-        let size = [self.grid.x, self.grid.y].map(|a| a.end_mm() - a.start_mm());
+        let size = self.grid.size_mm();
         0.5 * size[0].hypot(size[1])
     }
 

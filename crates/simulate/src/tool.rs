@@ -28,7 +28,7 @@ const NOTHING: f64 = 1e-9;
 
 /// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate.
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
-    let extent = [&tif.grid().x, &tif.grid().y].map(|a| a.end_mm() - a.start_mm());
+    let extent = tif.grid().size_mm();
     let over_mm = (FADED * width_mm).min(MOST_FADED * extent[0].min(extent[1]));
     let rate = smoothed(tif, width_mm) * fade(tif, over_mm);
     let volume = tif.rate_nm_per_s().sum() / rate.sum();

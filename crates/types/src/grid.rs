@@ -157,6 +157,11 @@ impl Grid {
         (self.y.len(), self.x.len())
     }
 
+    /// From the first to the last pixel centre [x, y], mm.
+    pub fn size_mm(&self) -> [f64; 2] {
+        [self.x, self.y].map(|axis| axis.end_mm() - axis.start_mm())
+    }
+
     /// Area of one pixel, mm^2.
     pub fn pixel_mm2(&self) -> f64 {
         self.x.step_mm() * self.y.step_mm()

@@ -83,7 +83,7 @@ pub fn check_path(surface: &Surface, tif: &Tif, path: &ToolPath) -> Result<(), I
     for (axis, name) in ["x", "y"].into_iter().enumerate() {
         let low = ends().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
         let high = ends().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-        let (map_mm, tif_mm) = (extents(surface.grid())[axis], extents(tif.grid())[axis]);
+        let (map_mm, tif_mm) = (surface.grid().size_mm()[axis], tif.grid().size_mm()[axis]);
         if high - low > MOST_PATH_PER_MAP * (map_mm + tif_mm) {
             return Err(Invalid::whole(
                 "point_mm",
@@ -101,7 +101,7 @@ pub fn check_path(surface: &Surface, tif: &Tif, path: &ToolPath) -> Result<(), I
 
 /// Refuses lines that are too far apart for the tool.
 pub fn check_pitch(tif: &Tif, pitch_mm: f64) -> Result<(), Invalid> {
-    let [x, y] = extents(tif.grid());
+    let [x, y] = tif.grid().size_mm();
     let size = x.max(y);
     if pitch_mm <= MOST_PITCH_PER_TIF * size {
         return Ok(());
@@ -156,11 +156,6 @@ pub fn too_long(total_time_s: f64) -> Option<String> {
     })
 }
 
-/// Size along x and y, mm.
-fn extents(grid: &crate::Grid) -> [f64; 2] {
-    [grid.x, grid.y].map(|a| a.end_mm() - a.start_mm())
-}
-
 /// The offset 0 is where the tool is. On axes that begin (or end) at it the removal is beside the
 /// tool by its own size: those are coordinates of an array, not offsets.
 fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
@@ -197,7 +192,7 @@ fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
 }
 
 fn check_sizes(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
-    let (map, tool) = (extents(surface.grid()), extents(tif.grid()));
+    let (map, tool) = (surface.grid().size_mm(), tif.grid().size_mm());
     let shown = |s: [f64; 2]| format!("{:.6} by {:.6} mm", s[0], s[1]);
     if tool[0].max(tool[1]) > MOST_TIF_PER_MAP * map[0].max(map[1]) {
         return Err(Invalid::whole(

@@ -121,8 +121,7 @@ impl Convolved {
             let longest = lengths.map(|(places, _)| length_mm(places)).fold(0.0, f64::max);
             // What is under a spline has its centre there.
             let sums = Sums::new(places, &tif, &grid, 4.0 * pitch + 2.0 * longest, spread);
-            let tif_mm = [&tif.grid().x, &tif.grid().y].map(|a| a.end_mm() - a.start_mm());
-            let nodes = Nodes::new(places, &short, pitch, tif_mm);
+            let nodes = Nodes::new(places, &short, pitch, tif.grid().size_mm());
             let coarse = Coarse::new(&nodes, &sums, &short);
             Splines { sums, nodes, coarse }
         });

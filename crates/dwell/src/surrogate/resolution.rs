@@ -78,8 +78,7 @@ pub fn spline_pitch(places: &[Vec<Place>], reached: &[bool], tif: &Tif) -> Optio
     let size_mm = [high[0] - low[0], high[1] - low[1]];
     let count = |of: &[bool]| of.iter().filter(|of| **of).count();
     let spacing_mm = (size_mm[0] * size_mm[1] / count(reached) as f64).sqrt();
-    let tif_mm = [&tif.grid().x, &tif.grid().y].map(|axis| axis.end_mm() - axis.start_mm());
-    let pitch_mm = affordable_pitch(width_mm, size_mm, tif_mm)?
+    let pitch_mm = affordable_pitch(width_mm, size_mm, tif.grid().size_mm())?
         .max(MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm);
     let dense = count(&are_short(places, reached, pitch_mm)) * 2 > count(reached);
     dense.then_some(pitch_mm)
@@ -89,9 +88,12 @@ pub fn spline_pitch(places: &[Vec<Place>], reached: &[bool], tif: &Tif) -> Optio
 /// a rectangle; sizes of the rectangle and the TIF are [x, y].
 fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Option<f64> {
     let elements = |pitch_mm: f64| {
-        let (nodes, row) =
-            lattice_size(size_mm, tif_mm.map(|size| size + 4.0 * pitch_mm), pitch_mm);
-        nodes * row
+        let [x, y] = size_mm.map(|v| v / pitch_mm + 4.0);
+        let across = |axis: usize, nodes: f64| {
+            (spline_reach_mm(tif_mm, pitch_mm)[axis] / pitch_mm + 4.0).min(nodes)
+        };
+        // The narrower band of the two.
+        x * y * (across(0, x) * y).min(across(1, y) * x)
     };
     let mut pitch_mm = SPLINE_PITCH_OVER_TIF_WIDTH * width_mm;
     while elements(pitch_mm) > QUICK_SPLINE_FACTOR_ELEMENTS
@@ -102,13 +104,9 @@ fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Optio
     (elements(pitch_mm) <= MAX_SPLINE_FACTOR_ELEMENTS).then_some(pitch_mm)
 }
 
-/// Nodes of a lattice of splines over a rectangle of this size [x, y], and most elements of a row of its
-/// matrix when what a dwell point removes is `reach_mm` wide.
-fn lattice_size(size_mm: [f64; 2], reach_mm: [f64; 2], pitch_mm: f64) -> (f64, f64) {
-    let nodes = size_mm.map(|v| v / pitch_mm + 4.0);
-    let row =
-        |across: usize| (reach_mm[across] / pitch_mm + 4.0).min(nodes[across]) * nodes[1 - across];
-    (nodes[0] * nodes[1], row(0).min(row(1)))
+/// How far apart the splines are whose removals, by a TIF of the size [x, y], meet: [x, y], mm.
+pub fn spline_reach_mm(tif_mm: [f64; 2], pitch_mm: f64) -> [f64; 2] {
+    tif_mm.map(|size| size + 4.0 * pitch_mm)
 }
 
 /// Least and largest [x, y].

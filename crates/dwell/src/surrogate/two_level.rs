@@ -32,7 +32,10 @@ use planish_numerics::{
 };
 use rayon::prelude::*;
 
-use super::{resolution::extent, stencils::Stencils};
+use super::{
+    resolution::{extent, spline_reach_mm},
+    stencils::Stencils,
+};
 use crate::{
     model::{
         columns::{Patch, Place},
@@ -109,10 +112,10 @@ impl Nodes {
         let at: Vec<Option<Weights>> = centres.into_iter().map(|c| c.map(weights)).collect();
         let cell = |w: &Weights| w.cell.0 as usize * columns + w.cell.1 as usize;
         let by_cell = Grouped::new(rows * columns, at.iter().map(|w| w.as_ref().map(cell)));
-        // Lines that meet lie as far apart as a spline and the TIF reach: the product with the length of a line is the
-        // width of the band.
+        // Lines that meet lie as far apart as their splines: the product with the length of a line is the width of the
+        // band.
         let (ny, nx) = (rows + 3, columns + 3);
-        let reach = tif_mm.map(|size| size + 4.0 * pitch_mm);
+        let reach = spline_reach_mm(tif_mm, pitch_mm);
         let by_rows = reach[1] * (nx as f64) < reach[0] * ny as f64;
         Self { shape: (ny, nx), by_rows, at, by_cell }
     }

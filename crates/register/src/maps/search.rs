@@ -41,8 +41,7 @@ pub(super) fn best(
             ([x[0] - centre_mm[0], x[1] - centre_mm[1]], a[*i])
         })
         .collect();
-    let half =
-        0.5 * (grid.x.end_mm() - grid.x.start_mm()).hypot(grid.y.end_mm() - grid.y.start_mm());
+    let half = 0.5 * grid.size_mm()[0].hypot(grid.size_mm()[1]);
     let pixel_mm = from.x.step_mm().min(from.y.step_mm());
     let shifts = places(limits[0], pixel_mm);
     let angles = places(limits[1], pixel_mm / half);
