@@ -436,7 +436,7 @@ struct FramesFile(Frames);
 impl Artifact for FramesFile {
     const KIND: &'static Kind = &kind::FRAMES;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         unreachable!("a report does not write frames")
     }
 
@@ -459,7 +459,7 @@ struct RoundsFile(Rounds);
 impl Artifact for RoundsFile {
     const KIND: &'static Kind = &kind::ITERATIONS;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         unreachable!("a report does not write iterations")
     }
 
@@ -477,7 +477,7 @@ struct ToleranceFile(ProcessArrays);
 impl Artifact for ToleranceFile {
     const KIND: &'static Kind = &kind::TOLERANCE;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         unreachable!("a report does not write tolerances")
     }
 
@@ -632,8 +632,8 @@ fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
 
 fn read_elements(path: &PathBuf) -> Result<Elements, Failure> {
     Ok(match npy::read(path, dtype_of(path)?)?.array {
-        ArrayData::F64(a) => Elements::Float(a),
-        ArrayData::I64(a) => Elements::Integer(a),
+        ArrayData::F64(a) => Elements::Float(a.into_owned()),
+        ArrayData::I64(a) => Elements::Integer(a.into_owned()),
         ArrayData::U8(a) => Elements::Integer(a.mapv(i64::from)),
     })
 }

@@ -141,10 +141,10 @@ impl Lab {
         writer.write(&dwell, outcome.clone(), &Status::Done).unwrap();
         writer.write(&motion(0.75), outcome.clone(), &Status::Done).unwrap();
         let arrays = [
-            ArrayData::F64(ArrayD::from_elem(vec![2, 2], 0.5)),
-            ArrayData::F64(Array1::from(vec![2.0, 1.0]).into_dyn()),
-            ArrayData::F64(Array1::from(vec![END_S; 2]).into_dyn()),
-            ArrayData::I64(Array1::from(vec![0, 0]).into_dyn()),
+            ArrayData::F64(ArrayD::from_elem(vec![2, 2], 0.5).into()),
+            ArrayData::F64(Array1::from(vec![2.0, 1.0]).into_dyn().into()),
+            ArrayData::F64(Array1::from(vec![END_S; 2]).into_dyn().into()),
+            ArrayData::I64(Array1::from(vec![0, 0]).into_dyn().into()),
         ];
         writer.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &Status::Done).unwrap();
     }
@@ -183,7 +183,7 @@ impl Lab {
             "bound": "at-most", "passed": false, "worst": "at x 0, y 0 mm" });
         let outcome =
             json!({ "specification": { "name": "strict", "passed": false, "limits": [limit] } });
-        let empty = || ArrayData::F64(Array1::zeros(0).into_dyn());
+        let empty = || ArrayData::F64(Array1::zeros(0).into_dyn().into());
         let arrays: Vec<ArrayData> = kind::SPECIFICATION.arrays.iter().map(|_| empty()).collect();
         writer.write_arrays(&kind::SPECIFICATION, &arrays, &[], outcome, &Status::Done).unwrap();
     }

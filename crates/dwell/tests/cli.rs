@@ -165,7 +165,7 @@ fn one_dwell_point_is_a_weighted_straight_line_fit() {
     write(tmp.path(), "surface", &Surface::new(g, height.clone()).unwrap());
     write(tmp.path(), "tif", &tif());
     write(tmp.path(), "tool_path", &path);
-    save_array(tmp.path(), "weight", ArrayData::F64(weight.clone().into_dyn()));
+    save_array(tmp.path(), "weight", ArrayData::F64(weight.clone().into_dyn().into()));
     done(&run(tmp.path(), &[&EXACT[..], &["--weight=weight.npy"]].concat()));
 
     // t = sum w (R - mean R)(z - mean z) / sum w (R - mean R)^2
@@ -294,12 +294,12 @@ fn bad_maps_end_with_2_and_name_file_place_and_remedy() {
     prepare(tmp.path());
     let bad = tmp.path().join("bad");
     let bare = |height: Array2<f64>, grid: Grid| {
-        save_array(&bad, "height_nm", ArrayData::F64(height.into_dyn()));
+        save_array(&bad, "height_nm", ArrayData::F64(height.into_dyn().into()));
         for (name, a) in [("x_mm", grid.x), ("y_mm", grid.y)] {
             save_array(
                 &bad,
                 name,
-                ArrayData::F64(ndarray::Array1::from(a.coordinates()).into_dyn()),
+                ArrayData::F64(ndarray::Array1::from(a.coordinates()).into_dyn().into()),
             );
         }
     };
@@ -327,9 +327,13 @@ fn bad_maps_end_with_2_and_name_file_place_and_remedy() {
     infinite[[3, 4]] = f64::INFINITY;
     bare(infinite, g);
     refused_map(&["bad/height_nm.npy: element [3, 4] is inf; mark an invalid pixel by NaN"]);
-    save_array(&bad, "height_nm", ArrayData::F64(Array2::zeros((0, 49)).into_dyn()));
+    save_array(&bad, "height_nm", ArrayData::F64(Array2::zeros((0, 49)).into_dyn().into()));
     refused_map(&["bad/height_nm.npy: is empty (shape [0, 49])"]);
-    save_array(&bad, "height_nm", ArrayData::I64(Array2::from_elem((33, 49), i64::MAX).into_dyn()));
+    save_array(
+        &bad,
+        "height_nm",
+        ArrayData::I64(Array2::from_elem((33, 49), i64::MAX).into_dyn().into()),
+    );
     refused_map(&["bad/height_nm.npy: element [0, 0] is 9223372036854775807 of dtype <i8"]);
     bare(Array2::zeros((49, 33)), g);
     refused_map(&["bad/x_mm.npy: has shape [49]", "33 from height_nm.npy"]);
@@ -352,11 +356,11 @@ fn bad_tifs_paths_and_weights_end_with_2() {
             save_array(
                 &dir,
                 "rate_nm_per_s",
-                ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn()),
+                ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn().into()),
             );
             for name in ["x_mm", "y_mm"] {
                 let a = ndarray::array![-1.0, 0.0, 1.0];
-                save_array(&dir, name, ArrayData::F64(a.into_dyn()));
+                save_array(&dir, name, ArrayData::F64(a.into_dyn().into()));
             }
         }
     };
@@ -385,7 +389,7 @@ fn bad_tifs_paths_and_weights_end_with_2() {
     refused_after(mixed, &[], &["tool_path: holds a tif, needs a tool_path; check the order"]);
 
     let weight = |w: Array2<f64>| {
-        move |dir: &Path| save_array(dir, "weight", ArrayData::F64(w.clone().into_dyn()))
+        move |dir: &Path| save_array(dir, "weight", ArrayData::F64(w.clone().into_dyn().into()))
     };
     let flag = ["--weight=weight.npy"];
     let shape = map_grid().shape();

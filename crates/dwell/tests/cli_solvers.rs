@@ -106,12 +106,12 @@ fn bad_maps_and_tools_end_with_2_a_message_and_no_output() {
     prepare(tmp.path());
     let coordinates = |dir: &Path| {
         for name in ["x_mm", "y_mm"] {
-            save_array(dir, name, ArrayData::F64(array![-1.0, 0.0, 1.0].into_dyn()));
+            save_array(dir, name, ArrayData::F64(array![-1.0, 0.0, 1.0].into_dyn().into()));
         }
     };
     let map = |name: &str, array: &str, value: f64| {
         let dir = tmp.path().join(name);
-        save_array(&dir, array, ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn()));
+        save_array(&dir, array, ArrayData::F64(Array2::from_elem((3, 3), value).into_dyn().into()));
         coordinates(&dir);
     };
     map("all-nan", "height_nm", f64::NAN);

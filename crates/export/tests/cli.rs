@@ -24,10 +24,10 @@ impl Bench {
         let put = |name: &str, array: ArrayData| fs::write(dir.join(name), array.to_npy()).unwrap();
         let n = coefficients.len();
         let c = Array3::from_shape_fn((n, 2, 4), |(i, a, o)| coefficients[i][a][o]);
-        put("break_time_s.npy", ArrayData::F64(Array1::from(times.to_vec()).into_dyn()));
-        put("coefficient_mm.npy", ArrayData::F64(c.into_dyn()));
-        put("dwell_index.npy", ArrayData::I64(Array1::from(vec![0; n]).into_dyn()));
-        put("tool_on.npy", ArrayData::U8(Array1::from(tool_on.to_vec()).into_dyn()));
+        put("break_time_s.npy", ArrayData::F64(Array1::from(times.to_vec()).into_dyn().into()));
+        put("coefficient_mm.npy", ArrayData::F64(c.into_dyn().into()));
+        put("dwell_index.npy", ArrayData::I64(Array1::from(vec![0; n]).into_dyn().into()));
+        put("tool_on.npy", ArrayData::U8(Array1::from(tool_on.to_vec()).into_dyn().into()));
         let bench = Self { tmp };
         bench.machine("bench");
         bench

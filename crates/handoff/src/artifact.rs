@@ -30,20 +30,20 @@ pub trait Artifact: Sized {
     /// What the directory holds.
     const KIND: &'static Kind;
     /// The arrays, in the order of the kind; optional ones may be absent at the end.
-    fn to_arrays(&self) -> Vec<ArrayData>;
+    fn to_arrays(&self) -> Vec<ArrayData<'_>>;
     /// Back from the arrays, whose dtypes, shapes and finiteness have been checked.
     fn from_arrays(arrays: Arrays) -> Result<Self, Invalid>;
 }
 
 /// The arrays of one directory, by name.
 #[derive(Debug, Default)]
-pub struct Arrays(BTreeMap<&'static str, ArrayData>);
+pub struct Arrays(BTreeMap<&'static str, ArrayData<'static>>);
 
 impl Arrays {
     /// Takes out a float array that the kind promises.
     pub fn take_f64(&mut self, name: &str) -> ArrayD<f64> {
         match self.0.remove(name) {
-            Some(ArrayData::F64(a)) => a,
+            Some(ArrayData::F64(a)) => a.into_owned(),
             other => panic!("the kind promises {name} as <f8, found {other:?}"),
         }
     }
@@ -51,7 +51,7 @@ impl Arrays {
     /// Takes out an integer array that the kind promises.
     pub fn take_i64(&mut self, name: &str) -> ArrayD<i64> {
         match self.0.remove(name) {
-            Some(ArrayData::I64(a)) => a,
+            Some(ArrayData::I64(a)) => a.into_owned(),
             other => panic!("the kind promises {name} as <i8, found {other:?}"),
         }
     }
@@ -491,13 +491,13 @@ fn check_record(
 fn default_array(
     def: &ArrayDef,
     sizes: &BTreeMap<&'static str, (usize, &'static str)>,
-) -> ArrayData {
+) -> ArrayData<'static> {
     let shape: Vec<usize> = def.shape.iter().map(|s| sizes.get(s).map_or(0, |(n, _)| *n)).collect();
     let value = def.default.unwrap_or(0);
     match def.dtype {
-        Dtype::F64 => ArrayData::F64(ArrayD::from_elem(shape, f64::from(value))),
-        Dtype::I64 => ArrayData::I64(ArrayD::from_elem(shape, i64::from(value))),
-        Dtype::U8 => ArrayData::U8(ArrayD::from_elem(shape, value)),
+        Dtype::F64 => ArrayData::F64(ArrayD::from_elem(shape, f64::from(value)).into()),
+        Dtype::I64 => ArrayData::I64(ArrayD::from_elem(shape, i64::from(value)).into()),
+        Dtype::U8 => ArrayData::U8(ArrayD::from_elem(shape, value).into()),
     }
 }
 

@@ -139,7 +139,7 @@ impl Inputs {
         let ArrayData::F64(a) = self.read_array(role, path, Dtype::F64)? else {
             unreachable!("read as F64")
         };
-        a.into_dimensionality::<Ix2>().map_err(|_| {
+        a.into_owned().into_dimensionality::<Ix2>().map_err(|_| {
             HandoffError::new(path, "is not a map; give an array with two axes (ny, nx)")
         })
     }
@@ -149,7 +149,7 @@ impl Inputs {
         let ArrayData::U8(a) = self.read_array(role, path, Dtype::U8)? else {
             unreachable!("read as U8")
         };
-        a.into_dimensionality::<Ix2>().map(|a| a.mapv(|v| v != 0)).map_err(|_| {
+        a.into_owned().into_dimensionality::<Ix2>().map(|a| a.mapv(|v| v != 0)).map_err(|_| {
             HandoffError::new(path, "is not a mask; give an array with two axes (ny, nx)")
         })
     }
@@ -159,7 +159,7 @@ impl Inputs {
         role: &str,
         path: &Path,
         dtype: Dtype,
-    ) -> Result<ArrayData, HandoffError> {
+    ) -> Result<ArrayData<'static>, HandoffError> {
         let loaded = npy::read(path, dtype)?;
         if let Some(note) = loaded.note {
             warn(format!("{}: {note}", path.display()));

@@ -12,28 +12,28 @@ use crate::{
     npy::ArrayData,
 };
 
-fn axis_array(axis: &Axis) -> ArrayData {
-    ArrayData::F64(Array1::from(axis.coordinates()).into_dyn())
+fn axis_array<'a>(axis: &Axis) -> ArrayData<'a> {
+    ArrayData::F64(Array1::from(axis.coordinates()).into_dyn().into())
 }
 
-fn map_array(map: &Array2<f64>) -> ArrayData {
-    ArrayData::F64(map.as_standard_layout().into_owned().into_dyn())
+fn map_array(map: &Array2<f64>) -> ArrayData<'_> {
+    ArrayData::F64(map.as_standard_layout().into_dyn())
 }
 
-fn flags(values: &[bool]) -> ArrayData {
-    ArrayData::U8(values.iter().map(|v| u8::from(*v)).collect::<Array1<u8>>().into_dyn())
+fn flags<'a>(values: &[bool]) -> ArrayData<'a> {
+    ArrayData::U8(values.iter().map(|v| u8::from(*v)).collect::<Array1<u8>>().into_dyn().into())
 }
 
-fn integers(values: &[i64]) -> ArrayData {
-    ArrayData::I64(Array1::from(values.to_vec()).into_dyn())
+fn integers<'a>(values: &[i64]) -> ArrayData<'a> {
+    ArrayData::I64(Array1::from(values.to_vec()).into_dyn().into())
 }
 
-fn floats(values: &[f64]) -> ArrayData {
-    ArrayData::F64(Array1::from(values.to_vec()).into_dyn())
+fn floats<'a>(values: &[f64]) -> ArrayData<'a> {
+    ArrayData::F64(Array1::from(values.to_vec()).into_dyn().into())
 }
 
-fn points(values: &[[f64; 2]]) -> ArrayData {
-    ArrayData::F64(Array2::from(values.to_vec()).into_dyn())
+fn points<'a>(values: &[[f64; 2]]) -> ArrayData<'a> {
+    ArrayData::F64(Array2::from(values.to_vec()).into_dyn().into())
 }
 
 fn take_grid(arrays: &mut Arrays) -> Result<Grid, Invalid> {
@@ -57,7 +57,7 @@ fn take_points(arrays: &mut Arrays, name: &str) -> Vec<[f64; 2]> {
 impl Artifact for Surface {
     const KIND: &'static Kind = &kind::SURFACE;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         vec![map_array(self.height_nm()), axis_array(&self.grid().x), axis_array(&self.grid().y)]
     }
 
@@ -69,7 +69,7 @@ impl Artifact for Surface {
 impl Artifact for Tif {
     const KIND: &'static Kind = &kind::TIF;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         vec![
             map_array(self.rate_nm_per_s()),
             axis_array(&self.grid().x),
@@ -85,7 +85,7 @@ impl Artifact for Tif {
 impl Artifact for ToolPath {
     const KIND: &'static Kind = &kind::TOOL_PATH;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         vec![
             points(self.point_mm()),
             points(self.dwell_point_mm()),
@@ -107,7 +107,7 @@ impl Artifact for ToolPath {
 impl Artifact for DwellTime {
     const KIND: &'static Kind = &kind::DWELL;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         vec![floats(self.dwell_s())]
     }
 
@@ -119,7 +119,7 @@ impl Artifact for DwellTime {
 impl Artifact for DwellDensity {
     const KIND: &'static Kind = &kind::DWELL_DENSITY;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         vec![
             floats(self.arc_length_mm()),
             floats(self.dwell_density_s_per_mm()),
@@ -143,12 +143,12 @@ impl Artifact for DwellDensity {
 impl Artifact for Trajectory {
     const KIND: &'static Kind = &kind::TRAJECTORY;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         let coefficients = self.coefficient_mm();
         let c = Array3::from_shape_fn((self.len(), 2, 4), |(i, a, o)| coefficients[i][a][o]);
         let mut arrays = vec![
             floats(self.break_time_s()),
-            ArrayData::F64(c.into_dyn()),
+            ArrayData::F64(c.into_dyn().into()),
             flags(self.tool_on()),
             integers(
                 &self.dwell_index().iter().copied().map(stored_dwell_index).collect::<Vec<_>>(),
@@ -174,8 +174,9 @@ impl Artifact for Trajectory {
 impl Artifact for Transform {
     const KIND: &'static Kind = &kind::TRANSFORM;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
-        let rows = |rows: &[[f64; 6]]| ArrayData::F64(Array2::from(rows.to_vec()).into_dyn());
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
+        let rows =
+            |rows: &[[f64; 6]]| ArrayData::F64(Array2::from(rows.to_vec()).into_dyn().into());
         vec![
             points(self.matrix()),
             floats(&self.centre_mm()),
@@ -200,7 +201,7 @@ impl Artifact for Transform {
 impl Artifact for Removal {
     const KIND: &'static Kind = &kind::REMOVAL;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         let grid = self.residual().grid();
         vec![
             map_array(self.removal_nm()),

@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use ndarray::{ArrayD, ShapeBuilder};
+use ndarray::{ArrayD, CowArray, IxDyn, ShapeBuilder};
 use ndarray_npy::{ReadNpyExt, WriteNpyError, WriteNpyExt, npy::header::Header};
 use planish_types::budget;
 
@@ -19,18 +19,18 @@ const MAX_HEADER_BYTES: usize = 1024;
 /// Magic string, version and length field before the header take 12 bytes at most.
 const MAX_PREFIX_BYTES: u64 = 12 + MAX_HEADER_BYTES as u64;
 
-/// An array of one of the three element types, in C order.
+/// An array of one of the three element types, in C order; of what is written, without a copy.
 #[derive(Clone, Debug, PartialEq)]
-pub enum ArrayData {
+pub enum ArrayData<'a> {
     /// `<f8`.
-    F64(ArrayD<f64>),
+    F64(CowArray<'a, f64, IxDyn>),
     /// `<i8`.
-    I64(ArrayD<i64>),
+    I64(CowArray<'a, i64, IxDyn>),
     /// `|u1`.
-    U8(ArrayD<u8>),
+    U8(CowArray<'a, u8, IxDyn>),
 }
 
-impl ArrayData {
+impl ArrayData<'_> {
     /// Sizes along the axes.
     pub fn shape(&self) -> &[usize] {
         match self {
@@ -136,7 +136,7 @@ pub(crate) fn hash(path: &Path) -> io::Result<String> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Loaded {
     /// The array, in C order.
-    pub array: ArrayData,
+    pub array: ArrayData<'static>,
     /// BLAKE3 of the file.
     pub blake3: String,
     /// What the file holds where it is another element type or order, and was converted exactly:
@@ -166,19 +166,23 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
 }
 
 /// The array in the bytes of a `.npy` file, or what is wrong with them.
-pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData, String> {
+pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData<'static>, String> {
     let stored = check(bytes, bytes.len() as u64, dtype)?;
     array(bytes, dtype, &stored)
 }
 
 /// The array in a file that has been checked.
-fn array(mut reader: impl Read, dtype: Dtype, stored: &Stored) -> Result<ArrayData, String> {
+fn array(
+    mut reader: impl Read,
+    dtype: Dtype,
+    stored: &Stored,
+) -> Result<ArrayData<'static>, String> {
     let broken = |e: &dyn std::fmt::Display| format!("cannot be read ({e}); write it again");
     if stored.is_as_wanted(dtype) {
         return match dtype {
-            Dtype::F64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::F64),
-            Dtype::I64 => ArrayD::read_npy(reader).map(standard).map(ArrayData::I64),
-            Dtype::U8 => ArrayD::read_npy(reader).map(standard).map(ArrayData::U8),
+            Dtype::F64 => ArrayD::read_npy(reader).map(standard).map(|a| ArrayData::F64(a.into())),
+            Dtype::I64 => ArrayD::read_npy(reader).map(standard).map(|a| ArrayData::I64(a.into())),
+            Dtype::U8 => ArrayD::read_npy(reader).map(standard).map(|a| ArrayData::U8(a.into())),
         }
         .map_err(|e| broken(&e));
     }
@@ -187,9 +191,9 @@ fn array(mut reader: impl Read, dtype: Dtype, stored: &Stored) -> Result<ArrayDa
     let items = bytes[stored.header_bytes..].chunks_exact(stored.element.bytes);
     let values = items.map(|item| stored.element.value(item));
     Ok(match dtype {
-        Dtype::F64 => ArrayData::F64(stored.converted(values, Value::to_f64, dtype)?),
-        Dtype::I64 => ArrayData::I64(stored.converted(values, Value::to_i64, dtype)?),
-        Dtype::U8 => ArrayData::U8(stored.converted(values, Value::to_u8, dtype)?),
+        Dtype::F64 => ArrayData::F64(stored.converted(values, Value::to_f64, dtype)?.into()),
+        Dtype::I64 => ArrayData::I64(stored.converted(values, Value::to_i64, dtype)?.into()),
+        Dtype::U8 => ArrayData::U8(stored.converted(values, Value::to_u8, dtype)?.into()),
     })
 }
 
@@ -478,20 +482,23 @@ mod tests {
     #[test]
     fn round_trip_keeps_every_bit() {
         let a = ArrayData::F64(
-            array![[1.0, f64::NAN, -0.0], [f64::MIN_POSITIVE, 1e308, 0.1]].into_dyn(),
+            array![[1.0, f64::NAN, -0.0], [f64::MIN_POSITIVE, 1e308, 0.1]].into_dyn().into(),
         );
         let bytes = a.to_npy();
         assert_eq!(parse(&bytes, Dtype::F64).unwrap().to_npy(), bytes);
-        let a = ArrayData::I64(array![i64::MIN, -1, i64::MAX].into_dyn());
+        let a = ArrayData::I64(array![i64::MIN, -1, i64::MAX].into_dyn().into());
         assert_eq!(parse(&a.to_npy(), Dtype::I64).unwrap(), a);
-        let a = ArrayData::U8(array![0, 1, 255].into_dyn());
+        let a = ArrayData::U8(array![0, 1, 255].into_dyn().into());
         assert_eq!(parse(&a.to_npy(), Dtype::U8).unwrap(), a);
     }
 
     #[test]
     fn numpy_booleans_are_read_as_bytes() {
         let bytes = file("{'descr': '|b1', 'fortran_order': False, 'shape': (2,), }", &[1, 0]);
-        assert_eq!(parse(&bytes, Dtype::U8).unwrap(), ArrayData::U8(array![1, 0].into_dyn()));
+        assert_eq!(
+            parse(&bytes, Dtype::U8).unwrap(),
+            ArrayData::U8(array![1, 0].into_dyn().into())
+        );
     }
 
     #[test]
@@ -562,13 +569,19 @@ mod tests {
                 let order = if size == 1 { "|" } else { order };
                 let header = dictionary(&format!("{order}{name}"), "False", "(2,)");
                 let read = parse(&file(&header, bytes), Dtype::F64).unwrap();
-                assert_eq!(read, ArrayData::F64(array![expected[0], expected[1]].into_dyn()));
+                assert_eq!(
+                    read,
+                    ArrayData::F64(array![expected[0], expected[1]].into_dyn().into())
+                );
             }
         }
         // Columns first: what is stored as 1 2 3 4 5 6 are the rows 1 3 5 and 2 4 6.
         let data = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0].map(f64::to_be_bytes).concat();
         let read = parse(&file(&dictionary(">f8", "True", "(2, 3)"), &data), Dtype::F64).unwrap();
-        assert_eq!(read, ArrayData::F64(array![[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]].into_dyn()));
+        assert_eq!(
+            read,
+            ArrayData::F64(array![[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]].into_dyn().into())
+        );
 
         // What would change is refused with its place.
         let data = [1i64, (1 << 53) + 1].map(i64::to_le_bytes).concat();
@@ -580,7 +593,7 @@ mod tests {
         assert!(message.unwrap_err().contains("element [0, 1] is 0.5 of dtype <f8"));
         let data = [0.0, -4.0f64].map(f64::to_le_bytes).concat();
         let read = parse(&file(&dictionary("<f8", "False", "(2,)"), &data), Dtype::I64).unwrap();
-        assert_eq!(read, ArrayData::I64(array![0, -4].into_dyn()));
+        assert_eq!(read, ArrayData::I64(array![0, -4].into_dyn().into()));
     }
 
     proptest! {
@@ -589,7 +602,7 @@ mod tests {
         fn damaged_files_never_panic(
             cut in 0..=192_usize, damage in prop::collection::vec((0..192_usize, any::<u8>()), 0..4),
         ) {
-            let mut bytes = ArrayData::F64(ArrayD::zeros(vec![2, 4])).to_npy();
+            let mut bytes = ArrayData::F64(ArrayD::zeros(vec![2, 4]).into()).to_npy();
             prop_assert_eq!(bytes.len(), 192);
             for (at, value) in damage {
                 bytes[at] = value;

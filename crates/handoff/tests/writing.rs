@@ -413,9 +413,10 @@ fn inputs_that_do_not_belong_together_are_told() {
             "one" => drop(inputs.read::<DwellTime>("dwell", &at(from)).unwrap()),
             _ => drop(inputs.read::<planish_types::ToolPath>("path", &at(from)).unwrap()),
         }
+        let (path, trajectory) = (support::tool_path(), support::trajectory());
         let arrays = match kind.name {
-            "tool_path" => support::tool_path().to_arrays(),
-            _ => support::trajectory().to_arrays(),
+            "tool_path" => path.to_arrays(),
+            _ => trajectory.to_arrays(),
         };
         make(&at(to), kind, &arrays, &inputs, json!({}));
     };

@@ -116,7 +116,7 @@ fn a_tif_from_rates_and_from_a_spot() {
         })
     };
     let save = |name: &str, map: Array2<f64>| {
-        fs::write(dir.join(name), ArrayData::F64(map.into_dyn()).to_npy()).unwrap();
+        fs::write(dir.join(name), ArrayData::F64(map.into_dyn().into()).to_npy()).unwrap();
     };
     save("rate.npy", spot(8e-9, 0.0));
     done(dir, &["tif", "rate.npy", "--rate", "--unit", "m", "--pitch-mm", "0.1", "--out", "rate"]);

@@ -141,6 +141,15 @@ pub fn range(map: ArrayView2<f64>) -> (f64, f64) {
     parts.into_iter().flatten().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
+/// Number of valid pixels.
+pub fn valid_count(map: ArrayView2<f64>) -> usize {
+    sums_of_values(
+        map,
+        #[inline(always)]
+        |_| [1.0],
+    )[0] as usize
+}
+
 /// How many of the valid pixels have each of these values.
 pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize; N] {
     let found = sums_of_values(
@@ -172,7 +181,10 @@ pub fn lowest(map: ArrayView2<f64>, weight: Option<ArrayView2<f64>>, fraction: f
         map.row(r).into_iter().enumerate().filter(move |(c, v)| !v.is_nan() && counts(*c))
     };
     let rows = (0..map.nrows()).into_par_iter();
-    let count: usize = rows.clone().map(|r| row(r).count()).sum();
+    let count = match weight {
+        Some(_) => rows.clone().map(|r| row(r).count()).sum(),
+        None => valid_count(map),
+    };
     let rank = ((fraction * count as f64) as usize).min(count.checked_sub(1)?);
     let at_rank = |mut values: Vec<f64>| {
         (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, f64::total_cmp).1)

@@ -115,8 +115,11 @@ impl Reconcile {
 
         let status = found.drawback.clone().map_or(Status::Done, Status::Negative);
         let outcome = serde_json::to_value(&found.outcome)?;
-        let map = |m: &Array2<f64>| ArrayData::F64(m.clone().into_dyn());
-        let list = |values: Vec<f64>| ArrayData::F64(ndarray::Array1::from(values).into_dyn());
+        fn map(m: &Array2<f64>) -> ArrayData<'_> {
+            ArrayData::F64(m.view().into_dyn().into())
+        }
+        let list =
+            |values: Vec<f64>| ArrayData::F64(ndarray::Array1::from(values).into_dyn().into());
         let arrays = [
             map(&found.measured_nm),
             map(&found.planned_nm),

@@ -25,18 +25,18 @@ impl Command {
 }
 
 /// The arrays of `kind::ITERATIONS`; there is at least one iterate.
-fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData> {
+fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData<'a>> {
     let iterates: Vec<&Iterate> = iterates.collect();
     let column = |f: fn(&Iterate) -> f64| {
-        ArrayData::F64(iterates.iter().map(|i| f(i)).collect::<Array1<f64>>().into_dyn())
+        ArrayData::F64(iterates.iter().map(|i| f(i)).collect::<Array1<f64>>().into_dyn().into())
     };
     let (m, n) = (iterates.len(), iterates[0].dwell_s.len());
     let dwell = Array2::from_shape_fn((m, n), |(i, j)| iterates[i].dwell_s[j]);
     let stretched: Array1<i64> = iterates.iter().map(|i| i.stretched as i64).collect();
     vec![
-        ArrayData::F64(dwell.into_dyn()),
+        ArrayData::F64(dwell.into_dyn().into()),
         column(|i| i.rms_nm),
         column(|i| i.total_time_s),
-        ArrayData::I64(stretched.into_dyn()),
+        ArrayData::I64(stretched.into_dyn().into()),
     ]
 }

@@ -381,7 +381,7 @@ fn bare(artifact: &'static str, name: &'static str, array: ArrayData) -> impl Fn
 #[test]
 fn bad_dwell_times_end_with_2_and_name_file_place_and_remedy() {
     let array = |array| bare("dwell", "dwell_s", array);
-    let times = |t: &[f64]| array(ArrayData::F64(Array1::from(t.to_vec()).into_dyn()));
+    let times = |t: &[f64]| array(ArrayData::F64(Array1::from(t.to_vec()).into_dyn().into()));
     let file = "dwell/dwell_s.npy: ";
     let remedy = "dwell times are not negative";
     all_refuse(times(&[0.5, -0.25, 0.1, 0.5, 0.5]), &[file, "dwell_s[1]: is -0.25 s", remedy]);
@@ -392,15 +392,16 @@ fn bad_dwell_times_end_with_2_and_name_file_place_and_remedy() {
         times(&[0.5; 4]),
         &["dwell_s: has 4 elements, the tool path 5 dwell points; give the dwell time of this"],
     );
-    let integers = ArrayData::I64(Array1::from(vec![1, 1, i64::MAX, 1, 1]).into_dyn());
+    let integers = ArrayData::I64(Array1::from(vec![1, 1, i64::MAX, 1, 1]).into_dyn().into());
     all_refuse(array(integers), &[file, "element [2] is 9223372036854775807 of dtype <i8"]);
-    let column = ArrayData::F64(Array2::ones((5, 1)).into_dyn());
+    let column = ArrayData::F64(Array2::ones((5, 1)).into_dyn().into());
     all_refuse(array(column), &[file, "has 2 axes (shape [5, 1]), needs 1: (n)"]);
 }
 
 #[test]
 fn bad_paths_end_with_2() {
-    let points = |p: Array2<f64>| bare("tool_path", "point_mm", ArrayData::F64(p.into_dyn()));
+    let points =
+        |p: Array2<f64>| bare("tool_path", "point_mm", ArrayData::F64(p.into_dyn().into()));
     let mut bad = Array2::zeros((6, 2));
     bad[[4, 1]] = f64::NAN;
     all_refuse(points(bad), &["tool_path/point_mm.npy: element [4, 1] is NaN; give finite"]);

@@ -110,9 +110,9 @@ fn write_frames(
     output: &OutputArgs,
 ) -> Result<Status, Failure> {
     let (x, y) = (frames.grid.x.coordinates(), frames.grid.y.coordinates());
-    let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
+    let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn().into());
     let (count, stride) = (frames.time_s.len(), frames.stride);
-    let removal = ArrayData::F64(frames.removal_nm.into_dyn());
+    let removal = ArrayData::F64(frames.removal_nm.into_dyn().into());
     let arrays = [list(frames.time_s), removal, list(x), list(y)];
     let outcome = json!({ "every_pixel": stride });
     writer.write_arrays(&kind::FRAMES, &arrays, &[], outcome, &Status::Done)?;

@@ -278,10 +278,10 @@ fn bare(dir: &Path, name: &str) -> std::path::PathBuf {
 
 #[test]
 fn bad_trajectories_end_with_2_and_name_file_place_and_remedy() {
-    let trajectory = |name: &'static str, array: ArrayData| {
+    let trajectory = |name: &'static str, array: ArrayData<'static>| {
         move |dir: &Path| save_array(&bare(dir, "trajectory"), name, array)
     };
-    let times = |t: [f64; 3]| ArrayData::F64(Array1::from(t.to_vec()).into_dyn());
+    let times = |t: [f64; 3]| ArrayData::F64(Array1::from(t.to_vec()).into_dyn().into());
     let file = "trajectory/break_time_s.npy: ";
     refused_after(
         trajectory("break_time_s", times([0.0, 2.0, 1.0])),
@@ -296,22 +296,22 @@ fn bad_trajectories_end_with_2_and_name_file_place_and_remedy() {
     let mut c = Array3::zeros((2, 2, 4));
     c[[1, 0, 3]] = f64::INFINITY;
     refused_after(
-        trajectory("coefficient_mm", ArrayData::F64(c.into_dyn())),
+        trajectory("coefficient_mm", ArrayData::F64(c.into_dyn().into())),
         &[],
         &["trajectory/coefficient_mm.npy: element [1, 0, 3] is inf; give finite values"],
     );
     refused_after(
-        trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((2, 4, 2)).into_dyn())),
+        trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((2, 4, 2)).into_dyn().into())),
         &[],
         &["trajectory/coefficient_mm.npy: has shape [2, 4, 2], needs (k, 2, 4)"],
     );
     refused_after(
-        trajectory("dwell_index", ArrayData::F64(Array1::from(vec![0.0, 0.5]).into_dyn())),
+        trajectory("dwell_index", ArrayData::F64(Array1::from(vec![0.0, 0.5]).into_dyn().into())),
         &[],
         &["trajectory/dwell_index.npy: element [1] is 0.5 of dtype <f8, which <i8 does not have"],
     );
     refused_after(
-        trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((0, 2, 4)).into_dyn())),
+        trajectory("coefficient_mm", ArrayData::F64(Array3::zeros((0, 2, 4)).into_dyn().into())),
         &[],
         &["trajectory/coefficient_mm.npy: is empty (shape [0, 2, 4])"],
     );
@@ -322,7 +322,7 @@ fn bad_maps_tifs_and_flags_end_with_2() {
     let map = |input: &'static str, name: &'static str, value: f64, shape: (usize, usize)| {
         move |dir: &Path| {
             let array = Array2::from_elem(shape, value);
-            save_array(&bare(dir, input), name, ArrayData::F64(array.into_dyn()));
+            save_array(&bare(dir, input), name, ArrayData::F64(array.into_dyn().into()));
         }
     };
     let (rate, height) = ("tif/rate_nm_per_s.npy: ", "surface/height_nm.npy: ");
@@ -365,7 +365,7 @@ fn a_tif_in_the_wrong_unit_is_refused() {
         let bare = bare(dir, "tif");
         for name in ["x_mm", "y_mm"] {
             let a = Array1::linspace(-6e6, 6e6, 61);
-            save_array(&bare, name, ArrayData::F64(a.into_dyn()));
+            save_array(&bare, name, ArrayData::F64(a.into_dyn().into()));
         }
     };
     refused_after(

@@ -99,7 +99,7 @@ fn a_mask_file_is_an_aperture_and_an_input() {
     let tmp = tempfile::tempdir().unwrap();
     write_surface(&tmp.path().join("in"));
     let mask = Array2::from_shape_fn((60, 80), |(r, c)| u8::from(r < 10 && c < 20 && r + c > 3));
-    fs::write(tmp.path().join("mask.npy"), ArrayData::U8(mask.into_dyn()).to_npy()).unwrap();
+    fs::write(tmp.path().join("mask.npy"), ArrayData::U8(mask.into_dyn().into()).to_npy()).unwrap();
     let arguments = ["--surface", "in", "--out", "out", "--aperture-mask", "mask.npy"];
     let output = run(tmp.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -147,7 +147,7 @@ fn surface_command(dir: &Path, arguments: &[&str]) -> Output {
 fn array(dir: &Path, name: &str) -> ArrayD<f64> {
     let path = dir.join(format!("{name}.npy"));
     match planish_handoff::npy::read(&path, planish_handoff::kind::Dtype::F64).unwrap().array {
-        ArrayData::F64(a) => a,
+        ArrayData::F64(a) => a.into_owned(),
         other => panic!("{other:?}"),
     }
 }

@@ -31,7 +31,7 @@ pub fn npy(dir: &Path, name: &str, shape: &[usize], values: &[f64]) {
 
 /// The same for integers.
 pub fn integers(dir: &Path, name: &str, values: &[i64]) {
-    save_array(dir, name, ArrayData::I64(Array1::from(values.to_vec()).into_dyn()));
+    save_array(dir, name, ArrayData::I64(Array1::from(values.to_vec()).into_dyn().into()));
 }
 
 /// A map of `name` (height_nm, rate_nm_per_s) on the axes.

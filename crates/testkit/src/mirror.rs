@@ -32,7 +32,7 @@ pub fn mirror() -> Option<Mirror> {
 
 fn load(dir: &Path, name: &str) -> ArrayD<f64> {
     match npy::read(&dir.join(format!("{name}.npy")), Dtype::F64).unwrap().array {
-        ArrayData::F64(a) => a,
+        ArrayData::F64(a) => a.into_owned(),
         other => panic!("{name}: {:?}", other.dtype()),
     }
 }

@@ -47,7 +47,7 @@ pub fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
 
 /// Writes the numbers `name` of a directory without a manifest.
 pub fn save<D: Dimension>(dir: &Path, name: &str, array: Array<f64, D>) {
-    save_array(dir, name, ArrayData::F64(array.into_dyn()));
+    save_array(dir, name, ArrayData::F64(array.into_dyn().into()));
 }
 
 /// Writes the array `name`, of any kind, of a directory without a manifest.

@@ -343,7 +343,7 @@ fn an_infeasible_dwell_time_is_stretched_or_refused() {
     fs::create_dir_all(line.path("path")).unwrap();
     fs::create_dir_all(line.path("dwell")).unwrap();
     let save = |file: &str, array: ArrayD<f64>| {
-        fs::write(line.path(file), ArrayData::F64(array).to_npy()).unwrap();
+        fs::write(line.path(file), ArrayData::F64(array.into()).to_npy()).unwrap();
     };
     let points = array![[0.0, 0.0], [1.0, 0.0], [61.0, 0.0], [62.0, 0.0]];
     save("path/point_mm.npy", points.into_dyn());

@@ -76,12 +76,12 @@ impl Tolerance {
                 }
             })?;
 
-        let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn());
+        let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn().into());
         let grid = surface.grid();
         let arrays = [
             list(found.levels.iter().map(|l| l.0).collect()),
             list(found.levels.iter().map(|l| l.1).collect()),
-            ArrayData::F64(found.deviation_nm.clone().into_dyn()),
+            ArrayData::F64(found.deviation_nm.view().into_dyn().into()),
             list(grid.x.coordinates()),
             list(grid.y.coordinates()),
         ];

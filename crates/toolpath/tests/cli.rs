@@ -336,9 +336,9 @@ fn inspect_prints_the_statistics_of_any_path() {
     save(&dir, "point_mm", Array2::from(points.to_vec()));
     let middles = [[10.0, 0.0], [20.0, 5.0], [15.0, 2.5]];
     save(&dir, "dwell_point_mm", Array2::from(middles.to_vec()));
-    let on = ArrayData::U8(Array1::from(vec![1, 1, 1]).into_dyn());
+    let on = ArrayData::U8(Array1::from(vec![1, 1, 1]).into_dyn().into());
     fs::write(dir.join("tool_on.npy"), on.to_npy()).unwrap();
-    let pass = ArrayData::I64(Array1::from(vec![0, 0, 0]).into_dyn());
+    let pass = ArrayData::I64(Array1::from(vec![0, 0, 0]).into_dyn().into());
     fs::write(dir.join("pass_idx.npy"), pass.to_npy()).unwrap();
     let machine = r#"{"name": "m", "axes": [
         {"name": "x", "max_velocity_mm_per_s": 10, "max_acceleration_mm_per_s2": 1},

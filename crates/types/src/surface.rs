@@ -102,7 +102,7 @@ impl Removal {
     pub fn new(desired: &Surface, removal_nm: Array2<f64>) -> Result<Self, Invalid> {
         let mut residual_nm = desired.height_nm().clone();
         if removal_nm.dim() == residual_nm.dim() {
-            Zip::from(&mut residual_nm).and(&removal_nm).for_each(|z, r| *z -= r);
+            Zip::from(&mut residual_nm).and(&removal_nm).par_for_each(|z, r| *z -= r);
         }
         Self::from_maps(*desired.grid(), RemovalMaps { removal_nm, residual_nm })
     }
@@ -111,7 +111,9 @@ impl Removal {
     pub fn from_maps(grid: Grid, maps: RemovalMaps) -> Result<Self, Invalid> {
         let RemovalMaps { removal_nm, residual_nm } = maps;
         check_map("removal_nm", &grid, &removal_nm)?;
-        if let Some((index, _)) = removal_nm.indexed_iter().find(|(_, v)| v.is_nan()) {
+        if statistics::valid_count(removal_nm.view()) < removal_nm.len() {
+            let nan = removal_nm.indexed_iter().find(|(_, v)| v.is_nan());
+            let (index, _) = nan.expect("one is");
             return Err(Invalid::at(
                 "removal_nm",
                 index,

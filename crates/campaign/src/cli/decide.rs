@@ -127,7 +127,7 @@ struct Levels(Vec<(f64, f64)>);
 impl Artifact for Levels {
     const KIND: &'static Kind = &kind::TOLERANCE;
 
-    fn to_arrays(&self) -> Vec<ArrayData> {
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
         unreachable!("a decision writes no tolerance")
     }
 

@@ -69,10 +69,10 @@ impl PsdArgs {
 }
 
 /// In the order of the kind.
-fn psd_arrays(psd: &Psd) -> Vec<ArrayData> {
-    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn());
+fn psd_arrays(psd: &Psd) -> Vec<ArrayData<'_>> {
+    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into());
     vec![
-        ArrayData::F64(psd.psd_2d_nm2_mm2.clone().into_dyn()),
+        ArrayData::F64(psd.psd_2d_nm2_mm2.view().into_dyn().into()),
         line(&psd.frequency_2d_x_per_mm),
         line(&psd.frequency_2d_y_per_mm),
         line(&psd.psd_x_nm2_mm),

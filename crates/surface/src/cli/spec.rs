@@ -270,8 +270,8 @@ fn report(found: &Quality) {
 }
 
 /// In the order of the kind.
-fn arrays(found: &QualityArrays) -> Vec<ArrayData> {
-    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn());
+fn arrays(found: &QualityArrays) -> Vec<ArrayData<'_>> {
+    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into());
     let mut all = vec![
         line(&found.position_mm),
         line(&found.height_nm),
