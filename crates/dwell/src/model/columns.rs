@@ -338,11 +338,26 @@ pub fn map_on_cells(map: &Array2<f64>, weight: &Array2<f64>, size: usize) -> Arr
 
 /// Sums over the pixels of every cell.
 fn sums(map: &Array2<f64>, size: usize) -> Array2<f64> {
-    let mut sums = Array2::zeros((map.nrows().div_ceil(size), map.ncols().div_ceil(size)));
-    for ((r, c), v) in map.indexed_iter() {
-        sums[[r / size, c / size]] += v;
-    }
-    sums
+    by_cells(map, size, 0.0, |sum, pixels| pixels.iter().for_each(|v| *sum += v))
+}
+
+/// A number for every cell, which begins as `begin` and meets its pixels row by row.
+fn by_cells(
+    map: &Array2<f64>,
+    size: usize,
+    begin: f64,
+    meet: impl Fn(&mut f64, &[f64]) + Sync,
+) -> Array2<f64> {
+    let shape = (map.nrows().div_ceil(size), map.ncols().div_ceil(size));
+    let mut cells = Array2::from_elem(shape, begin);
+    let lines = cells.outer_iter_mut().into_par_iter();
+    lines.zip(map.axis_chunks_iter(NdAxis(0), size)).for_each(|(mut cells, rows)| {
+        for row in rows.outer_iter() {
+            let pixels = row.to_slice().expect("in C order").chunks(size);
+            cells.iter_mut().zip(pixels).for_each(|(cell, pixels)| meet(cell, pixels));
+        }
+    });
+    cells
 }
 
 /// `1 / sqrt(w)`; 0 without a weight.
@@ -365,13 +380,10 @@ struct Cells<'a> {
 impl<'a> Cells<'a> {
     fn new(tif: &'a Tif, grid: &'a Grid, weight: &'a Array2<f64>, size: usize) -> Self {
         let scale = sums(weight, size).mapv(reciprocal_root);
-        let mut alike = Array2::from_shape_fn(scale.dim(), |(r, c)| weight[[r * size, c * size]]);
-        for ((r, c), w) in weight.indexed_iter() {
-            let first = &mut alike[[r / size, c / size]];
-            if *first != *w {
-                *first = f64::NAN;
-            }
-        }
+        let alike = by_cells(weight, size, f64::INFINITY, |alike, pixels| {
+            let first = if *alike == f64::INFINITY { pixels[0] } else { *alike };
+            *alike = if pixels.iter().all(|w| *w == first) { first } else { f64::NAN };
+        });
         Self { tif, grid, weight, size, scale, alike }
     }
 
