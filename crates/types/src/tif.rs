@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use ndarray::{Array2, Axis as NdAxis, s};
+use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
 use crate::{Axis, Grid, Invalid};
@@ -143,21 +143,23 @@ impl Tif {
         (along_x + along_y).sqrt().recip()
     }
 
-    /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2.
+    /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Where the samples end the
+    /// TIF falls to zero within a step, as with a margin of zeros: of a flat pad that is all there is.
     pub fn slope_energy_per_mm2(&self) -> [f64; 2] {
         let (rate, grid) = (&self.rate_nm_per_s, &self.grid);
         let energy: f64 = rate.iter().map(|r| r * r).sum();
-        // sum of (difference / step)^2 along both axes
-        let slope = |a: &f64, b: &f64, step: f64| ((a - b) / step).powi(2);
-        let (mut along_x, mut along_y) = (0.0, 0.0);
-        for row in rate.rows() {
-            let steps = row.windows(2).into_iter();
-            along_x += steps.map(|w| slope(&w[0], &w[1], grid.x.step_mm())).sum::<f64>();
-        }
-        for column in rate.columns() {
-            let steps = column.windows(2).into_iter();
-            along_y += steps.map(|w| slope(&w[0], &w[1], grid.y.step_mm())).sum::<f64>();
-        }
+        // sum of (difference / step)^2 along a line of samples
+        let slopes = |line: ArrayView1<f64>, step_mm: f64| {
+            let mut before = 0.0;
+            let mut squares = 0.0;
+            for rate in line.iter().copied().chain([0.0]) {
+                squares += ((rate - before) / step_mm).powi(2);
+                before = rate;
+            }
+            squares
+        };
+        let along_x: f64 = rate.rows().into_iter().map(|r| slopes(r, grid.x.step_mm())).sum();
+        let along_y: f64 = rate.columns().into_iter().map(|c| slopes(c, grid.y.step_mm())).sum();
         [along_x, along_y].map(|slope| slope / energy)
     }
 
@@ -209,6 +211,32 @@ mod tests {
 
     fn axis(half: f64, n: usize) -> Axis {
         Axis::new(-half, 2.0 * half / (n - 1) as f64, n).unwrap()
+    }
+
+    #[test]
+    fn the_width_is_that_of_a_gaussian_and_knows_where_the_samples_end() {
+        let gaussian = |half: f64, n: usize| {
+            let x = axis(half, n);
+            let rate = Array2::from_shape_fn((n, n), |(r, c)| {
+                (-(x.at(r).powi(2) + x.at(c).powi(2)) / (2.0 * 1.5 * 1.5)).exp()
+            });
+            Tif::new(Grid { x, y: x }, rate).unwrap()
+        };
+        // Differences of samples lose (step / width)^2 / 24 of a slope, 2e-4.
+        assert!((gaussian(9.0, 181).width_mm() / 1.5 - 1.0).abs() < 3e-4);
+        // A flat pad of n x n samples: 2 n steps along each axis, over n^2.
+        let pad = |n: usize| Array2::from_elem((n, n), 5.0);
+        let flat = Tif::new(Grid { x: axis(3.0, 25), y: axis(3.0, 25) }, pad(25)).unwrap();
+        assert!((flat.width_mm() / (0.25 * 5.0 / 2.0) - 1.0).abs() < 1e-12);
+        // A margin of zeros changes nothing, of the pad and of a Gaussian that ends at its width.
+        for cropped in [flat, gaussian(1.5, 31)] {
+            let n = cropped.grid().x.len();
+            let mut rate = Array2::zeros((n + 2, n + 2));
+            rate.slice_mut(s![1..=n, 1..=n]).assign(cropped.rate_nm_per_s());
+            let wider = axis(cropped.grid().x.end_mm() + cropped.grid().x.step_mm(), n + 2);
+            let padded = Tif::new(Grid { x: wider, y: wider }, rate).unwrap();
+            assert!((padded.width_mm() / cropped.width_mm() - 1.0).abs() < 1e-9);
+        }
     }
 
     #[test]
