@@ -53,6 +53,7 @@ pub struct Residual<'a> {
     free: Free,
     basis: Basis,
     operator: Operator,
+    cell_size: usize,
 }
 
 /// (1) at some times.
@@ -84,7 +85,18 @@ impl<'a> Residual<'a> {
             return Err(DwellError::OutOfReach { points: places_mm.len() });
         }
         let basis = Basis::new(desired.grid(), &weight, free);
-        Ok(Self { desired, tif, places_mm, weight, free, basis, operator })
+        let cell_size = cell_size(&tif, desired.grid(), MAX_LOSS_FACTORISED);
+        Ok(Self { desired, tif, places_mm, weight, free, basis, operator, cell_size })
+    }
+
+    /// With normal matrices on cells of at most so many pixels along a side.
+    pub fn on_cells_of_at_most(self, pixels: usize) -> Self {
+        Self { cell_size: self.cell_size.min(pixels), ..self }
+    }
+
+    /// Pixels along the side of a cell of the normal matrices.
+    pub fn cell_size(&self) -> usize {
+        self.cell_size
     }
 
     /// f and its gradient for the times at the places (n), s.
@@ -155,7 +167,7 @@ impl<'a> Residual<'a> {
         let k = ordered.products(&cells, before);
         let order = ordered.order;
         // U = B' w^1/2 P w^1/2 f of the free functions f
-        let size = self.cell_size();
+        let size = self.cell_size;
         let u = self.basis.columns(&self.weight, |m| {
             let m = columns::map_on_cells(m, &self.weight, size);
             order.par_iter().map(|j| cells[*j].product(&m)).collect()
@@ -165,17 +177,12 @@ impl<'a> Residual<'a> {
         Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
     }
 
-    /// Pixels along the side of a cell.
-    fn cell_size(&self) -> usize {
-        cell_size(&self.tif, self.desired.grid(), MAX_LOSS_FACTORISED)
-    }
-
     /// What every column removes, on cells of pixels; those that are known are taken from there.
     fn on_cells(&self, places: &[Vec<Place>], known: &mut Known) -> Vec<Patch> {
         let grid = self.desired.grid();
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
         let new: Vec<Vec<Place>> = new.map(|(places, _)| places.clone()).collect();
-        let size = self.cell_size();
+        let size = self.cell_size;
         let mut made = columns::on_cells(&new, &self.tif, grid, &self.weight, size).into_iter();
         let of = |before: &Option<usize>| match before {
             Some(j) => std::mem::take(&mut known.cells[*j]),

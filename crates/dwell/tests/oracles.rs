@@ -572,6 +572,26 @@ fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
 }
 
 #[test]
+fn with_a_tool_that_ends_abruptly_more_points_are_factorised() {
+    let a = Axis::new(-1.5, 0.25, 13).unwrap();
+    let pad = Tif::new(Grid { x: a, y: a }, Array2::from_elem((13, 13), 5.0)).unwrap();
+    let path = path(2.0);
+    let by = |tif: &Tif, max_factorised_points: usize| {
+        let settings = Settings { max_factorised_points, ..settings() };
+        solve(&surface(bowl()), tif, &path, None, &settings).unwrap()
+    };
+    let fewer = path.len() / 4;
+    let all = by(&pad, path.len());
+    assert_eq!(all.report.algorithm, Algorithm::ActiveSet);
+    assert!(apart(&by(&pad, fewer), &all) == 0.0);
+    assert_eq!(by(&tif(), fewer).report.algorithm, Algorithm::TwoLevel);
+    // The slopes of a flat pad are where it ends, and splines as wide as these say what so few points can: within the
+    // gap of 1e-4 that is asked for.
+    let (rms, least) = (by(&pad, 0).report.model_rms_nm, all.report.model_rms_nm);
+    assert!(rms < (1.0 + 1e-4) * least, "{rms} {least}");
+}
+
+#[test]
 fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     let path = path(2.0);
     let mut rng = ChaCha8Rng::seed_from_u64(11);

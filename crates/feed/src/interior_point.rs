@@ -39,10 +39,10 @@ use planish_numerics::{
     },
     qp::bounded::Quadratic,
 };
-use planish_types::{End, Invalid, progress};
+use planish_types::{End, progress};
 
 use crate::{
-    certificate,
+    FeedError, certificate,
     limits::{Constraint, Rows},
     merit::{Merit, Objective, Progress},
 };
@@ -278,7 +278,7 @@ pub fn solve(
     start: Start,
     stop: &Stop,
     merit: &mut Merit<'_>,
-) -> Result<Option<Solution>, Invalid> {
+) -> Result<Option<Solution>, FeedError> {
     let row_of = program.normal.row_of();
     let (f, mut settled) = merit.evaluate(FIRST, &start.density);
     let mut at = Iterate::new(program, start, f);
@@ -379,7 +379,7 @@ pub fn approach(
     start: Start,
     max_iterations: usize,
     merit: &mut Merit<'_>,
-) -> Result<Option<Approach>, Invalid> {
+) -> Result<Option<Approach>, FeedError> {
     let row_of = program.normal.row_of();
     let f = merit.evaluate(FIRST, &start.density).0;
     let mut at = Iterate::new(program, start, f);

@@ -55,4 +55,11 @@ pub enum FeedError {
         /// alpha.
         tikhonov: f64,
     },
+    /// A normal matrix on cells of the map is too far below the curvature: to be made on smaller ones, down to single
+    /// pixels, with which this does not happen.
+    #[error("cells of {pixels} x {pixels} pixels are too large for this TIF")]
+    CellsTooLarge {
+        /// Along the side of a cell.
+        pixels: usize,
+    },
 }

@@ -28,12 +28,12 @@
 //! gradient of the linear model.
 
 use ndarray::Array2;
-use planish_dwell::residual::{Normal, Residual};
+use planish_dwell::residual::{Evaluation, Normal, Residual};
 use planish_numerics::linear::skyline::dot;
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::mesh::Mesh;
+use crate::{FeedError, mesh::Mesh};
 
 /// The price is found when it changes by less than this fraction in a step,
 const PRICE_FOUND: f64 = 0.01;
@@ -47,6 +47,10 @@ const PRICE_STEPS: usize = 40;
 /// Complementarity over half the mean square from which on the motion is simulated: before that the densities are far from
 /// those that will be executed.
 const SIMULATED_BELOW: f64 = 0.3;
+
+/// Part of the mean square that the cells may not have seen since the last reference: steps by a curvature of less than
+/// half the true one lead away from the minimum.
+const MOST_UNSEEN: f64 = 0.5;
 
 /// What a second costs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -199,13 +203,28 @@ impl<'a> Merit<'a> {
 
     /// Computes the mean square and its gradient at densities with the removal itself: near the minimum with that of their
     /// motion, unless (3) `stays` what it is.
-    pub fn refer_to(&mut self, at: Progress, density: &[f64], stays: bool) -> Result<(), Invalid> {
+    ///
+    /// What the cells of the normal matrix do not see, of a TIF that ends abruptly on a small map say, is missing in the
+    /// mean square since the last reference: [`FeedError::CellsTooLarge`] where that is most of it.
+    pub fn refer_to(
+        &mut self,
+        at: Progress,
+        density: &[f64],
+        stays: bool,
+    ) -> Result<(), FeedError> {
         let near = at.complementarity <= SIMULATED_BELOW * self.last_half_mean_square_nm2;
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
-        if let Some(executed) = self.executed.filter(|_| near && !stays) {
+        let executed = self.executed.filter(|_| near && !stays);
+        if let Some(executed) = executed {
             self.beyond_nm = Some(executed(density)? - &model_nm);
         }
+        let by_cells = self.by_cells(density).half_mean_square_nm2;
         self.reference = self.reference_at(density, model_nm);
+        let there = self.reference.half_mean_square_nm2;
+        let pixels = self.residual.cell_size();
+        if executed.is_none() && pixels > 1 && there - by_cells > MOST_UNSEEN * there {
+            return Err(FeedError::CellsTooLarge { pixels });
+        }
         Ok(())
     }
 
@@ -224,17 +243,24 @@ impl<'a> Merit<'a> {
         self.reference_at(density, model_nm).half_mean_square_nm2
     }
 
-    /// (1) and its gradient, and whether the price is found: while it is looked for it changes from step to step.
-    pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
+    /// Half the mean square and its gradient, by the normal matrix since the reference.
+    fn by_cells(&self, density: &[f64]) -> Evaluation {
         let reference = &self.reference;
         let off: Vec<f64> = density.iter().zip(&reference.density).map(|(d, r)| d - r).collect();
         let curved = self.normal.product(&off);
         let half_mean_square_nm2 = reference.half_mean_square_nm2
             + dot(&reference.gradient, &off)
             + 0.5 * dot(&curved, &off);
+        let sum = |(g, c): (&f64, &f64)| g + c;
+        let gradient_nm2_per_s = reference.gradient.iter().zip(&curved).map(sum).collect();
+        Evaluation { half_mean_square_nm2, gradient_nm2_per_s }
+    }
+
+    /// (1) and its gradient, and whether the price is found: while it is looked for it changes from step to step.
+    pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
+        let Evaluation { half_mean_square_nm2, gradient_nm2_per_s: mut gradient } =
+            self.by_cells(density);
         self.last_half_mean_square_nm2 = half_mean_square_nm2;
-        let mut gradient: Vec<f64> =
-            reference.gradient.iter().zip(&curved).map(|(g, c)| g + c).collect();
         let total_s = dot(&self.lengths_mm, density);
         if let (Price::Elasticity(x), false) = (self.wanted, self.price_is_found) {
             let next = x * half_mean_square_nm2 / total_s;

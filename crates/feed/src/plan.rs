@@ -195,7 +195,7 @@ pub fn plan(
         },
     };
     let Solved { mesh, nodes_of_meshes, found } =
-        solve(&asked, Meshes { first: mesh, refinements, most_work }, settings)?;
+        solve(&asked, &Meshes { first: mesh, refinements, most_work }, settings)?;
     let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
     let (trajectory, refused) = match averaged(&motion.trajectory)? {
         None => (motion.trajectory, refused),

@@ -80,8 +80,25 @@ pub struct Found {
 }
 
 /// Densities on the last of some meshes, whose motion keeps the limits if the judge says so.
-pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<Solved, FeedError> {
-    let Meshes { first: mut mesh, refinements, most_work } = meshes;
+pub fn solve(asked: &Asked<'_>, meshes: &Meshes, settings: &Settings) -> Result<Solved, FeedError> {
+    let mut most_pixels = usize::MAX;
+    loop {
+        match solve_on_cells(asked, meshes, settings, most_pixels) {
+            Err(FeedError::CellsTooLarge { pixels }) => most_pixels = pixels / 2,
+            other => return other,
+        }
+    }
+}
+
+/// The same, with normal matrices on cells of at most so many pixels along a side.
+fn solve_on_cells(
+    asked: &Asked<'_>,
+    meshes: &Meshes,
+    settings: &Settings,
+    most_pixels: usize,
+) -> Result<Solved, FeedError> {
+    let Meshes { first, refinements, most_work } = meshes;
+    let (mut mesh, refinements) = (first.clone(), *refinements);
     let Asked { tif, path, curves, limits, .. } = *asked;
     let level_s_per_mm = level_s_per_mm(asked, &mesh, settings)?;
     // Nothing to remove is no reference: the density at the largest feed is one.
@@ -93,7 +110,7 @@ pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<S
         reference_s_per_mm: level_s_per_mm.max(1.0 / fastest),
         min_dwell_s_per_mm: settings.min_dwell_s_per_mm,
     };
-    let most_work = most_work.min(MOST_GROWTH * mesh.work(tif));
+    let most_work = (*most_work).min(MOST_GROWTH * mesh.work(tif));
     let affordable = |mesh: &Mesh| mesh.work(tif) <= most_work;
     let (mut start, mut known) = (None, None);
     let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
@@ -105,7 +122,8 @@ pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<S
         }
         let (at, refined, normal) = progress::part(k, refinements + 1, || {
             let rows = given.rows(&mesh);
-            let posed = Posed::new(asked, &mesh, given.floors(&rows), known.take(), settings)?;
+            let (lo, known) = (given.floors(&rows), known.take());
+            let posed = Posed::new(asked, &mesh, lo, known, settings, most_pixels)?;
             let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
             let at = posed.approach(&rows, from, most, settings)?;
             let refined = given.refined(&mesh, &rows, &at, affordable);
@@ -124,7 +142,8 @@ pub fn solve(asked: &Asked<'_>, meshes: Meshes, settings: &Settings) -> Result<S
     }
     let found = progress::part(refinements, refinements + 1, || {
         let rows = given.rows(&mesh);
-        let mut posed = Posed::new(asked, &mesh, given.floors(&rows), known, settings)?;
+        let lo = given.floors(&rows);
+        let mut posed = Posed::new(asked, &mesh, lo, known, settings, most_pixels)?;
         posed.normal = posed.normal.as_last();
         let from = start.unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
         posed.solve(asked, rows, from, settings.max_iterations - iterations, settings)
@@ -149,9 +168,11 @@ impl<'a> Posed<'a> {
         lo: Vec<f64>,
         known: Option<Known>,
         settings: &Settings,
+        most_pixels: usize,
     ) -> Result<Self, FeedError> {
         let Asked { desired, tif, .. } = *asked;
-        let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
+        let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?
+            .on_cells_of_at_most(most_pixels);
         let normal = residual.normal(&mesh.columns(), known)?;
         Ok(Self { mesh, residual, normal, lo })
     }

@@ -247,6 +247,47 @@ fn nodes_where_they_are_worth_most_leave_less_than_as_many_everywhere() {
 }
 
 #[test]
+fn a_tool_that_ends_abruptly_is_planned_too() {
+    // 20 x 15 mm of low orders, and lines that reach as far as the tool does.
+    let g = Grid { x: Axis::new(0.0, 0.25, 81).unwrap(), y: Axis::new(0.0, 0.25, 61).unwrap() };
+    let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        let (u, v) = (g.x.at(c) / 10.0 - 1.0, g.y.at(r) / 7.5 - 1.0);
+        30.0 * u * u - 12.0 * u * v + 18.0 * v * v + 10.0 * u.powi(3) - 8.0 * v.powi(3) * u
+    });
+    let desired = Surface::new(g, height).unwrap();
+    let lines = |reach: f64, pitch: f64| {
+        let count = ((15.0 + 2.0 * reach) / pitch) as usize + 1;
+        let mut points = Vec::new();
+        for line in 0..count {
+            let (y, there) = (line as f64 * pitch - reach, [-reach, 20.0 + reach]);
+            let [from, to] = if line % 2 == 0 { there } else { [there[1], there[0]] };
+            points.extend([[from, y], [to, y]]);
+        }
+        through(points)
+    };
+    let square = |half: f64, rate: &dyn Fn(f64) -> f64| {
+        let a = Axis::new(-half, 0.25, 2 * (half / 0.25) as usize + 1).unwrap();
+        let of = |(r, c): (usize, usize)| rate(a.at(c).hypot(a.at(r)));
+        let g = Grid { x: a, y: a };
+        Tif::new(g, Array2::from_shape_fn(g.shape(), of)).unwrap()
+    };
+    // A flat pad has slopes only where it ends. Cells of pixels hardly see the end of a Gaussian at two sigma, which is
+    // nearly all that a tool as wide as the map can do to details.
+    let pad = square(3.0, &|_| 5.0);
+    let cropped = square(8.0, &|d| 3.0 * (-d * d / 32.0).exp());
+    // What they leave is 0.16 and 0.023 of it.
+    let limits = machine(100.0, 2000.0, None);
+    let before = desired.statistics().rms;
+    for (tif, path, most) in [(pad, lines(3.0, 1.5), 0.2), (cropped, lines(8.0, 1.6), 0.05)] {
+        let plan = plan(&desired, &tif, &path, &limits, &Settings::default()).unwrap();
+        let report = &plan.report;
+        let after = plan.removal.residual().statistics().rms;
+        assert_eq!(report.end, End::Optimal, "{} after {}", report.relative_gap, report.iterations);
+        assert!(after < most * before, "{after} of {before}");
+    }
+}
+
+#[test]
 fn the_price_follows_from_the_elasticity() {
     let (path, limits) = (raster(), machine(100.0, 2000.0, None));
     for x in [0.1, 0.5] {

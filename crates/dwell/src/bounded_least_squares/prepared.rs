@@ -23,6 +23,16 @@ const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 /// Below this fraction of the largest the energy of a column is computed, not estimated.
 const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 
+/// Largest rate on the border over the peak with which a TIF ends abruptly. What it does there wide splines cannot say, and the
+/// surrogate of the two-level method takes it for nothing.
+const ABRUPT_BORDER_TO_PEAK: f64 = 0.02;
+
+/// By what more dwell points are factorised then,
+const MORE_FACTORISED_WHERE_ABRUPT: usize = 5;
+
+/// as long as a factorisation takes no more multiplications than these: seconds, of which some ten are made.
+const MOST_WORK_WHERE_ABRUPT: f64 = 2.5e11;
+
 /// (1) with everything that defines it.
 pub struct BoundedProblem<'a> {
     pub desired: &'a Surface,
@@ -100,7 +110,11 @@ impl<'a> BoundedProblem<'a> {
         let (n, grid) = (path.len(), desired.grid());
         let basis = Basis::new(grid, &weight, settings.free);
         let u = basis.columns(&weight, |m| b.adjoint(m));
-        let factorised = n <= settings.max_factorised_points;
+        let most = settings.max_factorised_points;
+        let factorised = n <= most
+            || n <= most.saturating_mul(MORE_FACTORISED_WHERE_ABRUPT)
+                && tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK
+                && surrogate::factorisation_work(program.places, tif) <= MOST_WORK_WHERE_ABRUPT;
         let loss =
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);

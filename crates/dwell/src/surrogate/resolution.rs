@@ -104,6 +104,15 @@ fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Optio
     (elements(pitch_mm) <= MAX_SPLINE_FACTOR_ELEMENTS).then_some(pitch_mm)
 }
 
+/// About how many multiplications a factorisation of the normal matrix of all columns takes: those of a band that is as
+/// wide as there are columns within the TIF along one of the axes.
+pub fn factorisation_work(places: &[Vec<Place>], tif: &Tif) -> f64 {
+    let n = places.len() as f64;
+    let (low, high) = extent(places.iter().flatten().map(|p| &p.position_mm));
+    let part = |axis: usize| (tif.grid().size_mm()[axis] / (high[axis] - low[axis])).min(1.0);
+    n * (n * part(0).min(part(1))).powi(2)
+}
+
 /// How far apart the splines are whose removals, by a TIF of the size [x, y], meet: [x, y], mm.
 pub fn spline_reach_mm(tif_mm: [f64; 2], pitch_mm: f64) -> [f64; 2] {
     tif_mm.map(|size| size + 4.0 * pitch_mm)
