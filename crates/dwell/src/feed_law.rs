@@ -149,7 +149,7 @@ fn lines(path: &ToolPath) -> Result<Vec<Line>, Invalid> {
         [angle.cos(), angle.sin()]
     };
     let on: Vec<usize> = (0..path.len()).filter(is_on).collect();
-    let length_mm: f64 = on.iter().map(|i| path.segment_length_mm(*i)).sum();
+    let length_mm = on.iter().fold(0.0, |sum, i| sum + path.segment_length_mm(*i));
     // Of all segments at first, and of the lines alone in the end: slanted links turn it.
     let (mut along, mut parallel) = (axis(&on), Vec::new());
     for within in [0.1, 0.01, PARALLEL] {

@@ -65,7 +65,7 @@ pub struct Feed {
 #[group(multiple = false)]
 struct PriceArgs {
     /// Price of a second beside half the mean square of the residual, nm^2/s
-    #[arg(long, value_name = "L")]
+    #[arg(long, visible_alias = "time-weight", value_name = "L")]
     time_weight_nm2_per_s: Option<f64>,
     /// By how many percent one percent more time would lower the mean square of the residual [default: 0.5]
     #[arg(long, value_name = "X")]

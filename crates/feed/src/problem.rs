@@ -6,7 +6,10 @@
 //! ```
 
 use ndarray::Array2;
-use planish_dwell::residual::{Known, Normal, Residual};
+use planish_dwell::{
+    DwellError,
+    residual::{Known, Normal, Residual},
+};
 use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory, progress};
 use planish_verify::{VerifySettings, verify};
 
@@ -170,9 +173,7 @@ impl<'a> Posed<'a> {
         settings: &Settings,
         most_pixels: usize,
     ) -> Result<Self, FeedError> {
-        let Asked { desired, tif, .. } = *asked;
-        let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?
-            .on_cells_of_at_most(most_pixels);
+        let residual = residual(asked, mesh, settings)?.on_cells_of_at_most(most_pixels);
         let normal = residual.normal(&mesh.columns(), known)?;
         Ok(Self { mesh, residual, normal, lo })
     }
@@ -254,11 +255,24 @@ impl<'a> Posed<'a> {
     }
 }
 
+/// The residual as a function of the times at the points of a mesh.
+fn residual<'a>(
+    asked: &Asked<'a>,
+    mesh: &'a Mesh,
+    settings: &Settings,
+) -> Result<Residual<'a>, FeedError> {
+    let Asked { desired, tif, path, .. } = *asked;
+    Residual::new(desired, tif, &mesh.points_mm, None, settings.free).map_err(|e| match e {
+        // The points of the mesh are nothing that was given.
+        DwellError::OutOfReach { .. } => DwellError::OutOfReach { points: path.len() }.into(),
+        e => e.into(),
+    })
+}
+
 /// The uniform density, s/mm, that removes on average what is above the lowest point.
 fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result<f64, FeedError> {
-    let Asked { desired, tif, .. } = *asked;
-    let residual = Residual::new(desired, tif, &mesh.points_mm, None, settings.free)?;
-    let heights = desired.height_nm().iter().filter(|z| !z.is_nan());
+    let residual = residual(asked, mesh, settings)?;
+    let heights = asked.desired.height_nm().iter().filter(|z| !z.is_nan());
     let (sum, count, low) =
         heights.fold((0.0, 0.0, f64::INFINITY), |(sum, n, low), z| (sum + z, n + 1.0, low.min(*z)));
     let rate = residual.mean_removal_nm(&mesh.times_s(&vec![1.0; mesh.nodes]));
