@@ -592,6 +592,35 @@ fn with_a_tool_that_ends_abruptly_more_points_are_factorised() {
 }
 
 #[test]
+fn where_the_factor_is_singular_many_points_are_solved_without_one() {
+    // A Gaussian that ends at two sigma, 0.3 mm of a part of 10 mm from one dwell point to the next.
+    let a = Axis::new(-3.25, 0.25, 27).unwrap();
+    let rate = |(r, c): (usize, usize)| 8.0 * (-(a.at(r).powi(2) + a.at(c).powi(2)) / 5.3).exp();
+    let tif = Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((27, 27), rate)).unwrap();
+    let mut points = Vec::new();
+    for j in 0..36 {
+        let y = 0.3 * f64::from(j) - 1.7;
+        for i in 0..46 {
+            points.push([0.3 * f64::from(if j % 2 == 0 { i } else { 45 - i }) - 1.7, y]);
+        }
+    }
+    let n = points.len() - 1;
+    let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
+    // More dwell points than pixels, and nothing else that tells their times apart.
+    let by = |max_factorised_points: usize| {
+        let weights = Settings { tikhonov: 0.0, smoothness: 0.0, ..settings() };
+        let settings = Settings { max_factorised_points, max_iterations: 300, ..weights };
+        solve(&surface(bowl()), &tif, &path, None, &settings)
+    };
+    assert!(matches!(by(n), Err(DwellError::Singular { .. })));
+    let found = by(n / 4).unwrap().report;
+    assert_eq!(found.algorithm, Algorithm::ProjectedGradient);
+    // Few gradient steps, but steps in the right direction: a sixth of what there was.
+    let before = surface(bowl()).statistics().rms;
+    assert!(found.model_rms_nm < 0.25 * before, "{} of {before}", found.model_rms_nm);
+}
+
+#[test]
 fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     let path = path(2.0);
     let mut rng = ChaCha8Rng::seed_from_u64(11);

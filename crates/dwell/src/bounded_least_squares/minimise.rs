@@ -217,7 +217,7 @@ impl BoundedProblem<'_> {
             };
             residual_before = natural_residual;
             let factorised = matches!(self.surrogate, Surrogate::Ordered(_));
-            let by_gradient = !factorised && self.splines_mm.is_none();
+            let mut by_gradient = !factorised && self.splines_mm.is_none();
             if slow >= SLOW_STEPS_BEFORE_SHARPENING && factorised && end.is_none() {
                 slow = 0;
                 self.sharpen(&penalty);
@@ -246,6 +246,8 @@ impl BoundedProblem<'_> {
                             (to, iterations) = (Some(found), iterations + count);
                         } else if self.sharpen(&penalty) {
                             penalised = None;
+                        } else if self.without_factors(&penalty)? {
+                            (penalised, by_gradient) = (None, self.splines_mm.is_none());
                         } else {
                             return Err(DwellError::Singular { tikhonov: settings.tikhonov });
                         }

@@ -23,15 +23,15 @@ const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 /// Below this fraction of the largest the energy of a column is computed, not estimated.
 const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 
-/// Largest rate on the border over the peak with which a TIF ends abruptly. What it does there wide splines cannot say, and the
+/// Largest rate on the border over the peak from which on a TIF ends abruptly. What it does there wide splines cannot say, and the
 /// surrogate of the two-level method takes it for nothing.
-const ABRUPT_BORDER_TO_PEAK: f64 = 0.02;
+const ABRUPT_BORDER_TO_PEAK: f64 = 0.1;
 
 /// By what more dwell points are factorised then,
 const MORE_FACTORISED_WHERE_ABRUPT: usize = 5;
 
 /// as long as a factorisation takes no more multiplications than these: seconds, of which some ten are made.
-const MOST_WORK_WHERE_ABRUPT: f64 = 2.5e11;
+const MOST_WORK_WHERE_ABRUPT: f64 = 1e11;
 
 /// (1) with everything that defines it.
 pub struct BoundedProblem<'a> {
@@ -156,12 +156,8 @@ impl<'a> BoundedProblem<'a> {
                 Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
             }
             None => {
-                if penalty.least_alpha() >= MIN_TIKHONOV_TWO_LEVEL * strongest {
-                    splines_mm = surrogate::spline_pitch(program.places, &reached, tif);
-                }
-                if splines_mm.is_none() {
-                    cell = surrogate::cell_size(tif, grid, surrogate::MAX_LOSS_GRADIENT);
-                }
+                let weak = penalty.least_alpha() < MIN_TIKHONOV_TWO_LEVEL * strongest;
+                (cell, splines_mm) = cells_of_convolved(program.places, &reached, tif, grid, weak);
                 let cells = (cell, splines_mm);
                 convolved(program.places, &reached, tif, grid, &weight, settings.free, cells)?
             }
@@ -205,6 +201,20 @@ impl<'a> BoundedProblem<'a> {
         true
     }
 
+    /// An H~ without factors in the place of one that is singular to rounding; `false` where there are few points, which
+    /// are not determined then.
+    pub fn without_factors(&mut self, penalty: &Penalty) -> Result<bool, Invalid> {
+        if self.path.len() <= self.settings.max_factorised_points {
+            return Ok(false);
+        }
+        let weak = penalty.least_alpha() < MIN_TIKHONOV_TWO_LEVEL * self.scale.strongest;
+        let grid = self.desired.grid();
+        (self.cell, self.splines_mm) =
+            cells_of_convolved(self.places, &self.reached, self.tif, grid, weak);
+        self.surrogate = self.convolved((self.cell, self.splines_mm))?;
+        Ok(true)
+    }
+
     /// H~ for many dwell points, on cells of a size and with splines of a pitch.
     pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
         let (grid, free) = (self.desired.grid(), self.settings.free);
@@ -229,6 +239,22 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
         }
     });
     centred
+}
+
+/// Cells and pitch of the splines of the surrogate for many dwell points; none where the Tikhonov term is `weak`.
+fn cells_of_convolved(
+    places: &[Vec<Place>],
+    reached: &[bool],
+    tif: &Tif,
+    grid: &Grid,
+    weak: bool,
+) -> (usize, Option<f64>) {
+    let splines_mm = if weak { None } else { surrogate::spline_pitch(places, reached, tif) };
+    let loss = match splines_mm {
+        Some(_) => surrogate::MAX_LOSS_TWO_LEVEL,
+        None => surrogate::MAX_LOSS_GRADIENT,
+    };
+    (surrogate::cell_size(tif, grid, loss), splines_mm)
 }
 
 /// The surrogate for many dwell points, on cells of a size and with splines of a pitch.
