@@ -49,8 +49,11 @@ const PRICE_STEPS: usize = 40;
 const SIMULATED_BELOW: f64 = 0.3;
 
 /// Part of the mean square that the cells may not have seen since the last reference: steps by a curvature of less than
-/// half the true one lead away from the minimum.
-const MOST_UNSEEN: f64 = 0.5;
+/// half the true one lead away from the minimum. Between 1e-4 and 0.04 is usual;
+const MOST_UNSEEN: f64 = 0.1;
+
+/// and up to 0.3 at the first reference, after the long steps from a uniform density.
+const MOST_UNSEEN_AT_FIRST: f64 = 0.5;
 
 /// What a second costs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -102,6 +105,8 @@ pub struct Merit<'a> {
     pub price: f64,
     price_is_found: bool,
     reference: Reference,
+    /// Whether that is another one than the first densities.
+    is_referred: bool,
     executed: Option<Executed<'a>>,
     /// M(D_k) - B D_k of (3), nm, once the motion was simulated.
     beyond_nm: Option<Array2<f64>>,
@@ -178,6 +183,7 @@ impl<'a> Merit<'a> {
                 density,
                 &residual.removal_nm(&mesh.times_s(density)),
             ),
+            is_referred: false,
             executed: None,
             beyond_nm: None,
             last_half_mean_square_nm2: f64::INFINITY,
@@ -205,7 +211,7 @@ impl<'a> Merit<'a> {
     /// motion, unless (3) `stays` what it is.
     ///
     /// What the cells of the normal matrix do not see, of a TIF that ends abruptly on a small map say, is missing in the
-    /// mean square since the last reference: [`FeedError::CellsTooLarge`] where that is most of it.
+    /// mean square since the last reference: [`FeedError::CellsTooLarge`] where that is much of it.
     pub fn refer_to(
         &mut self,
         at: Progress,
@@ -214,15 +220,16 @@ impl<'a> Merit<'a> {
     ) -> Result<(), FeedError> {
         let near = at.complementarity <= SIMULATED_BELOW * self.last_half_mean_square_nm2;
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
-        let executed = self.executed.filter(|_| near && !stays);
-        if let Some(executed) = executed {
+        if let Some(executed) = self.executed.filter(|_| near && !stays) {
             self.beyond_nm = Some(executed(density)? - &model_nm);
         }
         let by_cells = self.by_cells(density).half_mean_square_nm2;
         self.reference = self.reference_at(density, model_nm);
         let there = self.reference.half_mean_square_nm2;
         let pixels = self.residual.cell_size();
-        if executed.is_none() && pixels > 1 && there - by_cells > MOST_UNSEEN * there {
+        let most = if self.is_referred { MOST_UNSEEN } else { MOST_UNSEEN_AT_FIRST };
+        self.is_referred = true;
+        if pixels > 1 && there - by_cells > most * there {
             return Err(FeedError::CellsTooLarge { pixels });
         }
         Ok(())
