@@ -49,11 +49,11 @@ const PRICE_STEPS: usize = 40;
 const SIMULATED_BELOW: f64 = 0.3;
 
 /// Part of the mean square that the cells may not have seen since the last reference: steps by a curvature of less than
-/// half the true one lead away from the minimum. Between 1e-4 and 0.04 is usual;
+/// half the true one lead away from the minimum. Near it between 1e-4 and 0.04 is usual,
 const MOST_UNSEEN: f64 = 0.1;
 
-/// and up to 0.3 at the first reference, after the long steps from a uniform density.
-const MOST_UNSEEN_AT_FIRST: f64 = 0.5;
+/// and on the way there, where more may be unseen of what is left, a hundredth of what it fell by.
+const MOST_UNSEEN_OF_FALL: f64 = 0.3;
 
 /// What a second costs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -105,8 +105,6 @@ pub struct Merit<'a> {
     pub price: f64,
     price_is_found: bool,
     reference: Reference,
-    /// Whether that is another one than the first densities.
-    is_referred: bool,
     executed: Option<Executed<'a>>,
     /// M(D_k) - B D_k of (3), nm, once the motion was simulated.
     beyond_nm: Option<Array2<f64>>,
@@ -183,7 +181,6 @@ impl<'a> Merit<'a> {
                 density,
                 &residual.removal_nm(&mesh.times_s(density)),
             ),
-            is_referred: false,
             executed: None,
             beyond_nm: None,
             last_half_mean_square_nm2: f64::INFINITY,
@@ -223,13 +220,16 @@ impl<'a> Merit<'a> {
         if let Some(executed) = self.executed.filter(|_| near && !stays) {
             self.beyond_nm = Some(executed(density)? - &model_nm);
         }
+        let before = self.reference.half_mean_square_nm2;
         let by_cells = self.by_cells(density).half_mean_square_nm2;
         self.reference = self.reference_at(density, model_nm);
         let there = self.reference.half_mean_square_nm2;
         let pixels = self.residual.cell_size();
-        let most = if self.is_referred { MOST_UNSEEN } else { MOST_UNSEEN_AT_FIRST };
-        self.is_referred = true;
-        if pixels > 1 && there - by_cells > most * there {
+        let unseen = there - by_cells;
+        if pixels > 1
+            && unseen > MOST_UNSEEN * there
+            && unseen > MOST_UNSEEN_OF_FALL * (before - by_cells)
+        {
             return Err(FeedError::CellsTooLarge { pixels });
         }
         Ok(())
