@@ -373,9 +373,7 @@ fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> 
         // Without a way out of the middle the compiler makes vectors of it.
         let any = |part: &[f64]| part.iter().fold(false, |found, v| found | bad(*v));
         let whole = a.as_slice().is_some_and(|a| !a.chunks(VALUES_PER_LOOK).any(any));
-        if let Some((index, v)) =
-            (!whole).then(|| a.indexed_iter().find(|(_, v)| bad(**v))).flatten()
-        {
+        if !whole && let Some((index, v)) = a.indexed_iter().find(|(_, v)| bad(**v)) {
             let remedy =
                 if def.nan_allowed { "mark an invalid pixel by NaN" } else { "give finite values" };
             let index = index.slice().to_vec();

@@ -224,11 +224,11 @@ mod tests {
         };
         // Differences of samples lose (step / width)^2 / 24 of a slope, 2e-4.
         assert!((gaussian(9.0, 181).width_mm() / 1.5 - 1.0).abs() < 3e-4);
-        // A flat pad of n x n samples: 2 n steps along each axis, over n^2.
+        // A flat pad of n x n samples: 2 n steps along each axis, over n^2; but for rounding.
         let pad = |n: usize| Array2::from_elem((n, n), 5.0);
         let flat = Tif::new(Grid { x: axis(3.0, 25), y: axis(3.0, 25) }, pad(25)).unwrap();
         assert!((flat.width_mm() / (0.25 * 5.0 / 2.0) - 1.0).abs() < 1e-12);
-        // A margin of zeros changes nothing, of the pad and of a Gaussian that ends at its width.
+        // A margin of zeros changes nothing, of the pad and of a Gaussian that ends at its width; coordinates round.
         for cropped in [flat, gaussian(1.5, 31)] {
             let n = cropped.grid().x.len();
             let mut rate = Array2::zeros((n + 2, n + 2));

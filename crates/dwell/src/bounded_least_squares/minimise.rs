@@ -217,7 +217,6 @@ impl BoundedProblem<'_> {
             };
             residual_before = natural_residual;
             let factorised = matches!(self.surrogate, Surrogate::Ordered(_));
-            let mut by_gradient = !factorised && self.splines_mm.is_none();
             if slow >= SLOW_STEPS_BEFORE_SHARPENING && factorised && end.is_none() {
                 slow = 0;
                 self.sharpen(&penalty);
@@ -244,17 +243,15 @@ impl BoundedProblem<'_> {
                         let h = penalised.get_or_insert_with(|| h.penalised(&penalty));
                         if let Some((found, count)) = h.minimum(&t, &q, self.lo, &self.hi) {
                             (to, iterations) = (Some(found), iterations + count);
-                        } else if self.sharpen(&penalty) {
+                        } else if self.sharpen(&penalty) || self.without_factors(&penalty)? {
                             penalised = None;
-                        } else if self.without_factors(&penalty)? {
-                            (penalised, by_gradient) = (None, self.splines_mm.is_none());
                         } else {
                             return Err(DwellError::Singular { tikhonov: settings.tikhonov });
                         }
                     }
                     Surrogate::Convolved(h) => {
                         let steps = GradientSettings {
-                            tolerance: if by_gradient {
+                            tolerance: if self.splines_mm.is_none() {
                                 (RESIDUAL_FRACTION_GRADIENT * natural_residual)
                                     .max(0.5 * settings.tolerance_s)
                             } else {
@@ -321,6 +318,8 @@ impl BoundedProblem<'_> {
                     (fall, step, step_nm) = (other, e, e_nm);
                 }
             }
+            let by_gradient =
+                matches!(self.surrogate, Surrogate::Convolved(_)) && self.splines_mm.is_none();
             // The exact step of a descent direction falls but for rounding.
             let enough = if by_gradient { STAGNATION * objective } else { 0.0 };
             if fall <= enough && free.is_none() {

@@ -23,14 +23,15 @@ const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 /// Below this fraction of the largest the energy of a column is computed, not estimated.
 const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 
-/// Largest rate on the border over the peak from which on a TIF ends abruptly. What it does there wide splines cannot say, and the
-/// surrogate of the two-level method takes it for nothing.
+/// Largest rate on the border over the peak from which on a TIF ends abruptly. What it does there wide splines cannot say,
+/// and the surrogate of the two-level method takes it for nothing.
 const ABRUPT_BORDER_TO_PEAK: f64 = 0.1;
 
 /// By what more dwell points are factorised then,
 const MORE_FACTORISED_WHERE_ABRUPT: usize = 5;
 
-/// as long as a factorisation takes no more multiplications than these: seconds, of which some ten are made.
+/// as long as a factorisation takes no more multiplications than these: a second or two, for each of ten (pads) to a
+/// hundred (wide spots that were cropped).
 const MOST_WORK_WHERE_ABRUPT: f64 = 1e11;
 
 /// (1) with everything that defines it.
@@ -156,8 +157,9 @@ impl<'a> BoundedProblem<'a> {
                 Surrogate::Ordered(Ordered::new(cells, &u, &reached, &penalty, cell == 1))
             }
             None => {
-                let weak = penalty.least_alpha() < MIN_TIKHONOV_TWO_LEVEL * strongest;
-                (cell, splines_mm) = cells_of_convolved(program.places, &reached, tif, grid, weak);
+                let alphas = (penalty.least_alpha(), strongest);
+                (cell, splines_mm) =
+                    cells_of_convolved(program.places, &reached, tif, grid, alphas);
                 let cells = (cell, splines_mm);
                 convolved(program.places, &reached, tif, grid, &weight, settings.free, cells)?
             }
@@ -207,10 +209,9 @@ impl<'a> BoundedProblem<'a> {
         if self.path.len() <= self.settings.max_factorised_points {
             return Ok(false);
         }
-        let weak = penalty.least_alpha() < MIN_TIKHONOV_TWO_LEVEL * self.scale.strongest;
-        let grid = self.desired.grid();
+        let (alphas, grid) = ((penalty.least_alpha(), self.scale.strongest), self.desired.grid());
         (self.cell, self.splines_mm) =
-            cells_of_convolved(self.places, &self.reached, self.tif, grid, weak);
+            cells_of_convolved(self.places, &self.reached, self.tif, grid, alphas);
         self.surrogate = self.convolved((self.cell, self.splines_mm))?;
         Ok(true)
     }
@@ -241,14 +242,16 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     centred
 }
 
-/// Cells and pitch of the splines of the surrogate for many dwell points; none where the Tikhonov term is `weak`.
+/// Cells and pitch of the splines of the surrogate for many dwell points; none where the Tikhonov term, its least diagonal
+/// element given beside D, is weak.
 fn cells_of_convolved(
     places: &[Vec<Place>],
     reached: &[bool],
     tif: &Tif,
     grid: &Grid,
-    weak: bool,
+    (least_alpha, strongest): (f64, f64),
 ) -> (usize, Option<f64>) {
+    let weak = least_alpha < MIN_TIKHONOV_TWO_LEVEL * strongest;
     let splines_mm = if weak { None } else { surrogate::spline_pitch(places, reached, tif) };
     let loss = match splines_mm {
         Some(_) => surrogate::MAX_LOSS_TWO_LEVEL,
