@@ -42,8 +42,8 @@ pub struct Feed {
     /// Largest radius to which corners are rounded, mm [default: the TIF's width]
     #[arg(long, value_name = "R")]
     corner_radius_mm: Option<f64>,
-    /// Largest distance of the nodes of the density, mm [default: 0.6 of the TIF's width, and more where
-    /// so many would take minutes]
+    /// Largest distance of the nodes of the density, mm [default: 0.6 of the TIF's width, more where
+    /// so many would take minutes, and less where there are few]
     #[arg(long, value_name = "L")]
     node_spacing_mm: Option<f64>,
     /// How often nodes are added where they are worth most, in the middle between two others; where so many would take

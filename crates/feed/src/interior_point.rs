@@ -83,8 +83,15 @@ const PROGRAM_SOLVED: f64 = 0.1;
 /// Fall of the objective in a step, over the gap that is wanted, above which tangents are not yet kept.
 const STILL_FALLING: f64 = 0.3;
 
-/// By what the complementarity must have fallen before tangents are kept again.
+/// By what the complementarity must have fallen before tangents are kept again,
 const KEPT_AGAIN: f64 = 0.25;
+
+/// down to this part of the gap that is wanted: where rows bend much, the way along them is long, and it is proven earlier
+/// that its end is near.
+const LEAST_KEPT_BELOW: f64 = 0.06;
+
+/// Steps that a proof usually takes: so many of the last ones are for it, wherever the iterate is by then.
+const STEPS_OF_A_PROOF: usize = 25;
 
 /// Least part of the way to the solution under the tangents that is worth going: at its end many rows are nearly active,
 /// which makes the next steps short.
@@ -101,9 +108,9 @@ const ACTIVE_SLACK: f64 = 0.1;
 /// Fall of the complementarity after which f is referred to the iterate, so that it is exact there.
 const REFERRED_AGAIN: f64 = 0.1;
 
-/// Complementarity over f below which an [`approach`] ends: by then the dual variables of the rows that decide are far
+/// Complementarity over f below which an [`approach`] may end: by then the dual variables of the rows that decide are far
 /// above the others.
-const NEAR_THE_MINIMUM: f64 = 0.3;
+pub const NEAR_THE_MINIMUM: f64 = 0.3;
 
 /// Least steps of an [`approach`], in which dual variables that were those of other rows become those of these.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
@@ -296,15 +303,19 @@ pub fn solve(
         let near_enough = progress::of_convergence(first_complementarity, complementarity, enough);
         progress::done(BEFORE_PROOF * near_enough);
         let falls = value_before - at.f.value > STILL_FALLING * enough;
+        let to_go = stop.max_iterations.saturating_sub(iteration);
         let near = settled
             && complementarity <= enough
-            && (at.kept.is_some() || complementarity <= kept_below * enough && !falls);
-        let last = iteration >= stop.max_iterations;
+            && (at.kept.is_some()
+                || complementarity <= kept_below * enough && !falls
+                || to_go <= STEPS_OF_A_PROOF);
+        let last = to_go == 0;
         if near || last || complementarity <= REFERRED_AGAIN * referred_at {
             merit.refer_to(there, &at.density, at.kept.is_some())?;
-            at.f = merit.evaluate(there, &at.density).0;
+            (at.f, settled) = merit.evaluate(there, &at.density);
             referred_at = complementarity;
         }
+        let near = near && settled;
         value_before = at.f.value;
         if at.kept.is_none() {
             values.push(at.f.value);
@@ -332,7 +343,7 @@ pub fn solve(
             }
             if at.kept.is_some() && gap <= PROGRAM_SOLVED * enough {
                 at.move_towards_solution();
-                kept_below *= KEPT_AGAIN;
+                kept_below = (kept_below * KEPT_AGAIN).max(LEAST_KEPT_BELOW);
                 (at.f, settled) = merit.evaluate(there, &at.density);
                 continue;
             }
@@ -372,11 +383,12 @@ pub struct Approach {
     pub iterations: usize,
 }
 
-/// Goes towards the minimum of (1) without proving anything: to where the mesh of the densities can be judged.
+/// Goes towards the minimum of (1) without proving anything, until the complementarity is below this part of f.
 /// `None` where the matrix is singular to rounding.
 pub fn approach(
     program: &Program<'_>,
     start: Start,
+    near: f64,
     max_iterations: usize,
     merit: &mut Merit<'_>,
 ) -> Result<Option<Approach>, FeedError> {
@@ -387,8 +399,7 @@ pub fn approach(
     let mut complementarity = at.complementarity();
     let mut referred_at = complementarity;
     while iterations < max_iterations
-        && (iterations < LEAST_STEPS_OF_AN_APPROACH
-            || complementarity > NEAR_THE_MINIMUM * at.f.value)
+        && (iterations < LEAST_STEPS_OF_AN_APPROACH || complementarity > near * at.f.value)
     {
         let Some(step) = at.step(&row_of) else { return Ok(None) };
         let by_tangents = at.advance(&step);

@@ -42,8 +42,15 @@ const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 /// does not say how far they are: some 30 of them are a plan.
 const MOST_WORK: f64 = 6e10;
 
-/// By what the spacing grows until the work is affordable.
+/// By what the spacing grows until the work is affordable, and shrinks while it is little.
 const WIDENED_BY: f64 = 1.1;
+
+/// Multiplications of one factorisation that take no time beside the rest. Where the first nodes need less, as with a TIF
+/// that is wide for the part, they are closer: densities that are wanted there go up and down steeply.
+pub const LITTLE_WORK: f64 = 1.5e8;
+
+/// Least spacing over the width of the TIF that is taken because there is so little work.
+const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 
 /// Largest spacing over the width of the TIF that is taken for the sake of the work: with a wider one the density
 /// could no longer follow what the TIF removes.
@@ -80,7 +87,7 @@ pub struct Report {
     pub end: End,
     /// Proven bound on how far the objective is above the least one of the last convex program, over it.
     pub relative_gap: f64,
-    /// Steps of the solver, of all its rounds.
+    /// Steps of the solver, of all its rounds, without those that find out where an elasticity is best met.
     pub iterations: usize,
     /// Objective of the last round at its start and after every step, nm^2: the last one, and some before it, with the
     /// removal itself, and those between them by the normal matrix.
@@ -171,9 +178,12 @@ pub fn plan(
     let (mesh, widened) = match settings.node_spacing_mm {
         Some(_) => (Mesh::new(&curves, path, spacing_mm)?, None),
         None => {
-            let widest_mm = WIDEST_SPACING_OVER_TIF_WIDTH * tif_width_mm;
+            let [closest_mm, widest_mm] =
+                [CLOSEST_SPACING_OVER_TIF_WIDTH, WIDEST_SPACING_OVER_TIF_WIDTH]
+                    .map(|w| w * tif_width_mm);
             let (mesh, taken_mm) =
                 affordable(&curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
+            let mesh = closer(&curves, path, tif, (mesh, taken_mm), closest_mm)?;
             let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
             (mesh, (taken_mm > spacing_mm).then_some(widened))
         }
@@ -269,6 +279,25 @@ fn affordable(
     }
 }
 
+/// The nodes of a mesh `spacing_mm` apart, or closer, down to `closest_mm`, as long as that is [`LITTLE_WORK`].
+fn closer(
+    curves: &[Curve],
+    path: &ToolPath,
+    tif: &Tif,
+    (mut mesh, mut spacing_mm): (Mesh, f64),
+    closest_mm: f64,
+) -> Result<Mesh, Invalid> {
+    while spacing_mm > closest_mm {
+        spacing_mm = (spacing_mm / WIDENED_BY).max(closest_mm);
+        let finer = Mesh::new(curves, path, spacing_mm)?;
+        if finer.work(tif) > LITTLE_WORK {
+            break;
+        }
+        mesh = finer;
+    }
+    Ok(mesh)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -302,5 +331,17 @@ mod tests {
         assert!((0.4..0.75).contains(&spacing_mm), "{spacing_mm}");
         assert!(mesh.work(&tif) <= work(0.25) / 8.0);
         assert_eq!(taken(1.0).1, 0.8);
+        // So little work is no reason for nodes as far apart: they are closer, down to the closest or to little work.
+        let closer = |closest_mm: f64| {
+            let mesh = Mesh::new(&curves, &path, 0.25).unwrap();
+            closer(&curves, &path, &tif, (mesh, 0.25), closest_mm).unwrap()
+        };
+        assert!(work(0.25) < LITTLE_WORK / 2.0);
+        assert_eq!(closer(0.24).nodes, Mesh::new(&curves, &path, 0.24).unwrap().nodes);
+        let closest = closer(0.01);
+        assert!(closest.nodes as f64 > nodes);
+        let work = closest.work(&tif);
+        // The next spacing, a tenth less, would take up to WIDENED_BY^3 times the work.
+        assert!((LITTLE_WORK / 1.4..=LITTLE_WORK).contains(&work), "{work}");
     }
 }

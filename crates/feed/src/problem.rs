@@ -10,17 +10,19 @@ use planish_dwell::{
     DwellError,
     residual::{Known, Normal, Residual},
 };
+use planish_numerics::linear::skyline::dot;
 use planish_types::{Invalid, Limits, Surface, Tif, ToolPath, Trajectory, progress};
 use planish_verify::{VerifySettings, verify};
 
 use crate::{
     FeedError,
     curve::Curve,
-    interior_point::{self, Approach, Program, Solution, Start, Stop},
+    interior_point::{self, Approach, NEAR_THE_MINIMUM, Program, Solution, Start, Stop},
     limits::Rows,
-    merit::Merit,
+    merit::{Merit, Price},
     mesh::Mesh,
     motion::{self, Motion},
+    plan::LITTLE_WORK,
     refinement::{Given, Refined},
     settings::Settings,
 };
@@ -39,6 +41,15 @@ const TIGHTENED_FURTHER: f64 = 1.002;
 
 /// Multiplications of a factorisation on the last mesh over those on the first one, at most.
 const MOST_GROWTH: f64 = 5.0;
+
+/// Complementarity over the objective at which two plans can be compared.
+const COMPARABLE: f64 = 0.03;
+
+/// What is less than this part of another is so for certain there.
+const CLEARLY_LESS: f64 = 0.95;
+
+/// Factor between the prices of plans at which an elasticity may be met as well.
+const MUCH_CHEAPER: f64 = 30.0;
 
 /// What is to be removed, with what, along which curves.
 pub struct Asked<'a> {
@@ -113,10 +124,17 @@ fn solve_on_cells(
         reference_s_per_mm: level_s_per_mm.max(1.0 / fastest),
         min_dwell_s_per_mm: settings.min_dwell_s_per_mm,
     };
-    let most_work = (*most_work).min(MOST_GROWTH * mesh.work(tif));
+    let most_work = (*most_work).min(MOST_GROWTH * mesh.work(tif).max(LITTLE_WORK));
     let affordable = |mesh: &Mesh| mesh.work(tif) <= most_work;
     let (mut start, mut known) = (None, None);
     let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
+    if let (Price::Elasticity(x), true) = (settings.price, mesh.work(tif) <= LITTLE_WORK) {
+        let rows = given.rows(&mesh);
+        let posed = Posed::new(asked, &mesh, given.floors(&rows), None, settings, most_pixels)?;
+        let uniform = posed.uniform(&rows, level_s_per_mm);
+        start = Some(posed.start_of_elasticity(&rows, uniform, x, settings)?);
+        known = Some(posed.normal.for_next((0..mesh.nodes).map(Some).collect()));
+    }
     for k in 0..refinements {
         // The last mesh, on which the plan is proven, needs most of the steps.
         let most = (settings.max_iterations - iterations) / 2;
@@ -128,7 +146,7 @@ fn solve_on_cells(
             let (lo, known) = (given.floors(&rows), known.take());
             let posed = Posed::new(asked, &mesh, lo, known, settings, most_pixels)?;
             let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
-            let at = posed.approach(&rows, from, most, settings)?;
+            let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
             let refined = given.refined(&mesh, &rows, &at, affordable);
             Ok::<_, FeedError>((at, refined, posed.normal))
         })?;
@@ -200,14 +218,49 @@ impl<'a> Posed<'a> {
         &self,
         rows: &Rows<'_>,
         start: Start,
-        max_iterations: usize,
+        (near, max_iterations): (f64, usize),
         settings: &Settings,
     ) -> Result<Approach, FeedError> {
         let mut merit = self.merit(&start.density, settings);
         let (diagonal, below) = merit.chain();
         let program = self.program((&diagonal, &below), rows);
-        interior_point::approach(&program, start, max_iterations, &mut merit)?
+        interior_point::approach(&program, start, near, max_iterations, &mut merit)?
             .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })
+    }
+
+    /// Where to begin so that an elasticity is met where it is best to meet it.
+    ///
+    /// The mean square m falls with the total time T by x percent for one percent where m T^x is stationary. With a
+    /// tool that is wide for the part there may be several such plans: low orders go in little time, details in much.
+    /// So the plans around a price that is much higher, and much lower, are tried, and that with the least m T^x is taken.
+    fn start_of_elasticity(
+        &self,
+        rows: &Rows<'_>,
+        uniform: Start,
+        x: f64,
+        settings: &Settings,
+    ) -> Result<Start, FeedError> {
+        let most = (COMPARABLE, settings.max_iterations);
+        let product = |density: &[f64]| {
+            let m = 2.0 * self.residual.evaluate(&self.mesh.times_s(density)).half_mean_square_nm2;
+            let total_s = dot(&self.mesh.lengths_mm(), density);
+            (0.5 * x * m / total_s, m * total_s.powf(x))
+        };
+        let mut found = self.approach(rows, uniform.clone(), most, settings)?;
+        let (price, mut least) = product(&found.density);
+        for factor in [1.0 / MUCH_CHEAPER, MUCH_CHEAPER] {
+            let priced = Settings { price: Price::Nm2PerS(price * factor), ..*settings };
+            let Approach { density, duals, .. } =
+                self.approach(rows, uniform.clone(), most, &priced)?;
+            let from = Start { density, duals: Some(duals) };
+            let other = self.approach(rows, from, most, settings)?;
+            let of_other = product(&other.density).1;
+            if of_other < CLEARLY_LESS * least {
+                (found, least) = (other, of_other);
+            }
+        }
+        let Approach { density, duals, .. } = found;
+        Ok(Start { density, duals: Some(duals) })
     }
 
     /// Rounds of the solver until the judge finds the limits of the motion kept.

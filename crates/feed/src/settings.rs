@@ -23,7 +23,8 @@ pub struct Settings {
     pub corner_deviation_mm: Option<f64>,
     /// Largest radius to which corners are rounded, mm; the TIF's width when absent.
     pub corner_radius_mm: Option<f64>,
-    /// Largest distance of the nodes, mm; 0.6 of the TIF's width when absent.
+    /// Largest distance of the nodes, mm; when absent 0.6 of the TIF's width, more where the solver would take too
+    /// long, and less where it has little work.
     pub node_spacing_mm: Option<f64>,
     /// How often nodes are added where they are worth most; without a spacing that is given only as far as the solver
     /// does not take too long.
