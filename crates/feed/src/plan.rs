@@ -18,7 +18,7 @@ use crate::{
     curve::{self, Curve, Rounding, Smooth},
     jerk::Average,
     mesh::Mesh,
-    problem::{Asked, Found, Meshes, Solved, solve},
+    problem::{Asked, Found, LITTLE_WORK, Meshes, Solved, solve},
     settings::Settings,
 };
 
@@ -45,11 +45,7 @@ const MOST_WORK: f64 = 6e10;
 /// By what the spacing grows until the work is affordable, and shrinks while it is little.
 const WIDENED_BY: f64 = 1.1;
 
-/// Multiplications of one factorisation that take no time beside the rest. Where the first nodes need less, as with a TIF
-/// that is wide for the part, they are closer: densities that are wanted there go up and down steeply.
-pub const LITTLE_WORK: f64 = 1.5e8;
-
-/// Least spacing over the width of the TIF that is taken because there is so little work.
+/// Least spacing over the width of the TIF that is taken where there is so little work.
 const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 
 /// Largest spacing over the width of the TIF that is taken for the sake of the work: with a wider one the density

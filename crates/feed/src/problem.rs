@@ -22,7 +22,6 @@ use crate::{
     merit::{Merit, Price},
     mesh::Mesh,
     motion::{self, Motion},
-    plan::LITTLE_WORK,
     refinement::{Given, Refined},
     settings::Settings,
 };
@@ -41,6 +40,11 @@ const TIGHTENED_FURTHER: f64 = 1.002;
 
 /// Multiplications of a factorisation on the last mesh over those on the first one, at most.
 const MOST_GROWTH: f64 = 5.0;
+
+/// Multiplications of one factorisation that take no time beside the rest. Where the first nodes need less, as with a TIF
+/// that is wide for the part, they are closer, because densities that are wanted there go up and down steeply, and an
+/// elasticity is looked for at more than one price.
+pub const LITTLE_WORK: f64 = 1.5e8;
 
 /// Complementarity over the objective at which two plans can be compared.
 const COMPARABLE: f64 = 0.03;
