@@ -2,10 +2,22 @@
 //!
 //! A residual smaller than the noise of the measurement means that dwell times were spent on the noise. Source:
 //! V. A. Morozov, Soviet Math. Dokl. 7 (1966) 414.
+//!
+//! With a Huber loss there are pits that are neither noise nor removed, and an RMS would be theirs. Then residuals r
+//! beyond the k of the loss do not count, and normal noise of the given RMS s is taken in the same way:
+//!
+//! ```text
+//! mean of r^2 over |r| <= k  against  the mean of x^2 over |x| <= k,   x normal with the deviation s         (1)
+//! ```
 
-use ndarray::Zip;
+use ndarray::{Array2, Zip};
+use planish_numerics::quadrature::gauss_legendre;
 
-use super::{minimise::Iterate, prepared::BoundedProblem, report::BoundedSolution};
+use super::{
+    minimise::{Iterate, huber_weights},
+    prepared::BoundedProblem,
+    report::BoundedSolution,
+};
 use crate::{DwellError, objective::Basis};
 
 /// Range of the smoothness that the noise level chooses from.
@@ -18,6 +30,12 @@ const SMOOTHNESS_FACTOR: f64 = 10.0;
 /// Ratio of two trials, one too smooth and one not, that are near enough to each other.
 const SMOOTHNESS_RATIO: f64 = 1.05;
 
+/// Deviations beyond which there is no noise to rounding.
+const BEYOND_NOISE: f64 = 8.0;
+
+/// Points of the integrals over the normal distribution: exact to rounding over [`BEYOND_NOISE`] deviations.
+const QUADRATURE_POINTS: usize = 32;
+
 /// The minimum, at the given smoothness or at the one that the noise of the map asks for.
 pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellError> {
     let given = problem.settings.smoothness;
@@ -25,8 +43,14 @@ pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellEr
     let mut first = problem.minimise(given)?;
     first.iterations += approach;
     let (smoothness, iterate) = match problem.settings.noise_rms_nm {
-        Some(noise) if problem.rms_nm(&first) < noise => problem.stop_at(noise, first)?,
-        _ => (given, first),
+        Some(noise) => {
+            let noise_nm = problem.settings.huber_nm.map_or(noise, |k| rms_within(noise, k));
+            match problem.rms_nm(&first) < noise_nm {
+                true => problem.stop_at(noise_nm, first)?,
+                false => (given, first),
+            }
+        }
+        None => (given, first),
     };
     Ok(problem.finish(iterate, smoothness)?)
 }
@@ -59,12 +83,61 @@ impl BoundedProblem<'_> {
         Ok((low, best))
     }
 
-    /// RMS of the residual without its free part, nm.
+    /// RMS of the residual without its free part, nm; with a Huber loss as in (1).
     fn rms_nm(&self, iterate: &Iterate) -> f64 {
         let mut r = &self.z - &iterate.removal_nm;
-        Basis::new(self.desired.grid(), &self.weight, self.settings.free)
-            .project(&self.weight, &mut r);
-        let squares = Zip::from(&r).and(&self.weight).fold(0.0, |sum, r, w| sum + w * r * r);
-        (squares / self.weight.sum()).sqrt()
+        let project = |weight: &Array2<f64>, r: &mut Array2<f64>| {
+            Basis::new(self.desired.grid(), weight, self.settings.free).project(weight, r);
+        };
+        project(&self.weight, &mut r);
+        let most = self.settings.huber_nm.unwrap_or(f64::INFINITY);
+        if most.is_finite() {
+            // Pits do not decide what is free either.
+            let weight = huber_weights(&self.weight, &r, most);
+            project(&weight, &mut r);
+        }
+        let within = |(sum, all): (f64, f64), r: &f64, w: &f64| match r.abs() <= most {
+            true => (sum + w * r * r, all + w),
+            false => (sum, all),
+        };
+        let (squares, weight) = Zip::from(&r).and(&self.weight).fold((0.0, 0.0), within);
+        // Where nothing is within, nothing is near the noise.
+        if weight > 0.0 { (squares / weight).sqrt() } else { f64::INFINITY }
+    }
+}
+
+/// The root of the right-hand side of (1), nm.
+fn rms_within(noise_nm: f64, most_nm: f64) -> f64 {
+    let c = most_nm / noise_nm;
+    if !(c < BEYOND_NOISE) {
+        return noise_nm;
+    }
+    // Integrals of the density and of u^2 times it over 0 <= u <= c, with u = x / s; its factor is in both.
+    let (mut inside, mut squares) = (0.0, 0.0);
+    for (f, weight) in gauss_legendre::<QUADRATURE_POINTS>() {
+        let u = f * c;
+        let p = weight * (-0.5 * u * u).exp();
+        inside += p;
+        squares += p * u * u;
+    }
+    noise_nm * (squares / inside).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_within_a_bound_is_less_by_what_is_beyond() {
+        // Tables of the normal distribution: 1 - erf(1 / sqrt 2) = 0.317310507862914, density 0.241970724519143 at 1;
+        // the integral of u^2 p over |u| < 1 is what is inside less twice the density there.
+        let (inside, density): (f64, f64) = (1.0 - 0.317_310_507_862_914, 0.241_970_724_519_143);
+        let expected = ((inside - 2.0 * density) / inside).sqrt();
+        assert!((rms_within(3.0, 3.0) / 3.0 - expected).abs() < 1e-13);
+        // Beyond 7.5 deviations there is 4e-12 of the squares.
+        assert!((rms_within(2.0, 15.0) / 2.0 - 1.0).abs() < 1e-11);
+        assert_eq!(rms_within(2.0, 1e9), 2.0);
+        // Within little it is the same everywhere: k / sqrt 3.
+        assert!((rms_within(2.0, 1e-6) / 1e-6 - 3.0f64.sqrt().recip()).abs() < 1e-9);
     }
 }

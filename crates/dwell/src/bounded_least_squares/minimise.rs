@@ -349,7 +349,7 @@ impl BoundedProblem<'_> {
 
 /// Weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,
 /// for the residual r without its free part.
-fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
+pub(super) fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
     Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))
 }
 

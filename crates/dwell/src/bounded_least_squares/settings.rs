@@ -27,7 +27,8 @@ pub struct Settings {
     pub free: Free,
     /// Residual above which a pixel counts linearly instead of squared (Huber), nm: pits.
     pub huber_nm: Option<f64>,
-    /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller.
+    /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller; with a Huber loss pixels
+    /// beyond its threshold do not count there.
     pub noise_rms_nm: Option<f64>,
     /// Dwell points up to which the surrogate of H is factorised.
     pub max_factorised_points: usize,

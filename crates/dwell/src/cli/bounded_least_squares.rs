@@ -50,7 +50,8 @@ pub struct BoundedLeastSquares {
     /// Residual above which a pixel counts linearly instead of squared, nm: robust to pits
     #[arg(long, value_name = "K")]
     huber_nm: Option<f64>,
-    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it
+    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it, without the
+    /// pixels beyond `--huber-nm`
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
     /// What a dwell time is spent on
