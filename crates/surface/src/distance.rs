@@ -8,6 +8,15 @@
 //! with g(r, c') the distance to the nearest valid pixel of column c'. The minimum over c' is the
 //! lower envelope of parabolas, found for a whole row in one pass.
 //!
+//! A pixel is a rectangle, though, as large as the steps. Its nearest point from the centre of another one is the middle of
+//! an edge, or a corner:
+//!
+//! ```text
+//! d^2(r, c) = min over marked (r', c') of max(|r - r'| - 1/2, 0)^2 dy^2 + max(|c - c'| - 1/2, 0)^2 dx^2
+//! ```
+//!
+//! which is the same minimum with sites half a step to either side, because the edge that is turned away is no nearer.
+//!
 //! Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory Comput. 8 (2012) 415, section 2.
 
 use ndarray::{Array2, ArrayView2};
@@ -92,6 +101,49 @@ fn envelope(sites: &[(usize, usize, f64)], nx: usize, dx: f64) -> Vec<(f64, (usi
         .collect()
 }
 
+/// Distance (ny, nx), mm, of the centre of every pixel from the nearest point of a `marked` one; 0 in these. At least one is
+/// marked.
+pub(crate) fn to_marked(marked: &Array2<bool>, grid: &Grid) -> Array2<f64> {
+    let (ny, nx) = marked.dim();
+    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+    // Squared distance from the marked pixels of the same column, infinite where there is none.
+    let mut in_column = Array2::from_elem((ny, nx), f64::INFINITY);
+    for (mut column, marked) in in_column.columns_mut().into_iter().zip(marked.columns()) {
+        let mut from = |rows: &mut dyn Iterator<Item = usize>| {
+            let mut last: Option<usize> = None;
+            for r in rows {
+                last = if marked[r] { Some(r) } else { last };
+                if let Some(last) = last {
+                    let steps = (r.abs_diff(last) as f64 - 0.5).max(0.0);
+                    column[r] = column[r].min((steps * dy).powi(2));
+                }
+            }
+        };
+        from(&mut (0..ny));
+        from(&mut (0..ny).rev());
+    }
+    let mut distance = Array2::zeros((ny, nx));
+    let rows = distance.outer_iter_mut().into_par_iter().zip(in_column.outer_iter());
+    rows.for_each(|(mut to, squares)| {
+        // Sites every half step, from half a step before the first column: edges and, between them, centres.
+        let mut half_steps = vec![f64::INFINITY; 2 * nx + 1];
+        for (c, square) in squares.iter().enumerate() {
+            half_steps[2 * c..=2 * c + 2].iter_mut().for_each(|site| *site = site.min(*square));
+        }
+        let sites: Vec<(usize, usize, f64)> = half_steps
+            .iter()
+            .enumerate()
+            .filter(|(_, square)| square.is_finite())
+            .map(|(site, square)| (site, 0, *square))
+            .collect();
+        let found = envelope(&sites, 2 * nx + 1, 0.5 * dx);
+        for (c, to) in to.iter_mut().enumerate() {
+            *to = found[2 * c + 1].0.sqrt();
+        }
+    });
+    distance
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -119,6 +171,14 @@ mod tests {
                 assert!((d - want).abs() < 1e-12, "{at:?}: {d}, {want}");
                 let place = found.place[at];
                 assert!(!map[place].is_nan() && (to(place) - want).abs() < 1e-12);
+            }
+            let marked = map.mapv(|v| !v.is_nan());
+            for (at, d) in to_marked(&marked, &grid).indexed_iter() {
+                let beyond = |a: usize, b: usize| (a.abs_diff(b) as f64 - 0.5).max(0.0);
+                let to = |(r, c)| (0.2 * beyond(at.0, r)).hypot(0.3 * beyond(at.1, c));
+                let all = marked.indexed_iter().filter(|(_, marked)| **marked);
+                let want = all.map(|(p, _)| to(p)).fold(f64::INFINITY, f64::min);
+                assert!((d - want).abs() < 1e-12, "{at:?}: {d}, {want}");
             }
         }
     }

@@ -57,7 +57,7 @@ pub enum PrepareError {
     /// The outlier mask would take more than the allowed fraction of the pixels.
     #[error(
         "outlier mask: takes {masked} of {valid} valid pixels ({percent:.2} %, at most {limit} %); \
-         raise the thresholds, or give the right feature size"
+         raise the thresholds, give the right feature size, or a smaller margin (`outlier_dilate_px`)"
     )]
     TooManyMasked {
         /// Pixels that the mask would take.

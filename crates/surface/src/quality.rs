@@ -324,7 +324,12 @@ fn centre_line_report(
 ) -> Result<(LineReport, Piece), Invalid> {
     let (y_mm, line) = centre_line(surface, settings.centre_line_width_mm)?;
     let line = Subject::Profile(line);
-    let line = Piece::new(&line, None, settings.after, settings.ellipse.as_ref())?;
+    // A cylinder along y is a straight line there.
+    let after = match settings.after {
+        Shape::CylinderY => Shape::Plane,
+        shape => shape,
+    };
+    let line = Piece::new(&line, None, after, settings.ellipse.as_ref())?;
     let height = line.height()?;
     let report = LineReport {
         y_mm,

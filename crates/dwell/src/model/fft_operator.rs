@@ -78,18 +78,21 @@ impl FftOperator {
             samples = without_ghosts(samples);
         }
         let shape = (y.sources(), x.sources());
-        let convolution = Convolution::new(kernel(&samples, spread).view(), shape);
-        let placed = placed(places, &x, &y);
-        let swap = |p: &Placed| Placed {
-            cell: [p.cell[1], p.cell[0]],
-            offset: [p.offset[1], p.offset[0]],
-            ..*p
+        let across = || {
+            let placed = placed(places, &x, &y);
+            let swap = |p: &Placed| Placed {
+                cell: [p.cell[1], p.cell[0]],
+                offset: [p.offset[1], p.offset[0]],
+                ..*p
+            };
+            let swapped = placed.par_iter().map(swap).collect();
+            rayon::join(
+                || Across::new(y, x, samples.view(), placed),
+                || Across::new(x, y, samples.t(), swapped),
+            )
         };
-        let swapped = placed.iter().map(swap).collect();
-        let (rows, columns_across) = rayon::join(
-            || Across::new(y, x, samples.view(), placed),
-            || Across::new(x, y, samples.t(), swapped),
-        );
+        let (convolution, (rows, columns_across)) =
+            rayon::join(|| Convolution::new(kernel(&samples, spread).view(), shape), across);
         let corners = rows.corners(&samples);
         let peak = samples.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let (my, mx) = samples.dim();

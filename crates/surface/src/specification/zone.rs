@@ -8,11 +8,11 @@
 //! The outline is where valid pixels meet the rim of the map or invalid pixels that reach to it: a hole in the
 //! middle has no edge zone. A pixel is half a step wide about its centre.
 
-use ndarray::Array2;
+use ndarray::{Array2, s};
 use planish_types::{Axis, ClearAperture, Grid, Invalid, Surface};
 use serde::{Deserialize, Serialize};
 
-use crate::{distance::nearest, quality::Subject};
+use crate::{distance::to_marked, quality::Subject};
 
 /// Which part of a mirror; exactly one of the keys beside the name, or `x_mm` and `y_mm` together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -154,22 +154,20 @@ fn from_outline(surface: &Surface) -> Result<Array2<f64>, Invalid> {
             || c == nx + 1
             || surface.height_nm()[[r - 1, c - 1]].is_nan()
     };
-    // 0 at the invalid pixels that reach to the rim, found from the rim inwards.
-    let mut outside = Array2::from_elem((ny + 2, nx + 2), f64::NAN);
+    // The invalid pixels that reach to the rim, found from the rim inwards.
+    let mut outside = Array2::from_elem((ny + 2, nx + 2), false);
     let mut open: Vec<(usize, usize)> = vec![(0, 0)];
-    outside[[0, 0]] = 0.0;
+    outside[[0, 0]] = true;
     while let Some((r, c)) = open.pop() {
         let steps = [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
         for (r, c) in steps.into_iter().filter(|(r, c)| *r < ny + 2 && *c < nx + 2) {
-            if outside[[r, c]].is_nan() && invalid(r, c) {
-                outside[[r, c]] = 0.0;
+            if !outside[[r, c]] && invalid(r, c) {
+                outside[[r, c]] = true;
                 open.push((r, c));
             }
         }
     }
-    let half = 0.5 * x.step_mm().min(y.step_mm());
-    let distance = nearest(outside.view(), &grid).distance_mm;
-    Ok(Array2::from_shape_fn((ny, nx), |(r, c)| distance[[r + 1, c + 1]] - half))
+    Ok(to_marked(&outside, &grid).slice_move(s![1..=ny, 1..=nx]))
 }
 
 /// Distance of every position of a profile from its nearer end, mm, as a map of one row.

@@ -6,6 +6,7 @@ use planish_numerics::{
     linear::tridiagonal::{self, Row},
 };
 use planish_types::{Axis, Tif};
+use rayon::prelude::*;
 
 use crate::model::columns::Place;
 
@@ -110,13 +111,13 @@ pub struct Placed {
 
 /// The tools of all columns that reach the map, in the order of the columns.
 pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
-    let each = places.iter().enumerate().flat_map(|(j, places)| places.iter().map(move |p| (j, p)));
-    each.filter_map(|(j, Place { position_mm: p, fraction })| {
+    let of_place = |j: usize, Place { position_mm: p, fraction }: &Place| {
         let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
         let (cell, offset) = ([cy, cx], [fy, fx]);
         Some(Placed { cell, offset, fraction: *fraction, column: j as u32 })
-    })
-    .collect()
+    };
+    let columns = places.par_iter().enumerate();
+    columns.flat_map_iter(|(j, places)| places.iter().filter_map(move |p| of_place(j, p))).collect()
 }
 
 /// Zeros in place of the ghost nodes.

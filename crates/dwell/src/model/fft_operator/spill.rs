@@ -78,7 +78,7 @@ impl Across {
         mut places: Vec<Placed>,
     ) -> Self {
         let key = |p: &Placed| (p.cell[0], across.spills(p.offset[0]));
-        places.sort_by_key(key);
+        places.par_sort_by_key(key);
         let mut groups: Vec<Group> = Vec::new();
         for (i, p) in places.iter().enumerate() {
             let (cell, spills) = (p.cell[0] as isize, across.spills(p.offset[0]));
