@@ -14,8 +14,8 @@
 //! ```
 //!
 //! `after` between its pixels is Keys' cubic convolution ([`planish_numerics::keys`]). The centre is
-//! the centroid of what is above half of the peak. The samples stay where they are measured: only
-//! the offsets are counted from the centre.
+//! the centroid of the removal in the square that becomes the TIF, negative noise included: of an asymmetric spot it is not
+//! where the peak is. The samples stay where they are measured: only the offsets are counted from the centre.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -38,6 +38,10 @@ const TOLERANCE: f64 = 1e-6;
 /// Depth of a spot over the RMS outside it below which it may be noise: the deepest of 1e4 pixels of
 /// Gaussian noise is 4 times its RMS.
 const LEAST_CONTRAST: f64 = 5.0;
+
+/// Squares about the centroid of the one before: the spot has fallen to its noise at the edge of a square, so a square that
+/// is off by less than a pixel has the same centroid.
+const CENTRE_ROUNDS: usize = 3;
 
 /// Whether the part moved between the measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -165,13 +169,8 @@ pub fn spot(
     }
     let centre = centroid(grid, &removal, coarse, settings.half_size_mm)?;
     let noise = statistics::statistics(ring.view());
-    let (tif, depth_nm, clipped_share) = cut(grid, &removal, centre, settings)?;
-    if let Some(n) = noise.filter(|n| depth_nm < LEAST_CONTRAST * n.rms) {
-        let problem =
-            format!("is {depth_nm} nm deep, with {} nm RMS outside it: nothing stands out", n.rms);
-        let remedy = "check `before` and after (or `negate`), `align`, or give `spot_mm` X,Y";
-        return Err(Invalid::whole("spot", problem, remedy));
-    }
+    let noise_nm = noise.map(|n| n.rms);
+    let (tif, depth_nm, clipped_share) = cut(grid, &removal, centre, noise_nm, settings)?;
     Ok(Spot {
         tif,
         shift_mm: [shift_px[0] * grid.x.step_mm(), shift_px[1] * grid.y.step_mm()],
@@ -332,29 +331,43 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
     })
 }
 
-/// The centroid of what is above half of the peak, within the half size of `near`.
+/// The centroid of the removal within the half size of itself, found from near it: from that of what is above half of the
+/// peak within the half size of `near`.
 fn centroid(
     grid: &Grid,
     removal: &Array2<f64>,
     near: [f64; 2],
     half_size_mm: f64,
 ) -> Result<[f64; 2], Invalid> {
-    let inside = |r: usize, c: usize| {
+    // The centroid of what is at least so much, about a place: that of the noise is its distance from there.
+    let about = |[x, y]: [f64; 2], least_nm: f64| {
+        let mut sums = [0.0; 3];
+        for ((r, c), v) in removal.indexed_iter().filter(|(_, v)| **v >= least_nm) {
+            let offset = [grid.x.at(c) - x, grid.y.at(r) - y];
+            if offset[0].abs().max(offset[1].abs()) <= half_size_mm {
+                let add = [v * offset[0], v * offset[1], *v];
+                sums.iter_mut().zip(add).for_each(|(s, a)| *s += a);
+            }
+        }
+        (sums[2] > 0.0).then(|| [x + sums[0] / sums[2], y + sums[1] / sums[2]])
+    };
+    let is_near = |r: usize, c: usize| {
         (grid.x.at(c) - near[0]).abs().max((grid.y.at(r) - near[1]).abs()) <= half_size_mm
     };
-    let within = || removal.indexed_iter().filter(|((r, c), v)| !v.is_nan() && inside(*r, *c));
-    let peak = within().map(|(_, v)| *v).fold(0.0, f64::max);
-    if peak <= 0.0 {
+    let heights = removal.indexed_iter().filter(|((r, c), v)| !v.is_nan() && is_near(*r, *c));
+    let peak = heights.map(|(_, v)| *v).fold(0.0, f64::max);
+    let Some(first) = about(near, 0.5 * peak) else {
         let problem = format!("has no removal around x {}, y {} mm", near[0], near[1]);
         let remedy = "check `before` and after (or `negate`), or give `spot_mm` X,Y";
         return Err(Invalid::whole("spot", problem, remedy));
+    };
+    let mut centre = first;
+    for _ in 0..CENTRE_ROUNDS {
+        // Where that is far away, what is there is no spot, and its contrast will say so.
+        let is_near = |c: &[f64; 2]| (0..2).all(|k| (c[k] - first[k]).abs() <= 0.5 * half_size_mm);
+        centre = about(centre, f64::NEG_INFINITY).filter(is_near).unwrap_or(centre);
     }
-    let mut sums = [0.0; 3];
-    for ((r, c), v) in within().filter(|(_, v)| **v >= 0.5 * peak) {
-        let add = [v * grid.x.at(c), v * grid.y.at(r), *v];
-        sums.iter_mut().zip(add).for_each(|(s, a)| *s += a);
-    }
-    Ok([sums[0] / sums[2], sums[1] / sums[2]])
+    Ok(centre)
 }
 
 /// The square around the centre as a TIF, its depth, and the fraction that was clipped.
@@ -362,6 +375,7 @@ fn cut(
     grid: &Grid,
     removal: &Array2<f64>,
     centre: [f64; 2],
+    noise_nm: Option<f64>,
     settings: &SpotSettings,
 ) -> Result<(Tif, f64, f64), Invalid> {
     let half = settings.half_size_mm;
@@ -385,6 +399,12 @@ fn cut(
         return Err(Invalid::whole("spot", problem, remedy));
     }
     let depth_nm = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if let Some(noise_nm) = noise_nm.filter(|n| depth_nm < LEAST_CONTRAST * n) {
+        let problem =
+            format!("is {depth_nm} nm deep, with {noise_nm} nm RMS outside it: nothing stands out");
+        let remedy = "check `before` and after (or `negate`), `align`, or give `spot_mm` X,Y";
+        return Err(Invalid::whole("spot", problem, remedy));
+    }
     let mut clipped_share = 0.0;
     if settings.clip_negative {
         let negative: f64 = depth.iter().filter(|v| **v < 0.0).sum();
@@ -450,10 +470,10 @@ mod tests {
         let made = spot(Some(&before), &after, &settings()).unwrap();
         for k in 0..2 {
             // Keys' interpolation of waves of 5.7 mm at 0.1 mm: (2 pi 0.1 / 5.7)^3 / 6 of 10 nm,
-            // 2e-3 nm against slopes of 10 nm/mm: 2e-4 mm; the centroid of pixels above half of
-            // the peak: some percent of a pixel.
+            // 2e-3 nm against slopes of 10 nm/mm: 2e-4 mm; what that leaves of the waves in the
+            // square is 1e-4 of the spot.
             assert!((made.shift_mm[k] - d[k]).abs() < 3e-4, "{:?}", made.shift_mm);
-            assert!((made.centre_mm[k] - CENTRE[k]).abs() < 5e-3, "{:?}", made.centre_mm);
+            assert!((made.centre_mm[k] - CENTRE[k]).abs() < 1e-3, "{:?}", made.centre_mm);
         }
         assert!(made.outside_rms_nm < 0.01, "{}", made.outside_rms_nm);
         let (gx, gy) = (made.tif.grid().x, made.tif.grid().y);
@@ -466,6 +486,23 @@ mod tests {
             // Interpolation of the dig itself: (0.1 / 0.5)^3 / 6 x 8 nm/s.
             assert!((v - expected).abs() < 1.1e-2, "{x} {y}: {v} for {expected}");
         }
+        // The first moment of the samples is at the offset 0, of a spot with a tail too: beyond its square is 1e-9 of it.
+        let tail = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) - CENTRE[0], g.y.at(r) - CENTRE[1]);
+            let along = if x > 0.0 { 0.35 } else { 0.12 };
+            200.0 * (-x * x / along - y * y / 0.4).exp()
+        });
+        let tailed = Surface::new(g, -tail).unwrap();
+        let how = SpotSettings { align: Alignment::None, baseline: Baseline::None, ..settings() };
+        let made = spot(Some(&Surface::new(g, Array2::zeros(g.shape())).unwrap()), &tailed, &how);
+        let made = made.unwrap();
+        let (gx, rate) = (made.tif.grid().x, made.tif.rate_nm_per_s());
+        let moment: f64 = rate.indexed_iter().map(|((_, c), v)| v * gx.at(c)).sum();
+        assert!((moment / rate.sum()).abs() < 1e-6, "{}", moment / rate.sum());
+        // (sqrt a - sqrt b) / sqrt pi of two halves of Gaussians exp(-x^2 / a), exp(-x^2 / b), sampled at 0.1 mm
+        let expected = (0.35f64.sqrt() - 0.12f64.sqrt()) / std::f64::consts::PI.sqrt();
+        let found = made.centre_mm[0] - CENTRE[0];
+        assert!((found - expected).abs() < 5e-3, "{found} {expected}");
         // Without alignment the waves stay: d times slopes of 10 nm/mm, over the ring.
         let still = SpotSettings { align: Alignment::None, ..settings() };
         let made = spot(Some(&before), &after, &still).unwrap();
