@@ -15,7 +15,7 @@
 //!   to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the lines on both
 //!   sides of it, or the distance to the only one.
 //! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around its
-//!   dwell point; where the square holds no valid pixel, that of the nearest one. A map with negative heights is lifted
+//!   dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest one. A map with negative heights is lifted
 //!   until none is.
 //!
 //! Source: Development of multi-pitch tool path in computer-controlled optical surfacing processes, JEOS-RP 13 (2017),
@@ -97,13 +97,16 @@ pub fn dwell(
     };
     let lifted_nm = (-desired.statistics().min).max(0.0);
     let vrr = tif.vrr_nm_mm2_per_s();
+    let [off_x, off_y] = tif.centroid_mm();
     let mut too_fast = 0;
     for (k, (line, pitch_mm)) in lines.iter().zip(&pitches).enumerate() {
         progress::done(k as f64 / lines.len() as f64);
         for i in line.segments.clone() {
             let length_mm = path.segment_length_mm(i);
             let side_mm = (length_mm * pitch_mm).sqrt();
-            let depth_nm = depth_nm(desired, path.dwell_point_mm()[i], side_mm) + lifted_nm;
+            // Where the tool removes when it is at the dwell point
+            let [x, y] = path.dwell_point_mm()[i];
+            let depth_nm = depth_nm(desired, [x + off_x, y + off_y], side_mm) + lifted_nm;
             // (2)
             let time_s = length_mm * pitch_mm * depth_nm / vrr;
             too_fast += usize::from(time_s < dwell_s[i]);
@@ -387,6 +390,29 @@ mod tests {
         }
         // Beyond the map that of its nearest pixel.
         assert_eq!(depth_nm(&map, [-3.0, 25.0], 1.0), plane(0.0, 20.0));
+    }
+
+    #[test]
+    fn a_tool_that_removes_beside_its_centre_is_a_path_beside_the_map() {
+        let wedge = part(|x, y| 20.0 * x + 5.0 * y);
+        let path = raster(&places(1.0), false, 0.0);
+        let floor = Bound::SecondsPerMm(1e-6);
+        let of = |tif: &Tif, path: &ToolPath| {
+            let (dwell, _) = dwell(&wedge, tif, path, floor, &Settings::default()).unwrap();
+            dwell.dwell_s().to_vec()
+        };
+        let tif = tif();
+        let Grid { x, y } = *tif.grid();
+        let moved = |a: Axis, by: f64| Axis::new(a.start_mm() + by, a.step_mm(), a.len()).unwrap();
+        let grid = Grid { x: moved(x, 1.5), y: moved(y, -0.5) };
+        let off = Tif::new(grid, tif.rate_nm_per_s().clone()).unwrap();
+        let points = path.point_mm().iter().map(|p| [p[0] - 1.5, p[1] + 0.5]).collect();
+        let n = path.len();
+        let beside = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
+        for (a, b) in of(&tif, &path).iter().zip(of(&off, &beside)) {
+            // Rounding of places of 30 mm on slopes of 20 nm/mm.
+            assert!((a - b).abs() < 1e-11 * a.max(1.0), "{a} {b}");
+        }
     }
 
     #[test]

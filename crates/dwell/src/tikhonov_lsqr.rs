@@ -100,9 +100,14 @@ impl Report {
     }
 }
 
-/// Relative dampings of the search: smallest, largest and number. With eight per decade the residual moves
-/// by less than a percent from one to the next.
+/// Relative dampings of the search for a corner: smallest, largest and number, eight per decade.
 const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
+
+/// The same for a noise, which may be a large part of the map: with the largest nearly nothing is removed.
+const SEARCHED_FOR_NOISE: (f64, f64, usize) = (1e-3, 1e1, 33);
+
+/// Parts of the step in which the residual passes the noise: 4 % of a damping each.
+const PARTS_AT_THE_NOISE: usize = 8;
 
 /// Solves (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
@@ -120,10 +125,13 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     if largest <= 0.0 {
         return Err(DwellError::OutOfReach { points: problem.path.len() });
     }
-    let (from, to, count) = SEARCHED_DAMPINGS;
-    let relative: Vec<f64> = match settings.damping {
+    let falling = |(from, to, count): (f64, f64, usize)| -> Vec<f64> {
+        (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect()
+    };
+    let mut relative = match settings.damping {
         Damping::Relative(d) => vec![d],
-        _ => (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect(),
+        Damping::LCurve => falling(SEARCHED_DAMPINGS),
+        Damping::Discrepancy(_) => falling(SEARCHED_FOR_NOISE),
     };
     let run = |b: &[f64], relative: &[f64]| -> Vec<Damped> {
         let dampings: Vec<f64> = relative.iter().map(|d| d * largest).collect();
@@ -138,9 +146,23 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         )
     };
     let z = problem.desired.height_nm();
-    let found = progress::part(0, 2, || run(&model.project(z), &relative));
-    let rms: Vec<f64> =
-        found.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect();
+    let projected = model.project(z);
+    let mut found = progress::part(0, 3, || run(&projected, &relative));
+    let rms_of = |found: &[Damped]| -> Vec<f64> {
+        found.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect()
+    };
+    let mut rms = rms_of(&found);
+    if let Damping::Discrepancy(noise) = settings.damping
+        && let Some(k) = rms.iter().position(|r| *r <= noise).filter(|k| *k > 0)
+    {
+        // Between the last damping with too large a residual and the first without
+        let inner = falling((relative[k], relative[k - 1], PARTS_AT_THE_NOISE + 1));
+        let inner = inner[1..PARTS_AT_THE_NOISE].to_vec();
+        let of_inner = progress::part(1, 3, || run(&projected, &inner));
+        rms.splice(k..k, rms_of(&of_inner));
+        found.splice(k..k, of_inner);
+        relative.splice(k..k, inner);
+    }
     let norm: Vec<f64> =
         found.iter().map(|f| f.value.iter().map(|t| t * t).sum::<f64>().sqrt()).collect();
     let (chosen, noise_reached) = match settings.damping {
@@ -153,7 +175,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     // The answer to a level of dwell: b = s + argmin |A u + A s|^2 + delta^2 |u|^2.
     let level: Vec<f64> = model.weighted(&model.shape).iter().map(|v| -v).collect();
-    let answer = progress::part(1, 2, || run(&level, &relative[chosen..=chosen])).remove(0);
+    let answer = progress::part(2, 3, || run(&level, &relative[chosen..=chosen])).remove(0);
     let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
     let chosen_one = &found[chosen];
     let levelled = model.levelled(&chosen_one.value, &b);

@@ -411,7 +411,7 @@ fn rounds(
                 }
             }
             // B of the motion; t^ = bounded least squares.
-            let places = columns::executed(trajectory, path.len());
+            let places = columns::executed(trajectory, path.len(), tif);
             let (lo, hi, guess) = (lo.clone(), hi.clone(), Some(best_s.clone()));
             let target = quadratic.as_ref().map(|q| less_bias(desired, q)).transpose()?;
             // Sums over the pixels in the solver, means here.

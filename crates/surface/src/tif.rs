@@ -139,7 +139,7 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
     }
     let centre_mm = match settings.centre {
         Centre::Given => [0.0; 2],
-        Centre::Centroid => centroid_mm(&now),
+        Centre::Centroid => now.centroid_mm(),
         Centre::Peak => vertex_mm(&now),
     };
     now = Tif::new(shifted(now.grid(), centre_mm)?, now.rate_nm_per_s().clone())?;
@@ -216,7 +216,7 @@ pub fn tif_statistics(tif: &Tif) -> TifStatistics {
         sample_at_centre: on_node(&g.x) && on_node(&g.y),
         peak_nm_per_s: tif.peak_nm_per_s(),
         peak_at_mm: [g.x.at(c), g.y.at(r)],
-        centroid_mm: centroid_mm(tif),
+        centroid_mm: tif.centroid_mm(),
         vrr_nm_mm2_per_s: tif.vrr_nm_mm2_per_s(),
         fwhm_mm: [
             width_at_half(&row, c).map(|w| w * g.x.step_mm()),
@@ -258,17 +258,6 @@ fn border_mean(tif: &Tif) -> f64 {
         .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
     let (sum, count) = border.fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
     sum / count
-}
-
-/// c = sum R p / sum R
-fn centroid_mm(tif: &Tif) -> [f64; 2] {
-    let g = tif.grid();
-    let mut sum = [0.0; 2];
-    for ((r, c), v) in tif.rate_nm_per_s().indexed_iter() {
-        sum[0] += v * g.x.at(c);
-        sum[1] += v * g.y.at(r);
-    }
-    sum.map(|s| s / tif.rate_nm_per_s().sum())
 }
 
 /// Vertex of the parabolas along x and y through the largest sample and its neighbours.

@@ -130,6 +130,17 @@ impl Tif {
         self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
     }
 
+    /// Centroid of the removal [x, y], mm: where the tool removes most, but for its shape.
+    pub fn centroid_mm(&self) -> [f64; 2] {
+        let Grid { x, y } = &self.grid;
+        let mut sums = [0.0; 2];
+        for ((r, c), rate) in self.rate_nm_per_s.indexed_iter() {
+            sums[0] += rate * x.at(c);
+            sums[1] += rate * y.at(r);
+        }
+        sums.map(|sum| sum / self.rate_nm_per_s.sum())
+    }
+
     /// Effective area `(integral of R)^2 / integral of R^2`, mm^2: that of a tool which removes the same everywhere
     /// under it; `4 pi sigma^2` of a Gaussian.
     pub fn effective_area_mm2(&self) -> f64 {

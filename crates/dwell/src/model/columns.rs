@@ -44,8 +44,18 @@ pub struct Place {
 }
 
 impl Columns {
-    /// Where the tool is in each column; nowhere when it is lifted.
+    /// Where the tool is in each column; nowhere when it is lifted. A three-point Gauss rule on every segment: for one that
+    /// is short beside the tool.
     pub fn places(self, path: &ToolPath) -> Vec<Vec<Place>> {
+        self.places_in_parts(path, [f64::INFINITY; 2])
+    }
+
+    /// The same for segments of any length under this tool: the rule is that of equal parts which are short beside it.
+    pub fn places_under(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<Place>> {
+        self.places_in_parts(path, longest_part_mm(tif))
+    }
+
+    fn places_in_parts(self, path: &ToolPath, longest_mm: [f64; 2]) -> Vec<Vec<Place>> {
         let rule = gauss_legendre::<3>();
         let column = |j: usize| match self {
             _ if !path.tool_on()[j] => Vec::new(),
@@ -53,22 +63,67 @@ impl Columns {
             Self::Segment => {
                 let (start, d) = (path.point_mm()[j], path.displacement_mm(j));
                 let at = |s: f64| [start[0] + s * d[0], start[1] + s * d[1]];
-                rule.map(|(s, fraction)| Place { position_mm: at(s), fraction }).to_vec()
+                let parts = parts(d, longest_mm);
+                in_parts(&rule, parts, |s, fraction| Place { position_mm: at(s), fraction })
             }
         };
         (0..path.len()).map(column).collect()
     }
 }
 
+/// Length along x and y of a part up to which three Gauss points see what a tool removes on the way, mm: two standard
+/// deviations of a Gaussian, of which the fourth of its spread is the less; of a tool with steep flanks, which three points
+/// never see exactly, half of its spread.
+fn longest_part_mm(tif: &Tif) -> [f64; 2] {
+    let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
+    let energy: f64 = rate.iter().map(|r| r * r).sum();
+    // 1 / (2 sigma^2) and sigma^2 / 2 of a Gaussian, weighted with R^2: noise far from the tool counts for nothing.
+    let slopes = tif.slope_energy_per_mm2();
+    [0, 1].map(|axis| {
+        let at = |(r, c): (usize, usize)| if axis == 0 { grid.x.at(c) } else { grid.y.at(r) };
+        let moment = |power: i32, about: f64| {
+            let each = rate.indexed_iter().map(|(i, v)| v * v * (at(i) - about).powi(power));
+            each.sum::<f64>() / energy
+        };
+        let spread_mm = (2.0 * moment(2, moment(1, 0.0))).sqrt();
+        let flank_mm = (2.0 * slopes[axis]).sqrt().recip();
+        2.0 * flank_mm.max(LEAST_PART_OF_SPREAD * spread_mm)
+    })
+}
+
+/// See [`longest_part_mm`].
+const LEAST_PART_OF_SPREAD: f64 = 0.25;
+
+/// Equal parts of a displacement that are no longer than this along x and y.
+fn parts(displacement_mm: [f64; 2], longest_mm: [f64; 2]) -> usize {
+    let along = |axis: usize| (displacement_mm[axis].abs() / longest_mm[axis]).ceil();
+    (along(0).max(along(1)) as usize).max(1)
+}
+
+/// A rule on 0..1 on each of so many equal parts of it.
+fn in_parts(rule: &[(f64, f64)], parts: usize, place: impl Fn(f64, f64) -> Place) -> Vec<Place> {
+    let n = parts as f64;
+    let each = (0..parts).flat_map(|k| rule.iter().map(move |(s, w)| ((k as f64 + s) / n, w / n)));
+    each.map(|(s, w)| place(s, w)).collect()
+}
+
 /// Where the tool is in each of `columns` columns of an executed motion: a three-point Gauss rule in
-/// time on every piece that serves the column with the tool on.
-pub fn executed(trajectory: &Trajectory, columns: usize) -> Vec<Vec<Place>> {
+/// time on every piece that serves the column with the tool on, or on equal parts that are short beside the tool.
+pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<Place>> {
     let rule = gauss_legendre::<3>();
+    let longest_mm = longest_part_mm(tif);
     let mut places = vec![Vec::new(); columns];
     for segment in trajectory.segments().filter(|s| s.tool_on) {
         let Some(column) = segment.dwell_index.and_then(|j| places.get_mut(j)) else { continue };
-        column.extend(rule.map(|(u, w)| Place {
-            position_mm: segment.position_mm(u * segment.duration_s),
+        let at = |u: f64| segment.position_mm(u * segment.duration_s);
+        // The way between four positions is that of a cubic piece but for a few percent.
+        let way = [[0.0, 1.0 / 3.0], [1.0 / 3.0, 2.0 / 3.0], [2.0 / 3.0, 1.0]].map(|[a, b]| {
+            let (a, b) = (at(a), at(b));
+            [0, 1].map(|axis| (b[axis] - a[axis]).abs())
+        });
+        let total = [0, 1].map(|axis| way.iter().map(|d| d[axis]).sum());
+        column.extend(in_parts(&rule, parts(total, longest_mm), |u, w| Place {
+            position_mm: at(u),
             fraction: w * segment.duration_s,
         }));
     }
@@ -629,6 +684,42 @@ mod tests {
     }
 
     #[test]
+    fn a_long_segment_is_seen_in_parts_that_are_short_beside_the_tool() {
+        let a = Axis::new(-5.0, 0.25, 41).unwrap();
+        let g = Grid { x: a, y: a };
+        let sigma = 1.0;
+        let of = |(r, c): (usize, usize)| {
+            (-(a.at(c).powi(2) + a.at(r).powi(2)) / (2.0 * sigma * sigma)).exp()
+        };
+        let tif = Tif::new(g, Array2::from_shape_fn(g.shape(), of)).unwrap();
+        // Two standard deviations; slopes by differences are some percent less.
+        let longest = longest_part_mm(&tif);
+        assert!(longest.iter().all(|mm| (mm / 2.0 - 1.0).abs() < 0.05), "{longest:?}");
+        let points = vec![[0.0, 0.0], [12.0, 0.0], [12.0, 1.5]];
+        let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
+        let places = Columns::Segment.places_under(&path, &tif);
+        assert_eq!([places[0].len(), places[1].len()], [6 * 3, 3]);
+        assert_eq!(places[1], Columns::Segment.places(&path)[1]);
+        // (1 / 12) integral of exp(-(x - s)^2 / 2) over s from 0 to 12: sqrt(2 pi) / 12 in the middle.
+        let at = |x: f64| -> f64 {
+            let each = places[0].iter();
+            each.map(|p| p.fraction * (-(x - p.position_mm[0]).powi(2) / 2.0).exp()).sum()
+        };
+        let expected = std::f64::consts::TAU.sqrt() / 12.0;
+        for x in [5.0, 6.0, 6.3] {
+            // Of three points on two deviations: f^(6) h^7 / 2016000 = 1e-3 at most.
+            assert!((at(x) / expected - 1.0).abs() < 1e-3, "{x}: {} {expected}", at(x));
+        }
+        // So it is in time: the same way, there uniformly.
+        let c = [[0.0, 4.0, 0.0, 0.0], [0.0; 4]];
+        let t = Trajectory::new(vec![0.0, 3.0], vec![c], vec![true], vec![Some(0)]).unwrap();
+        for (a, b) in executed(&t, 1, &tif)[0].iter().zip(&places[0]) {
+            assert!((a.fraction - b.fraction).abs() < 1e-14);
+            assert!((a.position_mm[0] - b.position_mm[0]).abs() < 1e-13);
+        }
+    }
+
+    #[test]
     fn executed_columns_average_in_time_along_the_motion() {
         // x = u^2 in [0, 1]: the mean of x^2 in time is 1/5 of (1)^2, of a uniform motion 1/3.
         let c = [[0.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0, 0.0]];
@@ -639,7 +730,8 @@ mod tests {
             vec![Some(0), Some(1)],
         )
         .unwrap();
-        let places = executed(&t, 2);
+        let (tif, _) = rough();
+        let places = executed(&t, 2, &tif);
         let mean = |f: fn(f64) -> f64| -> f64 {
             places[0].iter().map(|p| p.fraction * f(p.position_mm[0])).sum()
         };
