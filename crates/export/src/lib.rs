@@ -141,6 +141,9 @@ pub struct About {
     pub rounding_mm: [f64; 2],
     /// Largest difference between a time and its ticks, s.
     pub rounding_s: f64,
+    /// Of a program of straight lines, its largest distance from the plan at equal times, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_straight_mm: Option<f64>,
     /// What is proven of the motion that the controller executes.
     pub limits: Proof,
     /// What the user should know.
@@ -148,6 +151,9 @@ pub struct About {
     /// BLAKE3 of the bytes of the program: the reader refuses another program with this file.
     pub program_blake3: String,
 }
+
+/// Distance of straight lines from the plan at equal times that is worth a warning, mm: as far as corners are rounded.
+const WARNED_FROM_STRAIGHT_MM: f64 = 0.02;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
 pub fn program(
@@ -254,6 +260,13 @@ impl Job<'_> {
         let proof = limits::prove(&q, self.machine.limits(), can.between)?;
         warnings
             .extend(proof.largest.iter().filter(|p| p.excess > 0.0).map(limits::Peak::sentence));
+        let from_straight_mm = (can.between == Between::Straight).then_some(table.from_straight_mm);
+        if let Some(mm) = from_straight_mm.filter(|mm| *mm > WARNED_FROM_STRAIGHT_MM) {
+            warnings.push(format!(
+                "straight lines in the plan's times are up to {mm:.3} mm from where the plan is then: give a shorter \
+                 `max_step_s`, or simulate the program"
+            ));
+        }
         let n = q.ticks.len() - 1;
         let about = About {
             controller: can.controller,
@@ -275,6 +288,7 @@ impl Job<'_> {
             buffer_lasts_s: None,
             rounding_mm: q.rounding_mm,
             rounding_s: q.rounding_s,
+            from_straight_mm,
             limits: proof,
             warnings,
             program_blake3: String::new(),

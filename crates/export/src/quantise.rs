@@ -195,6 +195,7 @@ mod tests {
                 .collect(),
             velocity_mm_per_s: vec![[0.0; 2]; n + 1],
             tool_on: vec![true; n],
+            from_straight_mm: 0.0,
         }
     }
 
@@ -217,6 +218,7 @@ mod tests {
             position_mm: [0.0, 0.01, 1.0, 1.01, 2.0, 2.02].map(|x| [x, 0.0]).to_vec(),
             velocity_mm_per_s: [0.0, 100.0, 100.0, 90.0, 100.0, 0.0].map(|v| [v, 0.0]).to_vec(),
             tool_on: vec![true, false, true, false, true],
+            from_straight_mm: 0.0,
         };
         let q = quantise(&table, &quanta(1e-3, 1e-3), [1, 100]).unwrap();
         assert_eq!(q.ticks, [0, 10, 20]);

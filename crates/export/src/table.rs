@@ -10,6 +10,9 @@ use planish_types::{Invalid, Segment, Trajectory, budget::affordable};
 /// Memory of a segment: ends as floats and as counts, and two lines of text (up to 60 bytes each).
 const BYTES_PER_SEGMENT: usize = 256;
 
+/// Fractions of a segment at which a cubic is compared with a straight line: what lies between is larger by a few percent.
+const WITHIN: [f64; 3] = [0.25, 0.5, 0.75];
+
 /// Ends of segments: n + 1 of them, with n flags of the tool between.
 #[derive(Clone, Debug)]
 pub struct Table {
@@ -21,6 +24,8 @@ pub struct Table {
     pub velocity_mm_per_s: Vec<[f64; 2]>,
     /// Whether the tool removes (n).
     pub tool_on: Vec<bool>,
+    /// Largest distance of the motion from the straight line between two ends, at equal times, mm.
+    pub from_straight_mm: f64,
 }
 
 impl Table {
@@ -35,6 +40,7 @@ impl Table {
             position_mm: Vec::with_capacity(all + 1),
             velocity_mm_per_s: Vec::with_capacity(all + 1),
             tool_on: Vec::with_capacity(all),
+            from_straight_mm: 0.0,
         };
         for segment in trajectory.segments() {
             let parts = parts(segment.duration_s) as usize;
@@ -42,6 +48,13 @@ impl Table {
                 let u = segment.duration_s * k as f64 / parts as f64;
                 table.push(segment.start_s - start_s + u, &segment, u);
                 table.tool_on.push(segment.tool_on);
+                let at = |f: f64| segment.position_mm(u + f * segment.duration_s / parts as f64);
+                let (from, to) = (at(0.0), at(1.0));
+                for f in WITHIN {
+                    let p = at(f);
+                    let off = [0, 1].map(|a| p[a] - from[a] - f * (to[a] - from[a]));
+                    table.from_straight_mm = table.from_straight_mm.max(off[0].hypot(off[1]));
+                }
             }
         }
         let last = trajectory.segment(trajectory.len() - 1);

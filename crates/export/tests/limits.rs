@@ -86,7 +86,16 @@ fn what_rounding_adds_is_stated_and_more_is_refused() {
     for controller in controllers() {
         let about = export(&plan, &machine, &controller, 1e-4).unwrap();
         assert!(about.limits.largest.iter().all(|p| p.excess == 0.0), "{controller:?}: {about:?}");
-        assert!(about.warnings.is_empty(), "{:?}", about.warnings);
+        // From rest to rest f = 3 u^2 - 2 u^3 of 1.0049 mm: at a quarter 10 / 64 and not 16 / 64.
+        let expected = 1.0049 * 6.0 / 64.0;
+        match about.from_straight_mm {
+            None => assert!(about.warnings.is_empty(), "{:?}", about.warnings),
+            Some(mm) => {
+                assert!((mm - expected).abs() < 1e-12 && about.warnings.len() == 1, "{about:?}");
+                assert!(about.warnings[0].contains("0.094 mm from where the plan is"));
+            }
+        }
+        assert_eq!(about.from_straight_mm.is_some(), about.controller == "gcode");
     }
     // 1.01 mm instead of 1.0049: 0.5 percent more.
     let shorter = rest_to_rest(1.0051, 0.125);

@@ -66,6 +66,9 @@ fn a_motion_goes_to_the_machine_and_back() {
     assert_eq!(manifest.settings["transform"]["matrix"][0][0], loaded.value.matrix()[0][0]);
     let p = there.value.segment(0).position_mm(0.0);
     assert!((0..2).all(|a| (p[a] - q[a]).abs() < 1e-12), "{p:?}");
+    // Twice would be somewhere else.
+    let twice = refused(dir, "apply --transform t --trajectory there");
+    assert!(twice.contains("there: is in the coordinates of the machine already"), "{twice}");
     let back = "apply --transform t --trajectory there --inverse --out back";
     done(dir, back);
     let back = artifact::read::<Trajectory>(&dir.join("back")).unwrap();

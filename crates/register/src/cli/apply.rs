@@ -1,6 +1,6 @@
 //! `planish-register apply`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
 use planish_handoff::{
@@ -39,15 +39,28 @@ impl ApplyArgs {
         let transform = if self.inverse { given.inverse()? } else { given };
         match (&self.tool_path, &self.trajectory) {
             (Some(dir), _) => {
-                let path: ToolPath = inputs.read("tool-path", dir)?;
+                let path: ToolPath = self.read("tool-path", dir, &mut inputs)?;
                 self.write(&inputs, &transform, |t| t.tool_path(&path).map_err(Failure::from))
             }
             (None, Some(dir)) => {
-                let motion: Trajectory = inputs.read("trajectory", dir)?;
+                let motion: Trajectory = self.read("trajectory", dir, &mut inputs)?;
                 self.write(&inputs, &transform, |t| t.trajectory(&motion).map_err(Failure::from))
             }
             (None, None) => Err(Failure::new("give --tool-path or --trajectory")),
         }
+    }
+
+    /// Reads what is to be taken to the machine; refuses what says that it is there.
+    fn read<T: Artifact>(&self, role: &str, dir: &Path, inputs: &mut Inputs) -> Result<T, Failure> {
+        let (found, manifest) = inputs.read_with_manifest(role, dir)?;
+        if !self.inverse && manifest.is_some_and(|m| m.frame == MACHINE_FRAME) {
+            return Err(Failure::new(format!(
+                "{}: is in the coordinates of the machine already; give what lies on the part, or `--inverse` to take \
+                 it back there",
+                dir.display()
+            )));
+        }
+        Ok(found)
     }
 
     fn write<T: Artifact>(
