@@ -109,7 +109,7 @@ impl BoundedProblem<'_> {
 /// The root of the right-hand side of (1), nm.
 fn rms_within(noise_nm: f64, most_nm: f64) -> f64 {
     let c = most_nm / noise_nm;
-    if !(c < BEYOND_NOISE) {
+    if c >= BEYOND_NOISE {
         return noise_nm;
     }
     // Integrals of the density and of u^2 times it over 0 <= u <= c, with u = x / s; its factor is in both.
