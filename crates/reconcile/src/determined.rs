@@ -1,5 +1,8 @@
 //! Whether the data determine a parameter.
 //!
+//! Before any of it, what is known beforehand must not contradict the data ([`contradicted`]): such a parameter is
+//! refused, and the others are estimated with its usual scale.
+//!
 //! A number is given where all of this holds, and otherwise the parameter is refused with the first that does not:
 //!
 //! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
@@ -100,6 +103,47 @@ pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move
         Move { by: step[i], standard_error: variance.max(0.0).sqrt() }
     };
     (0..fit.parameters.len()).map(of).collect()
+}
+
+/// What the data say of parameter `i` of a fit with the orders `own` without what is known of it beforehand, to first
+/// order at the minimum.
+fn alone(fit: &Fit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> Move {
+    let maps: Vec<Array2<f64>> = terms(own).into_iter().map(|t| t.map(data.grid)).collect();
+    let mut known = fit.known.clone();
+    known[i] = 0.0;
+    let freed = Normal::new(&fit.columns[..fit.parameters.len()], &maps, &data.valid, known);
+    let inverse = freed.inverse();
+    // Its terms are found anew, so those of the fit are data again.
+    let data = &fit.rest + &(&fit.metrology * &data.valid);
+    let step = freed.step(&data, &fit.values, &inverse, 0.0);
+    let mut field = Array2::zeros(data.dim());
+    for (j, column) in freed.columns.iter().enumerate() {
+        let weight = inverse[(i, j)] / (freed.lengths[i] * freed.lengths[j]);
+        field.scaled_add(weight, column);
+    }
+    let variance: f64 = dot(&field, &fit.noise.apply(&field));
+    Move { by: fit.values[i] + step[i], standard_error: variance.max(0.0).sqrt() }
+}
+
+/// The parameter of which what is known beforehand contradicts the data most, if there is one: without it they put the
+/// parameter beyond [`BELIEVABLE`] of its `scale`, and [`SIGNIFICANT`] standard errors from the plan. Held near the plan all the
+/// same, it would leave to the others what it does.
+pub fn contradicted(
+    fit: &Fit,
+    data: &Data<'_>,
+    own: Option<[usize; 2]>,
+    scale: impl Fn(Parameter) -> f64,
+) -> Option<Parameter> {
+    let of = |(i, parameter): (usize, &Parameter)| {
+        let found = alone(fit, data, own, i);
+        let beyond = found.by.abs() / (BELIEVABLE * scale(*parameter));
+        let is_clear = found.by.abs() > SIGNIFICANT * found.standard_error;
+        (beyond > 1.0 && is_clear).then_some((*parameter, beyond))
+    };
+    // A scale as wide as the usual one is no knowledge of this run.
+    let stated = |(_, p): &(usize, &Parameter)| scale(**p) < p.usual_scale();
+    let all = fit.parameters.iter().enumerate().filter(stated).filter_map(of);
+    all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
 /// Why the data do not determine parameter `i` of a fit; `None` where they do.

@@ -11,7 +11,7 @@ use planish_types::{Axis, Invalid, Surface, Tif, Trajectory, Transform};
 
 use crate::{
     bands::{Maps, bands},
-    determined::{all_moves, refusal, wider_orders},
+    determined::{all_moves, contradicted, refusal, shown, wider_orders},
     fit::{Data, Fit, Start, fit},
     left::left,
     metrology,
@@ -128,16 +128,29 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     let moved = comparison.moved_tif(settings)?;
     let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
     let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
-    let model = Model::new(&runs, &moved, parameters, scale);
-
-    // (1), by Gauss and Newton
-    let found = fit(&model, &terms, &data, &Start::new(&model)?)?;
+    // (1), by Gauss and Newton; again with the usual scale of what contradicts the data
+    let mut released: Vec<Parameter> = Vec::new();
+    let found = loop {
+        let scale = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
+        let model = Model::new(&runs, &moved, parameters.clone(), scale);
+        let found = fit(&model, &terms, &data, &Start::new(&model)?)?;
+        match contradicted(&found, &data, settings.metrology_order, scale) {
+            Some(parameter) => released.push(parameter),
+            None => break found,
+        }
+    };
 
     // What of it the data determine
     let orders = wider_orders(settings.metrology_order);
     let moved_by = all_moves(&found, &data, settings.metrology_order);
     let refusals: Vec<Option<String>> = (0..found.parameters.len())
-        .map(|i| refusal(&found, i, scale(found.parameters[i]), &moved_by[i]))
+        .map(|i| {
+            let parameter = found.parameters[i];
+            match released.contains(&parameter) {
+                true => Some(contradiction(&found, i, scale(parameter))),
+                false => refusal(&found, i, scale(parameter), &moved_by[i]),
+            }
+        })
         .collect();
     let known: Vec<(Parameter, f64)> = (0..found.parameters.len())
         .filter(|i| refusals[*i].is_none())
@@ -176,7 +189,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         map
     };
     Ok(Reconciled {
-        drawback: drawback(settings, &found, &refusals),
+        drawback: drawback(settings, &found, &refusals, &released),
         correlation: Array2::from_shape_fn((n, n), |(i, j)| found.correlation(i, j)),
         measured_nm: with_nan(&measured),
         planned_nm: runs.executed.clone(),
@@ -266,7 +279,31 @@ fn ellipse(fit: &Fit, refusals: &[Option<String>]) -> Option<Ellipse> {
     })
 }
 
-fn drawback(settings: &Settings, fit: &Fit, refusals: &[Option<String>]) -> Option<String> {
+/// What is said of parameter `i` where its scale contradicts the data.
+fn contradiction(fit: &Fit, i: usize, scale: f64) -> String {
+    let parameter = fit.parameters[i];
+    format!(
+        "the data contradict the {} that are known beforehand: without them they give {} +- {}; the other parameters are \
+         estimated without them, too",
+        shown(parameter, scale),
+        shown(parameter, fit.values[i]),
+        shown(parameter, fit.standard_error(i))
+    )
+}
+
+fn drawback(
+    settings: &Settings,
+    fit: &Fit,
+    refusals: &[Option<String>],
+    released: &[Parameter],
+) -> Option<String> {
+    if !released.is_empty() {
+        let names: Vec<&str> = released.iter().map(|p| p.name()).collect();
+        return Some(format!(
+            "the data contradict what the process says of {}: mend the process, or plan with its wider error",
+            names.join(", ")
+        ));
+    }
     let wanted = |p: &Parameter| settings.free.iter().any(|name| name == p.name());
     let refused: Vec<&str> = (0..refusals.len())
         .filter(|i| refusals[*i].is_some() && wanted(&fit.parameters[*i]))

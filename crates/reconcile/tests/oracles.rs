@@ -218,6 +218,53 @@ fn what_the_data_do_not_determine_is_refused_by_name_and_with_the_reason() {
     assert_eq!(held, 6);
 }
 
+#[test]
+fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
+    // Only the rate is not as planned, by 5 %; a process says that it is to 0.1 %.
+    let process = |size: f64| {
+        let error = json!({
+            "kind": "rate_scale", "size": size, "unit": "%", "distribution": "normal", "note": ""
+        });
+        let file: ProcessFile =
+            serde_json::from_value(json!({ "name": "test", "errors": [error] })).unwrap();
+        file.checked().unwrap()
+    };
+    // Noise that no parameter takes up: some sines of 0.2 nm from pixel to pixel.
+    let noise =
+        |x: f64, y: f64| 0.2 * (61.3 * x + 47.9 * y).sin() + 0.2 * (53.1 * x - 71.7 * y).cos();
+    let measured = after(&removal(&planned(), &gaussian(1.05, 1.0, 1.0, 0.0)), noise);
+    let (before, trajectory, tif) = (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0));
+    let learnt = |process: &planish_simulate::process::Process| {
+        let comparison = Comparison {
+            before: &before,
+            after: &measured,
+            trajectory: &trajectory,
+            tif: &tif,
+            process: Some(process),
+            transform: None,
+        };
+        reconcile(&comparison, &Settings::default()).unwrap()
+    };
+    let found = learnt(&process(0.1));
+    let reason = refusal(&found, Parameter::RateScale).unwrap();
+    println!("{reason}");
+    assert!(
+        reason.contains("contradict the 0.1 %") && reason.contains("they give 4.97 %"),
+        "{reason}"
+    );
+    let drawback = found.drawback.as_ref().unwrap();
+    assert!(drawback.contains("rate_scale"), "{drawback}");
+    // The others are what they are with a process that allows for it: without the rate the width took 5 % of it.
+    let wide = learnt(&process(5.0));
+    assert!(wide.drawback.is_none(), "{:?}", wide.drawback);
+    assert!((value(&wide, Parameter::RateScale) - 5.0).abs() < 0.2);
+    for (narrow, wide) in found.outcome.parameters.iter().zip(&wide.outcome.parameters) {
+        if let (Some(a), Some(b), Some(error)) = (narrow.value, wide.value, wide.standard_error) {
+            assert!(a.abs() < 4.0 * error && (a - b).abs() < error, "{narrow:?} {wide:?}");
+        }
+    }
+}
+
 /// How a parameter moves with more terms of the metrology is said without a second fit; here is the second fit.
 #[test]
 fn a_move_with_the_metrology_is_that_of_the_wider_fit() {
