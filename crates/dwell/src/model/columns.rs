@@ -72,8 +72,8 @@ impl Columns {
 }
 
 /// Length along x and y of a part up to which three Gauss points see what a tool removes on the way, mm: two standard
-/// deviations of a Gaussian, of which the fourth of its spread is the less; of a tool with steep flanks, which three points
-/// never see exactly, half of its spread.
+/// deviations of a Gaussian, by its slopes. A tool with steep flanks is narrow by these, and three points never see it
+/// exactly; of such a one it is half of the spread.
 fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
     let energy: f64 = rate.iter().map(|r| r * r).sum();

@@ -112,11 +112,11 @@ pub struct Schedule {
 }
 
 /// Rounds after which segments are slowed together: what a stretched segment asks of its neighbours can go round, a
-/// slower motion of all that take part cannot. How many do is not known, so it is this many on each side of a segment
-/// that exceeds a limit first, and from round to round twice as many.
+/// slower motion of all that take part cannot.
 const ROUNDS_BEFORE_SLOWING_TOGETHER: usize = 60;
 
-/// See [`ROUNDS_BEFORE_SLOWING_TOGETHER`].
+/// How many take part is not known: so many on each side of a segment that exceeds a limit at first, and twice as many
+/// from round to round.
 const FIRST_TOGETHER: usize = 1;
 
 /// Schedules `path` with the times `dwell` within `limits`.
