@@ -208,6 +208,29 @@ mod tests {
     }
 
     #[test]
+    fn no_segment_has_less_than_its_dwell_time_where_densities_are_held() {
+        // Lengths from 0.01 to 1.2 mm and times that have nothing to do with them: many densities would be negative.
+        let free = machine([1e6; 2], [1e9; 2]);
+        let mut state = 5u64;
+        let mut random = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 33) as f64 / 2f64.powi(31)
+        };
+        let (mut points, mut t) = (vec![[0.0, 3.0]], Vec::new());
+        for _ in 0..400 {
+            points.push([points[points.len() - 1][0] + 0.01 * 120f64.powf(random()), 3.0]);
+            t.push(0.01 + 0.2 * random());
+        }
+        let path = ToolPath::through(points, vec![true; 400], vec![0; 400]).unwrap();
+        let dwell = DwellTime::new(t.clone()).unwrap();
+        let s = schedule(&path, &dwell, &free, &Settings::default()).unwrap();
+        assert!(s.report.held_densities > 20);
+        for (i, (found, wanted)) in times(&s.trajectory, 400).iter().zip(&t).enumerate() {
+            assert!(*found > wanted * (1.0 - 1e-6), "{i}: {found} {wanted}");
+        }
+    }
+
+    #[test]
     fn equal_density_is_constant_feed() {
         let s = schedule(
             &straight(10, 0.5),

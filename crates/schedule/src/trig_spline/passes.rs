@@ -24,6 +24,12 @@ const SAME_DIRECTION: f64 = 1e-9;
 /// motion is judged.
 const SAME_LINE_MM: f64 = 1e-7;
 
+/// A straight whose time is short by less than this part of it has its time but for rounding.
+const SHORT: f64 = 1e-9;
+
+/// How often a density that is held may be let go: two that hold each other in turn would go on for ever.
+const MOST_LET_GO: usize = 3;
+
 /// A blend takes at most this fraction of the shorter of its two segments.
 const LARGEST_BLEND: f64 = 0.25;
 
@@ -233,9 +239,10 @@ impl Pass {
             rows[k + 1][0] += after[0];
             rows[k + 1][1] += after[1];
         }
-        // A density that falls too low is held, and its row given up; the others stay exact.
+        // A density that falls too low is held, and its row has more than its time; the others stay exact. One that was
+        // held before its neighbours were may have less than its time: it is let go again, a few times at most.
         let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
-        let mut held = vec![false; n];
+        let (mut held, mut times_let_go) = (vec![false; n], vec![0; n]);
         loop {
             // Every row is diagonally dominant, at least weakly.
             let d = tridiagonal::solve(n, |k| match held[k] {
@@ -244,11 +251,25 @@ impl Pass {
             });
             let low: Vec<usize> =
                 (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
-            if low.is_empty() {
+            let time = |k: usize| {
+                let [before, own, after] = rows[k];
+                let at = |k: Option<usize>| k.and_then(|k| d.get(k)).copied().unwrap_or(0.0);
+                before * at(k.checked_sub(1)) + own * d[k] + after * at(Some(k + 1))
+            };
+            let short = |k: &usize| held[*k] && time(*k) < (1.0 - SHORT) * times[*k];
+            let let_go: Vec<usize> = match low.is_empty() {
+                true => (0..n).filter(|k| times_let_go[*k] < MOST_LET_GO).filter(short).collect(),
+                false => Vec::new(),
+            };
+            if low.is_empty() && let_go.is_empty() {
                 report.held_densities += held.iter().filter(|h| **h).count();
                 return d;
             }
             low.into_iter().for_each(|k| held[k] = true);
+            for k in let_go {
+                held[k] = false;
+                times_let_go[k] += 1;
+            }
         }
     }
 
