@@ -519,7 +519,8 @@ fn a_campaign_and_the_next_run_of_a_lab_take_any_names_and_keep_to_their_directo
         format!("trajectory={out}/first/methods/pvt/trajectory"),
         "tif=tool".into(),
         "machine=machine.json".into(),
-        format!("process={out}/learning/1/process.json"),
+        // With what was learnt of that run the tool would be known better than as it is.
+        "process=-hidden' errors.json".into(),
         "refine=no".into(),
         "out=next $(touch PWNED)".into(),
     ];
