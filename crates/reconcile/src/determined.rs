@@ -21,6 +21,7 @@
 //!    sandwich covariance). Where the noise is correlated further than the map can tell, standard errors are lower
 //!    bounds, and a move beyond that of the parameter is enough.
 
+use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_types::{End, text::significant};
 
@@ -82,47 +83,54 @@ pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
     [0, 1].map(|axis| WIDER[axis].max(own[axis] + FURTHER))
 }
 
+/// A fit with other terms of the metrology, or with other knowledge beforehand, to first order at the minimum of the fit.
+struct Another {
+    normal: Normal,
+    inverse: DMatrix<f64>,
+    /// How its unknowns move.
+    step: DVector<f64>,
+}
+
+impl Another {
+    fn new(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>, known: Vec<f64>) -> Self {
+        let maps: Vec<Array2<f64>> = terms(orders).into_iter().map(|t| t.map(data.grid)).collect();
+        let parameters = &fit.columns[..fit.parameters.len()];
+        let normal = Normal::new(parameters, &maps, &data.valid, known);
+        let inverse = normal.inverse();
+        // Its terms are found anew, so those of the fit are data again.
+        let data = &fit.rest + &(&fit.metrology * &data.valid);
+        let step = normal.step(&data, &fit.values, &inverse, 0.0);
+        Self { normal, inverse, step }
+    }
+
+    fn influence(&self, i: usize) -> Array2<f64> {
+        self.normal.influence(&self.inverse, i)
+    }
+}
+
+/// Standard error of what a field gives with the noise of a fit.
+fn standard_error(fit: &Fit, field: &Array2<f64>) -> f64 {
+    dot(field, &fit.noise.apply(field)).max(0.0).sqrt()
+}
+
 /// How the parameters of a fit move with the terms of these orders free in the place of its own (`None`: piston, tilt
 /// and power), to first order at its minimum.
 pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
-    let maps: Vec<Array2<f64>> = terms(orders).into_iter().map(|t| t.map(data.grid)).collect();
-    let parameters = &fit.columns[..fit.parameters.len()];
-    let wider = Normal::new(parameters, &maps, &data.valid, fit.known.clone());
-    let inverse = wider.inverse();
-    // Its terms are found anew, so those of the fit are data again.
-    let data = &fit.rest + &(&fit.metrology * &data.valid);
-    let step = wider.step(&data, &fit.values, &inverse, 0.0);
+    let wider = Another::new(fit, data, orders, fit.known.clone());
     let of = |i: usize| {
-        // Influence of the wider fit less that of the fit
-        let mut field = -fit.influence(i);
-        for (j, column) in wider.columns.iter().enumerate() {
-            let weight = inverse[(i, j)] / (wider.lengths[i] * wider.lengths[j]);
-            field.scaled_add(weight, column);
-        }
-        let variance = dot(&field, &fit.noise.apply(&field));
-        Move { by: step[i], standard_error: variance.max(0.0).sqrt() }
+        let field = wider.influence(i) - fit.influence(i);
+        Move { by: wider.step[i], standard_error: standard_error(fit, &field) }
     };
     (0..fit.parameters.len()).map(of).collect()
 }
 
-/// What the data say of parameter `i` of a fit with the orders `own` without what is known of it beforehand, to first
-/// order at the minimum.
-fn alone(fit: &Fit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> Move {
-    let maps: Vec<Array2<f64>> = terms(own).into_iter().map(|t| t.map(data.grid)).collect();
+/// What the data say of parameter `i` of a fit with the orders `own` without what is known of it beforehand, and the
+/// standard error of that, to first order at the minimum.
+fn alone(fit: &Fit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> [f64; 2] {
     let mut known = fit.known.clone();
     known[i] = 0.0;
-    let freed = Normal::new(&fit.columns[..fit.parameters.len()], &maps, &data.valid, known);
-    let inverse = freed.inverse();
-    // Its terms are found anew, so those of the fit are data again.
-    let data = &fit.rest + &(&fit.metrology * &data.valid);
-    let step = freed.step(&data, &fit.values, &inverse, 0.0);
-    let mut field = Array2::zeros(data.dim());
-    for (j, column) in freed.columns.iter().enumerate() {
-        let weight = inverse[(i, j)] / (freed.lengths[i] * freed.lengths[j]);
-        field.scaled_add(weight, column);
-    }
-    let variance: f64 = dot(&field, &fit.noise.apply(&field));
-    Move { by: fit.values[i] + step[i], standard_error: variance.max(0.0).sqrt() }
+    let freed = Another::new(fit, data, own, known);
+    [fit.values[i] + freed.step[i], standard_error(fit, &freed.influence(i))]
 }
 
 /// The parameter of which what is known beforehand contradicts the data most, if there is one: without it they put the
@@ -135,9 +143,9 @@ pub fn contradicted(
     scale: impl Fn(Parameter) -> f64,
 ) -> Option<Parameter> {
     let of = |(i, parameter): (usize, &Parameter)| {
-        let found = alone(fit, data, own, i);
-        let beyond = found.by.abs() / (BELIEVABLE * scale(*parameter));
-        let is_clear = found.by.abs() > SIGNIFICANT * found.standard_error;
+        let [found, standard_error] = alone(fit, data, own, i);
+        let beyond = found.abs() / (BELIEVABLE * scale(*parameter));
+        let is_clear = found.abs() > SIGNIFICANT * standard_error;
         (beyond > 1.0 && is_clear).then_some((*parameter, beyond))
     };
     // A scale as wide as the usual one is no knowledge of this run.

@@ -133,13 +133,22 @@ impl Fit {
 
     /// Field by which unknown `i` is estimated: its value is the sum of the data times it (to first order).
     pub fn influence(&self, i: usize) -> Array2<f64> {
-        let mut field = Array2::zeros(self.rest.dim());
-        for (j, column) in self.columns.iter().enumerate() {
-            let weight = self.inverse[(i, j)] / (self.lengths[i] * self.lengths[j]);
-            field.scaled_add(weight, column);
-        }
-        field
+        influence(&self.columns, &self.lengths, &self.inverse, i)
     }
+}
+
+/// See [`Fit::influence`].
+fn influence(
+    columns: &[Array2<f64>],
+    lengths: &[f64],
+    inverse: &DMatrix<f64>,
+    i: usize,
+) -> Array2<f64> {
+    let mut field = Array2::zeros(columns[0].dim());
+    for (j, column) in columns.iter().enumerate() {
+        field.scaled_add(inverse[(i, j)] / (lengths[i] * lengths[j]), column);
+    }
+    field
 }
 
 /// Sum of the products over the map.
@@ -212,6 +221,11 @@ impl Normal {
     /// The inverse of H along the independent directions.
     pub fn inverse(&self) -> DMatrix<f64> {
         inverted(&self.matrix()).inverse
+    }
+
+    /// [`Fit::influence`] of a fit with these unknowns, by their [`Self::inverse`].
+    pub fn influence(&self, inverse: &DMatrix<f64>, i: usize) -> Array2<f64> {
+        influence(&self.columns, &self.lengths, inverse, i)
     }
 
     /// The step that `rest` asks for where the unknowns are `values`, which is at least as long as k.

@@ -45,6 +45,15 @@ pub fn pipeline_setting(pipeline: &str, name: &str) -> String {
     }
 }
 
+/// Numbers in 0..1 from a seed, for a problem whose golden value belongs to it: Knuth's linear congruence.
+pub fn numbers(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed;
+    move || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) as f64 / 2f64.powi(31)
+    }
+}
+
 /// A machine from the limits of (x, y), without a limit on jerk.
 pub fn machine(velocity_mm_per_s: [f64; 2], acceleration_mm_per_s2: [f64; 2]) -> Limits {
     let axis = |a: usize| MachineFileAxis {

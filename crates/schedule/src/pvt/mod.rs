@@ -258,7 +258,7 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::{MachineFile, MachineFileAxis};
+    use planish_testkit::{ion_beam, numbers};
 
     #[test]
     fn the_largest_within_reach_is_found() {
@@ -276,11 +276,7 @@ mod tests {
     fn what_goes_round_in_one_place_does_not_slow_the_rest() {
         // Ten lines of segments from 0.01 to 1.2 mm, at densities from 0.006 to 0.034 s/mm: much faster than the machine,
         // and in some places what segments ask of each other goes round.
-        let mut state = 8u64;
-        let mut random = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) as f64 / 2f64.powi(31)
-        };
+        let mut random = numbers(8);
         let (mut points, mut dwell_s) = (vec![[0.0, 0.0]], Vec::new());
         for line in 0..10 {
             let sign = if line % 2 == 0 { 1.0 } else { -1.0 };
@@ -298,15 +294,7 @@ mod tests {
         }
         let n = dwell_s.len();
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
-        let axis = |name: &str, velocity: f64, acceleration: f64| MachineFileAxis {
-            name: name.into(),
-            max_velocity_mm_per_s: velocity,
-            max_acceleration_mm_per_s2: acceleration,
-            ..MachineFileAxis::default()
-        };
-        let axes = vec![axis("x", 250.0, 2000.0), axis("y", 150.0, 1000.0)];
-        let limits =
-            MachineFile { name: "test".into(), axes, ..MachineFile::default() }.checked().unwrap();
+        let limits = ion_beam();
         let settings = Settings { mode: Mode::Monotone, stretch: true };
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();

@@ -177,7 +177,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    use planish_testkit::machine;
+    use planish_testkit::{machine, numbers};
 
     fn straight(n: usize, step: f64) -> ToolPath {
         let points = (0..=n).map(|i| [step * i as f64, 3.0]).collect();
@@ -211,11 +211,7 @@ mod tests {
     fn no_segment_has_less_than_its_dwell_time_where_densities_are_held() {
         // Lengths from 0.01 to 1.2 mm and times that have nothing to do with them: many densities would be negative.
         let free = machine([1e6; 2], [1e9; 2]);
-        let mut state = 5u64;
-        let mut random = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) as f64 / 2f64.powi(31)
-        };
+        let mut random = numbers(5);
         let (mut points, mut t) = (vec![[0.0, 3.0]], Vec::new());
         for _ in 0..400 {
             points.push([points[points.len() - 1][0] + 0.01 * 120f64.powf(random()), 3.0]);
