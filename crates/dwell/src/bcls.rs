@@ -89,7 +89,7 @@ pub fn solve(
     settings: &Settings,
 ) -> Result<Bcls, DwellError> {
     let bounds = bounds(path, limits, settings.least_feed)?;
-    let places = settings.columns.places_under(path, tif);
+    let places = settings.columns.places(path, tif);
     let squares = bounded_least_squares::Settings {
         columns: settings.columns,
         tikhonov: settings.tikhonov,

@@ -95,7 +95,7 @@ pub fn solve(
     settings: &Settings,
 ) -> Result<BoundedSolution, DwellError> {
     let (lo, hi) = bounds(path, settings)?;
-    let columns = settings.columns.places_under(path, tif);
+    let columns = settings.columns.places(path, tif);
     solve_columns(
         desired,
         tif,

@@ -311,7 +311,7 @@ mod tests {
     fn removal_nm(desired: &Surface, path: &ToolPath) -> (Array2<f64>, Report) {
         let floor = Bound::SecondsPerMm(1e-6);
         let (dwell, report) = dwell(desired, &tif(), path, floor, &Settings::default()).unwrap();
-        let places = Columns::Segment.places(path);
+        let places = Columns::Segment.places(path, &tif());
         let operator = Operator::new(&places, &tif(), desired.grid()).unwrap();
         (operator.apply(dwell.dwell_s()), report)
     }

@@ -436,7 +436,7 @@ mod tests {
         let map = Grid { x: axis(3.0, 0.1, 41), y: axis(3.0, 0.1, 31) };
         let weight = Array2::ones(map.shape());
         let found = |path: &ToolPath| {
-            let b = Operator::new(&Columns::Segment.places(path), &tif, &map).unwrap();
+            let b = Operator::new(&Columns::Segment.places(path, &tif), &tif, &map).unwrap();
             line_distance_mm(&tif, weight.sum(), &b.adjoint(&weight), &lengths_mm(path))
         };
         for (pitch, step) in [(0.5, 0.5), (0.25, 0.5), (0.5, 0.2)] {

@@ -158,7 +158,7 @@ impl<'a> Model<'a> {
         let Problem { desired, tif, path, weight, columns, min_dwell } = *problem;
         let weight = pixel_weights(desired, weight)?;
         let lo = bounds::lower(path, min_dwell)?;
-        let places = columns.places_under(path, tif);
+        let places = columns.places(path, tif);
         let operator = Operator::new(&places, tif, desired.grid())?;
         let sensitivity = adjoint(&operator, &weight);
         let largest = sensitivity.iter().copied().fold(0.0, f64::max);

@@ -47,7 +47,7 @@ fn path(over: f64) -> ToolPath {
 /// B t.
 fn removal(path: &ToolPath, columns: Columns, t: &[f64]) -> Array2<f64> {
     let mut out = Array2::zeros(grid().shape());
-    for (p, t) in patches(&columns.places(path), &tif(), &grid()).iter().zip(t) {
+    for (p, t) in patches(&columns.places(path, &tif()), &tif(), &grid()).iter().zip(t) {
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         out.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(*t, &p.rate_nm_per_s);
     }
@@ -110,7 +110,7 @@ fn the_certificate_holds_by_an_independent_computation() {
     assert!(found.report.at_lower_bound > 0, "the bound is not active: {:?}", found.report);
     // Gradient of the objective from its definition: residual with the mean removed, penalties.
     let t = found.dwell.dwell_s();
-    let b = patches(&Columns::Segment.places(&path), &tif(), &grid());
+    let b = patches(&Columns::Segment.places(&path, &tif()), &tif(), &grid());
     let total = bowl().len() as f64;
     let energy: Vec<f64> = b
         .iter()
@@ -180,7 +180,7 @@ fn both_algorithms_give_the_same_dwell() {
 /// (1) by its definition, for equal weights and a free piston.
 fn objective(case: &Case, settings: &Settings, t: &[f64]) -> f64 {
     let map = case.desired.grid();
-    let b = patches(&settings.columns.places(&case.path), &case.tif, map);
+    let b = patches(&settings.columns.places(&case.path, &case.tif), &case.tif, map);
     let valid = case.desired.height_nm().mapv(|z| if z.is_nan() { 0.0 } else { 1.0 });
     let total = valid.sum();
     let mut residual = case.desired.height_nm().mapv(|z| if z.is_nan() { 0.0 } else { z });
@@ -454,7 +454,7 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
     assert!(with < 2e-3 * without, "{with} {without}");
     // The gradient of the Huber loss by its definition: what is beyond 0.5 nm pulls with 0.5 nm.
     let t = robust.dwell.dwell_s();
-    let b = patches(&Columns::Segment.places(&path), &tif(), &grid());
+    let b = patches(&Columns::Segment.places(&path, &tif()), &tif(), &grid());
     let mut pitted = bowl();
     pitted.slice_mut(s![10..13, 20..23]).fill(-500.0);
     let residual = pitted - removal(&path, Columns::Segment, t);
@@ -507,7 +507,7 @@ fn bounds_point_by_point_hold() {
     let path = path(2.0);
     let lo = random(path.len(), 0.1, 0.4, 3);
     let hi: Vec<f64> = lo.iter().map(|lo| lo + 0.3).collect();
-    let places = Columns::Segment.places(&path);
+    let places = Columns::Segment.places(&path, &tif());
     let program =
         Program { places: &places, lo: lo.clone(), hi: hi.clone(), guess: None, quadratic: None };
     let found =
@@ -525,7 +525,10 @@ fn strongest(path: &ToolPath) -> f64 {
         let (square, sum) = p.rate_nm_per_s.iter().fold((0.0, 0.0), |(s, u), b| (s + b * b, u + b));
         square - sum * sum / pixels as f64
     };
-    patches(&Columns::Segment.places(path), &tif(), &grid()).iter().map(of).fold(0.0, f64::max)
+    patches(&Columns::Segment.places(path, &tif()), &tif(), &grid())
+        .iter()
+        .map(of)
+        .fold(0.0, f64::max)
 }
 
 /// A quadratic term is what it says: the penalty that it writes out is a larger `tikhonov` where the least dwell time
@@ -534,7 +537,7 @@ fn strongest(path: &ToolPath) -> f64 {
 fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
     let path = path(2.0);
     let n = path.len();
-    let places = Columns::Segment.places(&path);
+    let places = Columns::Segment.places(&path, &tif());
     let weak = Settings { min_dwell: Bound::Seconds(0.0), ..settings() };
     let (columns, weight) = (patches(&places, &tif(), &grid()), Array2::ones(grid().shape()));
     let written_out = |weights: (f64, f64)| {

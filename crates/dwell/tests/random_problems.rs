@@ -112,7 +112,7 @@ struct Definition {
 impl Definition {
     fn new(case: &Case) -> Self {
         let grid = case.desired.grid();
-        let columns = patches(&Columns::Segment.places(&case.path), &case.tif, grid);
+        let columns = patches(&Columns::Segment.places(&case.path, &case.tif), &case.tif, grid);
         let valid = case.desired.height_nm().mapv(|z| if z.is_nan() { 0.0 } else { 1.0 });
         let weight = &case.weight * &valid;
         let plane = [
@@ -201,7 +201,7 @@ impl Definition {
 fn conditions_hold(seed: u64, pitch_mm: f64, max_factorised_points: usize) {
     let mut case = case(seed, pitch_mm);
     case.settings.max_factorised_points = max_factorised_points;
-    let places = Columns::Segment.places(&case.path);
+    let places = Columns::Segment.places(&case.path, &case.tif);
     let program = Program {
         places: &places,
         lo: case.lo.clone(),

@@ -71,7 +71,8 @@ fn nnls_finds_the_least_residual() {
     assert!((found.outcome.model_rms_detilted_nm - 0.14845).abs() < 2e-5, "{:?}", found.outcome);
     // There the dwell points that do not reach the map are at the floor of 0.1 s; here the density of their
     // neighbours, which without a smoothness are rough, goes on.
-    let columns = patches(&Columns::Point.places(&path), &mirror.tif, mirror.desired.grid());
+    let columns =
+        patches(&Columns::Point.places(&path, &mirror.tif), &mirror.tif, mirror.desired.grid());
     let at_floor: f64 = (found.dwell.dwell_s().iter().zip(&columns))
         .map(|(t, p)| if p.rate_nm_per_s.iter().all(|r| *r == 0.0) { 0.1 } else { *t })
         .sum();

@@ -72,7 +72,7 @@ fn path(over: f64) -> ToolPath {
 /// B t on the map.
 fn removal(path: &ToolPath, tif: &Tif, t: &[f64]) -> Array2<f64> {
     let mut out = Array2::zeros(grid().shape());
-    for (p, t) in patches(&Columns::Segment.places(path), tif, &grid()).iter().zip(t) {
+    for (p, t) in patches(&Columns::Segment.places(path, tif), tif, &grid()).iter().zip(t) {
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         out.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(*t, &p.rate_nm_per_s);
     }
@@ -333,7 +333,7 @@ fn pixels_out_of_reach_are_counted_and_a_path_beside_the_part_is_refused() {
 fn where_nothing_is_reached_the_density_of_the_neighbours_goes_on() {
     // Lines that end 4.5 mm beyond the map, of which the tool reaches 3.25 mm.
     let (desired, tool, path) = (surface(bowl()), bell(), path(4.5));
-    let seen: Vec<f64> = patches(&Columns::Segment.places(&path), &tool, &grid())
+    let seen: Vec<f64> = patches(&Columns::Segment.places(&path, &tool), &tool, &grid())
         .iter()
         .map(|p| p.rate_nm_per_s.sum())
         .collect();
@@ -419,7 +419,7 @@ fn a_flat_map_asks_for_next_to_nothing() {
 
 fn certificate(case: &Case<'_>, t: &[f64], tikhonov: f64) -> f64 {
     // q = B' W (M (B t - z)) + alpha D A (t - lo) / a, from columns and the definition.
-    let columns = patches(&Columns::Segment.places(case.path), case.tif, &grid());
+    let columns = patches(&Columns::Segment.places(case.path, case.tif), case.tif, &grid());
     let mut r = case.desired.height_nm() - &removal(case.path, case.tif, t);
     let mean = r.mean().unwrap();
     r -= mean;
@@ -509,7 +509,8 @@ fn lsqr_solves_its_normal_equations_and_the_floor_is_met_by_a_level() {
     let mean = r.mean().unwrap();
     r -= mean;
     let delta2 = found.report.damping_nm_per_s.powi(2);
-    for (j, p) in patches(&Columns::Segment.places(&path), &tool, &grid()).iter().enumerate() {
+    for (j, p) in patches(&Columns::Segment.places(&path, &tool), &tool, &grid()).iter().enumerate()
+    {
         let ((y, x), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         let left = (&r.slice(s![y..y + ny, x..x + nx]) * &p.rate_nm_per_s).sum();
         let right = delta2 * (t[j] - found.report.level_s);

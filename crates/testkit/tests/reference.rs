@@ -274,7 +274,8 @@ fn best_dwell_on_the_published_raster_points() {
     let trajectory = position::schedule(&path, &solution.dwell).unwrap();
     let removal = simulated(&mirror, &trajectory, GRIDDED);
     // The dwell points that do not reach the map at the floor, as in the independent computation.
-    let columns = patches(&Columns::Point.places(&path), &mirror.tif, mirror.desired.grid());
+    let columns =
+        patches(&Columns::Point.places(&path, &mirror.tif), &mirror.tif, mirror.desired.grid());
     let at_floor: f64 = (solution.dwell.dwell_s().iter().zip(&columns))
         .map(|(t, p)| if p.rate_nm_per_s.iter().all(|r| *r == 0.0) { 0.1 } else { *t })
         .sum();

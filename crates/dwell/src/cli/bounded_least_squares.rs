@@ -105,7 +105,7 @@ impl BoundedLeastSquares {
         let (lo, hi) =
             bounded_least_squares::bounds(&path, &settings).map_err(Failure::with_flags)?;
         let program = Program {
-            places: &settings.columns.places_under(&path, &tif),
+            places: &settings.columns.places(&path, &tif),
             lo: least.map_or(lo, |least| least.dwell_s().to_vec()),
             hi: most.map_or(hi, |most| most.dwell_s().to_vec()),
             guess: None,

@@ -44,14 +44,9 @@ pub struct Place {
 }
 
 impl Columns {
-    /// Where the tool is in each column; nowhere when it is lifted. A three-point Gauss rule on every segment: for one that
-    /// is short beside the tool.
-    pub fn places(self, path: &ToolPath) -> Vec<Vec<Place>> {
-        self.places_in_parts(path, [f64::INFINITY; 2])
-    }
-
-    /// The same for segments of any length under this tool: the rule is that of equal parts which are short beside it.
-    pub fn places_under(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<Place>> {
+    /// Where the tool is in each column; nowhere when it is lifted. A three-point Gauss rule on every segment, or on equal
+    /// parts of it that are short beside the tool.
+    pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<Place>> {
         self.places_in_parts(path, longest_part_mm(tif))
     }
 
@@ -670,7 +665,7 @@ mod tests {
         let path =
             ToolPath::new(vec![[1.0, 1.0], [1.4, 1.2]], vec![[9.0, 9.0]], vec![true], vec![0])
                 .unwrap();
-        let p = &patches(&Columns::Segment.places(&path), &tif, &map)[0];
+        let p = &patches(&Columns::Segment.places(&path, &tif), &tif, &map)[0];
         let q = 0.5 - 0.15_f64.sqrt();
         let at = |s: f64, r: usize, c: usize| {
             tif.rate_at(map.x.at(c) - 1.0 - 0.4 * s, map.y.at(r) - 1.0 - 0.2 * s)
@@ -697,9 +692,10 @@ mod tests {
         assert!(longest.iter().all(|mm| (mm / 2.0 - 1.0).abs() < 0.05), "{longest:?}");
         let points = vec![[0.0, 0.0], [12.0, 0.0], [12.0, 1.5]];
         let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
-        let places = Columns::Segment.places_under(&path, &tif);
+        let places = Columns::Segment.places(&path, &tif);
         assert_eq!([places[0].len(), places[1].len()], [6 * 3, 3]);
-        assert_eq!(places[1], Columns::Segment.places(&path)[1]);
+        let whole = Columns::Segment.places_in_parts(&path, [f64::INFINITY; 2]);
+        assert_eq!(places[1], whole[1]);
         // (1 / 12) integral of exp(-(x - s)^2 / 2) over s from 0 to 12: sqrt(2 pi) / 12 in the middle.
         let at = |x: f64| -> f64 {
             let each = places[0].iter();
@@ -777,6 +773,9 @@ mod tests {
     fn a_lifted_tool_removes_nothing() {
         let (tif, map) = rough();
         let path = ToolPath::through(vec![[1.0, 1.0], [1.4, 1.2]], vec![false], vec![0]).unwrap();
-        assert_eq!(patches(&Columns::Segment.places(&path), &tif, &map)[0].rate_nm_per_s.len(), 0);
+        assert_eq!(
+            patches(&Columns::Segment.places(&path, &tif), &tif, &map)[0].rate_nm_per_s.len(),
+            0
+        );
     }
 }

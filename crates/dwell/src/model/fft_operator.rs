@@ -218,8 +218,11 @@ mod tests {
         for border in [0.0, 0.3] {
             let (path, tif, map) = case(border);
             assert!(FftOperator::is_exact(&tif, &map));
-            let cases =
-                [Columns::Point.places(&path), Columns::Segment.places(&path), places(&map)];
+            let cases = [
+                Columns::Point.places(&path, &tif),
+                Columns::Segment.places(&path, &tif),
+                places(&map),
+            ];
             for places in &cases {
                 let t: Vec<f64> = (0..places.len()).map(|j| 1.0 + (j as f64).sin()).collect();
                 let operator = FftOperator::new(places, &tif, &map);
@@ -257,7 +260,7 @@ mod tests {
         let (path, tif, _) = case(0.3);
         let coarse =
             Grid { x: Axis::new(0.03, 0.13, 46).unwrap(), y: Axis::new(-0.4, 0.11, 41).unwrap() };
-        let places = Columns::Segment.places(&path);
+        let places = Columns::Segment.places(&path, &tif);
         let t = vec![1.0; places.len()];
         let expected = by_columns(&places, &tif, &coarse, &t);
         let operator = FftOperator::new(&places, &tif, &coarse);
@@ -300,7 +303,7 @@ mod tests {
     #[test]
     fn sums_of_few_columns_are_those_of_the_operator() {
         let (path, tif, map) = case(0.3);
-        let places = [Columns::Segment.places(&path), places(&map)].concat();
+        let places = [Columns::Segment.places(&path, &tif), places(&map)].concat();
         let whole = 0..places.len();
         for (spread, columns) in [
             (Spread::Keys, 0..3),
@@ -329,7 +332,7 @@ mod tests {
     #[test]
     fn the_adjoint_is_the_adjoint() {
         let (path, tif, map) = case(0.3);
-        let places = [Columns::Segment.places(&path), places(&map)].concat();
+        let places = [Columns::Segment.places(&path, &tif), places(&map)].concat();
         let operator = FftOperator::new(&places, &tif, &map);
         let t: Vec<f64> = (0..places.len()).map(|j| (0.7 * j as f64).cos()).collect();
         let m = Array2::from_shape_fn(map.shape(), |(r, c)| ((r * 3 + c) as f64).sin());

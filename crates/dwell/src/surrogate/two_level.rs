@@ -523,7 +523,7 @@ mod tests {
             .collect();
         let n = points.len() - 1;
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
-        let places = Columns::Segment.places(&path);
+        let places = Columns::Segment.places(&path, &tif);
         let b = FftOperator::without_border(&places, &tif, &map, Spread::Keys);
         let weight =
             Array2::from_shape_fn(map.shape(), |(r, c)| if r < 5 && c > 20 { 0.0 } else { 1.0 });
