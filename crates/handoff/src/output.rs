@@ -6,6 +6,7 @@ use std::{
     fs::{self, File},
     io::ErrorKind,
     path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -262,6 +263,7 @@ impl Output {
             staged: Vec::new(),
             frame: None,
             progress: shown_progress(format!("{} {}", task.tool, task.method)),
+            rounds: watched_rounds(),
         }
     }
 }
@@ -287,6 +289,8 @@ pub struct Writer {
     /// What is written and not shown yet.
     staged: Vec<Staged>,
     progress: ProgressBar,
+    /// Seconds of every round of the work that has ended.
+    rounds: Arc<Mutex<Vec<f64>>>,
     /// What coordinates refer to, where this is not what the kind says.
     frame: Option<&'static str>,
 }
@@ -296,6 +300,11 @@ impl Writer {
     /// machine, say.
     pub fn set_frame(&mut self, frame: &'static str) {
         self.frame = Some(frame);
+    }
+
+    /// Seconds that each round of the work took, where it has rounds: [`progress::round_ended`].
+    pub fn round_s(&self) -> Vec<f64> {
+        self.rounds.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Writes `value` as the artifact of its kind.
@@ -403,6 +412,19 @@ fn shown_progress(message: String) -> ProgressBar {
         of_work.set_position(steps);
     });
     bar
+}
+
+/// The seconds of every round that ends from now on.
+fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
+    let rounds = Arc::new(Mutex::new(Vec::new()));
+    let (to, begun) = (rounds.clone(), Mutex::new(Instant::now()));
+    progress::watch_rounds(move || {
+        let mut begun = begun.lock().unwrap_or_else(PoisonError::into_inner);
+        let took = begun.elapsed();
+        *begun += took;
+        to.lock().unwrap_or_else(PoisonError::into_inner).push(took.as_secs_f64());
+    });
+    rounds
 }
 
 /// Writes `value` as the artifact `dir`, made from nothing, in place of one that stands there: for

@@ -353,6 +353,7 @@ fn rounds(
                 || iterate.limits_respected && !b.limits_respected
         });
         iterates.push(iterate);
+        work::round_ended();
         tries += 1;
         let at_last = solver.smoothness <= last_smoothness || has_noise;
         if better {

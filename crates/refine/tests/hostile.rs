@@ -1,6 +1,11 @@
 //! Flags that nobody means, degenerate maps and tools, mistaken units, through the binary.
 
-use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
+use std::{process::Command, time::Duration};
+
+use planish_testkit::{
+    hostile::{COUNTS, FLOATS, every_value, inputs, survives},
+    program::{run_within, text},
+};
 
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-refine");
 
@@ -62,4 +67,21 @@ fn a_number_of_rounds_that_the_user_gives_is_an_end() {
     let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!((code, &manifest["outcome"]["end"]), (0, &"round-limit".into()), "{said}");
     assert_eq!(manifest["settings"]["scheduler"]["pvt"], "monotone");
+}
+
+#[test]
+fn every_round_says_what_it_cost() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let mut command = Command::new(BINARY);
+    command.current_dir(tmp.path()).args(arguments("surface", "tif", "tool_path"));
+    let ended = run_within(command.arg("--max-rounds=1"), Duration::from_secs(100));
+    let said = text(&ended.stdout);
+    let costs: Vec<f64> = said
+        .lines()
+        .filter(|line| line.starts_with("round "))
+        .filter_map(|line| line.split_once(", computed in ")?.1.split(' ').next()?.parse().ok())
+        .collect();
+    // The plan before, and its correction.
+    assert!(costs.len() == 2 && costs.iter().all(|cost_s| *cost_s >= 0.0), "{said}");
 }

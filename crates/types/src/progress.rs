@@ -19,6 +19,8 @@ type Watcher = Box<dyn Fn(f64) + Send + Sync>;
 
 static WATCHER: OnceLock<Watcher> = OnceLock::new();
 
+static ROUND_WATCHER: OnceLock<Box<dyn Fn() + Send + Sync>> = OnceLock::new();
+
 /// First and last fraction of the part under way, and the largest fraction told.
 static UNDER_WAY: Mutex<([f64; 2], f64)> = Mutex::new(([0.0, 1.0], 0.0));
 
@@ -30,6 +32,18 @@ fn under_way() -> MutexGuard<'static, ([f64; 2], f64)> {
 /// watcher of a process is told.
 pub fn watch(watcher: impl Fn(f64) + Send + Sync + 'static) {
     let _ = WATCHER.set(Box::new(watcher));
+}
+
+/// From now on `watcher` is told when a round ends; only the first watcher of a process is told.
+pub fn watch_rounds(watcher: impl Fn() + Send + Sync + 'static) {
+    let _ = ROUND_WATCHER.set(Box::new(watcher));
+}
+
+/// A round of the computation has ended: whoever watches knows what it cost.
+pub fn round_ended() {
+    if let Some(watcher) = ROUND_WATCHER.get() {
+        watcher();
+    }
 }
 
 /// Of the part under way this fraction is done.

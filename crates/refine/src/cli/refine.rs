@@ -151,9 +151,9 @@ impl Refine {
         output.write(&refined.trajectory, outcome.clone(), &status)?;
         let arrays = iterations(refined.iterates.iter());
         output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
-        for (round, i) in refined.iterates.iter().enumerate() {
+        for ((round, i), cost_s) in refined.iterates.iter().enumerate().zip(output.round_s()) {
             say(format!(
-                "round {round}: {:.4} nm RMS executed in {:.2} s{}, {} segments stretched{}{}",
+                "round {round}: {:.4} nm RMS executed in {:.2} s{}, {} segments stretched{}, computed in {cost_s:.2} s{}",
                 i.rms_nm,
                 i.total_time_s,
                 i.expected_rms_nm.map_or(String::new(), |e| format!(" ({e:.4} nm expected)")),
