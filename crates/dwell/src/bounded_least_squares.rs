@@ -77,7 +77,6 @@ use planish_types::{Invalid, Surface, Tif, ToolPath};
 use crate::{
     DwellError,
     bounds::{self, pixel_weights},
-    model::operator::Removal,
 };
 pub use crate::{bounds::Bound, objective::Free};
 use prepared::BoundedProblem;
@@ -148,8 +147,7 @@ pub fn solve_columns(
         return Err(Invalid::at("max_dwell", j, problem, "give a larger upper bound").into());
     }
 
-    let b = Removal::new(places, tif, desired.grid(), settings.max_factorised_points)?;
-    let problem = BoundedProblem::new(desired, tif, path, program, weight, b, settings)?;
+    let problem = BoundedProblem::new(desired, tif, path, program, weight, settings)?;
     discrepancy::solve(problem)
 }
 

@@ -575,22 +575,38 @@ fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
 }
 
 #[test]
-fn with_a_tool_that_ends_abruptly_more_points_are_factorised() {
+fn where_splines_say_too_little_more_points_are_factorised() {
     let a = Axis::new(-1.5, 0.25, 13).unwrap();
     let pad = Tif::new(Grid { x: a, y: a }, Array2::from_elem((13, 13), 5.0)).unwrap();
-    let path = path(2.0);
-    let by = |tif: &Tif, max_factorised_points: usize| {
+    let by = |tif: &Tif, path: &ToolPath, max_factorised_points: usize| {
         let settings = Settings { max_factorised_points, ..settings() };
-        solve(&surface(bowl()), tif, &path, None, &settings).unwrap()
+        solve(&surface(bowl()), tif, path, None, &settings).unwrap()
     };
-    let fewer = path.len() / 4;
-    let all = by(&pad, path.len());
-    assert_eq!(all.report.algorithm, Algorithm::ActiveSet);
-    assert!(apart(&by(&pad, fewer), &all) == 0.0);
-    assert_eq!(by(&tif(), fewer).report.algorithm, Algorithm::TwoLevel);
+    // A tool that ends abruptly; points 1 mm apart under one of 0.9 mm (sigma), on the pixels of the map and of another
+    // pitch, whose columns alone are exact.
+    let a = Axis::new(-3.2, 0.2, 33).unwrap();
+    let bell = tif();
+    let finer = Array2::from_shape_fn((33, 33), |(r, c)| bell.rate_at(a.at(c), a.at(r)));
+    let finer = Tif::new(Grid { x: a, y: a }, finer).unwrap();
+    let wide = path(2.0);
+    for tif in [&pad, &bell, &finer] {
+        let all = by(tif, &wide, wide.len());
+        let found = by(tif, &wide, wide.len() / 4);
+        assert_eq!(found.report.algorithm, Algorithm::ActiveSet);
+        assert!(apart(&found, &all) == 0.0);
+    }
+    // Where points are dense, splines say what the tool resolves.
+    let points = (0..=24 * 33).map(|j| {
+        let (line, k) = (j / 33, j % 33);
+        [0.3 * f64::from(if line % 2 == 0 { k } else { 32 - k }), 0.3 * f64::from(line)]
+    });
+    let n = 24 * 33;
+    let dense = ToolPath::through(points.collect(), vec![true; n], vec![0; n]).unwrap();
+    assert_eq!(by(&bell, &dense, n / 4).report.algorithm, Algorithm::TwoLevel);
     // The slopes of a flat pad are where it ends, and splines as wide as these say what so few points can: within the
     // gap of 1e-4 that is asked for.
-    let (rms, least) = (by(&pad, 0).report.model_rms_nm, all.report.model_rms_nm);
+    let least = by(&pad, &wide, wide.len()).report.model_rms_nm;
+    let rms = by(&pad, &wide, 0).report.model_rms_nm;
     assert!(rms < (1.0 + 1e-4) * least, "{rms} {least}");
 }
 

@@ -11,7 +11,7 @@ use crate::{
     model::{
         UNREACHED_FRACTION,
         columns::{self, Patch, Place, Stored},
-        operator::Removal,
+        operator::{MAX_COLUMN_ELEMENTS, Removal, pixels_under},
     },
     objective::{Basis, Free, Penalty, PenaltyScale},
     surrogate::{self, Convolved, Ordered, Surrogate},
@@ -27,12 +27,12 @@ const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 /// and the surrogate of the two-level method takes it for nothing.
 const ABRUPT_BORDER_TO_PEAK: f64 = 0.1;
 
-/// By what more dwell points are factorised then,
-const MORE_FACTORISED_WHERE_ABRUPT: usize = 5;
+/// By what more dwell points are factorised where the splines of the two-level method say too little,
+const MORE_FACTORISED: usize = 10;
 
-/// as long as a factorisation takes no more multiplications than these: a second or two, for each of ten (pads) to a
-/// hundred (wide spots that were cropped).
-const MOST_WORK_WHERE_ABRUPT: f64 = 1e11;
+/// as long as a factorisation takes no more multiplications than these: a second or two, for each of ten (pads, and
+/// points that are far apart) to a hundred (wide spots that were cropped).
+const MOST_WORK: f64 = 1e11;
 
 /// (1) with everything that defines it.
 pub struct BoundedProblem<'a> {
@@ -98,24 +98,27 @@ fn energies(
 }
 
 impl<'a> BoundedProblem<'a> {
-    /// For a program, the weights of the pixels, and B.
+    /// For a program and the weights of the pixels.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
         path: &'a ToolPath,
         program: &'a Program<'a>,
         weight: Array2<f64>,
-        b: Removal,
         settings: &'a Settings,
     ) -> Result<Self, DwellError> {
         let (n, grid) = (path.len(), desired.grid());
+        let most = settings.max_factorised_points;
+        let says_too_little = tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK
+            || surrogate::are_sparse(program.places, tif);
+        let factorised = n <= most
+            || n <= most.saturating_mul(MORE_FACTORISED)
+                && says_too_little
+                && surrogate::factorisation_work(program.places, tif) <= MOST_WORK;
+        // H~ less U U' is positive definite where both are of the same columns.
+        let b = Removal::new(program.places, tif, grid, factorised)?;
         let basis = Basis::new(grid, &weight, settings.free);
         let u = basis.columns(&weight, |m| b.adjoint(m));
-        let most = settings.max_factorised_points;
-        let factorised = n <= most
-            || n <= most.saturating_mul(MORE_FACTORISED_WHERE_ABRUPT)
-                && tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK
-                && surrogate::factorisation_work(program.places, tif) <= MOST_WORK_WHERE_ABRUPT;
         let loss =
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);
@@ -189,13 +192,16 @@ impl<'a> BoundedProblem<'a> {
         })
     }
 
-    /// The factorised H~ with smaller cells; `false` when there are none, or another H~ is used.
+    /// The factorised H~ with smaller cells; `false` when there are none, where their columns would take too much memory, or
+    /// where another H~ is used.
     pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
-        if self.cell == 1 || matches!(self.surrogate, Surrogate::Convolved(_)) {
+        let (grid, smaller) = (self.desired.grid(), self.cell / 2);
+        let pixels = pixels_under(self.tif, grid) / (smaller * smaller).max(1) as f64;
+        let is_too_large = self.path.len() as f64 * pixels > MAX_COLUMN_ELEMENTS;
+        if smaller == 0 || is_too_large || matches!(self.surrogate, Surrogate::Convolved(_)) {
             return false;
         }
-        self.cell /= 2;
-        let grid = self.desired.grid();
+        self.cell = smaller;
         let cells = columns::on_cells(self.places, self.tif, grid, &self.weight, self.cell);
         let is_exact = self.cell == 1;
         self.surrogate =

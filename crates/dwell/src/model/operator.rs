@@ -20,7 +20,7 @@ const MAX_STORED_ELEMENTS: f64 = 5e7;
 
 /// Most elements of B that are held while something else is made of it, or where they are more exact
 /// than the FFT (2 GB).
-const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
+pub const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 
 /// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
 const MAX_TIF_PIXELS: f64 = 2.7e8;
@@ -28,9 +28,14 @@ const MAX_TIF_PIXELS: f64 = 2.7e8;
 /// Most dwell points of a normal matrix (288 MB).
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
-/// Pixels of the map that the TIF covers; refuses so many that the units must be wrong.
+/// Pixels of the map that the TIF covers.
+pub fn pixels_under(tif: &Tif, grid: &Grid) -> f64 {
+    tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2()
+}
+
+/// [`pixels_under`]; refuses so many that the units must be wrong.
 fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
-    let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+    let pixels = pixels_under(tif, grid);
     if pixels <= MAX_TIF_PIXELS {
         return Ok(pixels);
     }
@@ -137,16 +142,17 @@ pub enum Removal {
 }
 
 impl Removal {
-    /// B for the places of the tool in each column; more than `max_stored` of them are not stored.
+    /// B for the places of the tool in each column. With `as_columns` it is exact for a TIF of any pitch, where its columns
+    /// fit.
     pub fn new(
         places: &[Vec<Place>],
         tif: &Tif,
         grid: &Grid,
-        max_stored: usize,
+        as_columns: bool,
     ) -> Result<Self, Invalid> {
         let pixels = covered_pixels(tif, grid)?;
-        let stored = !FftOperator::is_exact(tif, grid)
-            && places.len() <= max_stored
+        let stored = as_columns
+            && !FftOperator::is_exact(tif, grid)
             && places.len() as f64 * pixels <= MAX_COLUMN_ELEMENTS;
         Ok(if stored {
             Self::Stored(Stored::new(places, tif, grid))
@@ -181,7 +187,7 @@ pub fn normal_matrix(
     weight: &Array2<f64>,
 ) -> Result<Array2<f64>, Invalid> {
     let n = places.len();
-    let pixels = tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2();
+    let pixels = pixels_under(tif, grid);
     if n > MAX_MATRIX_POINTS || n as f64 * pixels > MAX_COLUMN_ELEMENTS {
         return Err(Invalid::whole(
             "dwell_point_mm",

@@ -70,18 +70,34 @@ pub fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<
 /// where their matrix would be too large, which depends on the area under the reached columns, not on
 /// their number.
 pub fn spline_pitch(places: &[Vec<Place>], reached: &[bool], tif: &Tif) -> Option<f64> {
-    let [along_x, along_y] = tif.slope_energy_per_mm2();
-    let width_mm = 1.0 / (along_x + along_y).sqrt();
-    let of_reached =
-        places.iter().zip(reached).filter(|(_, reached)| **reached).flat_map(|(p, _)| p);
-    let (low, high) = extent(of_reached.map(|p| &p.position_mm));
-    let size_mm = [high[0] - low[0], high[1] - low[1]];
+    let of_reached = || places.iter().zip(reached).filter(|(_, reached)| **reached).map(|(p, _)| p);
+    let (size_mm, least_mm) = least_pitch_mm(of_reached());
     let count = |of: &[bool]| of.iter().filter(|of| **of).count();
-    let spacing_mm = (size_mm[0] * size_mm[1] / count(reached) as f64).sqrt();
-    let pitch_mm = affordable_pitch(width_mm, size_mm, tif.grid().size_mm())?
-        .max(MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm);
+    let pitch_mm = affordable_pitch(width_mm(tif), size_mm, tif.grid().size_mm())?.max(least_mm);
     let dense = count(&are_short(places, reached, pitch_mm)) * 2 > count(reached);
     dense.then_some(pitch_mm)
+}
+
+/// Whether dwell points are so far apart that splines over them are wider than what the TIF resolves: then many steps are
+/// needed to find what the splines cannot say.
+pub fn are_sparse(places: &[Vec<Place>], tif: &Tif) -> bool {
+    let (_, least_mm) = least_pitch_mm(places.iter().filter(|places| !places.is_empty()));
+    least_mm > SPLINE_PITCH_OVER_TIF_WIDTH * width_mm(tif)
+}
+
+/// Width of a TIF, mm: sigma of a Gaussian.
+fn width_mm(tif: &Tif) -> f64 {
+    let [along_x, along_y] = tif.slope_energy_per_mm2();
+    1.0 / (along_x + along_y).sqrt()
+}
+
+/// Size of the rectangle that columns take up [x, y], and the least pitch of splines that their spacing in it allows, mm.
+fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<Place>> + Clone) -> ([f64; 2], f64) {
+    let count = places.clone().count();
+    let (low, high) = extent(places.flatten().map(|p| &p.position_mm));
+    let size_mm = [high[0] - low[0], high[1] - low[1]];
+    let spacing_mm = (size_mm[0] * size_mm[1] / count as f64).sqrt();
+    (size_mm, MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm)
 }
 
 /// The least pitch, mm, for which the matrix is quickly factorised, or else is not too large, for a TIF of a width, over
