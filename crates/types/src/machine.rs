@@ -172,20 +172,28 @@ fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] 
             |j: usize| rows.iter().filter(|r| r[j] > 0.0).map(|r| r[2] / r[j]).reduce(f64::min);
         return [along(0), along(1)];
     }
-    // The largest product on one line: w_x = c / 2a, w_y = c / 2b. Else the corner of both.
-    let middle = rows.iter().map(|[a, b, c]| [c / (2.0 * a), c / (2.0 * b)]);
-    let within = |w: &[f64; 2]| rows.iter().all(|[a, b, c]| a * w[0] + b * w[1] <= *c);
-    let product = |w: &[f64; 2]| w[0] * w[1];
-    let best = middle.filter(within).max_by(|v, w| product(v).total_cmp(&product(w)));
-    let corner = || {
-        let [[a, b, c], [d, e, f]] = [rows[0], rows[1]];
-        let determinant = a * e - b * d;
-        [(c * e - b * f) / determinant, (a * f - c * d) / determinant]
-    };
-    match rows.len() {
-        0 => [None; 2],
-        _ => best.unwrap_or_else(corner).map(Some),
+    if rows.is_empty() {
+        return [None; 2];
     }
+    // The largest product on one line, w_x = c / 2a, w_y = c / 2b, or the corner of both.
+    let middle = rows.iter().map(|[a, b, c]| [c / (2.0 * a), c / (2.0 * b)]);
+    let corner = match rows[..] {
+        [[a, b, c], [d, e, f]] => {
+            let determinant = a * e - b * d;
+            Some([(c * e - b * f) / determinant, (a * f - c * d) / determinant])
+        }
+        _ => None,
+    };
+    let candidates = middle.chain(corner.filter(|w| w.iter().all(|v| v.is_finite() && *v > 0.0)));
+    // Each as large as the limits allow: a comparison would leave it to rounding whether a middle is on its own line.
+    let scaled = candidates.map(|w| {
+        let most =
+            rows.iter().map(|[a, b, c]| c / (a * w[0] + b * w[1])).fold(f64::INFINITY, f64::min);
+        w.map(|v| most * v)
+    });
+    let product = |w: &[f64; 2]| w[0] * w[1];
+    let best = scaled.max_by(|v, w| product(v).total_cmp(&product(w)));
+    best.map_or([None; 2], |w| w.map(Some))
 }
 
 #[cfg(test)]
@@ -261,6 +269,26 @@ mod tests {
             (mirrors("+y", "+x"), mirrors("-y", "+x"), mirrors("-x", "+y")),
             (true, false, true)
         );
+    }
+
+    /// Whether a middle is on its own line, and where two lines cross that are one, is rounding: many limits and angles.
+    #[test]
+    fn the_box_is_one_whatever_the_rounding() {
+        for k in 0..2000 {
+            let k = f64::from(k);
+            let mut file = turned([45.0, 30.0, -45.0, 17.3][k as usize % 4]);
+            let limit = 3.0 + (7.31 * k) % 90.0;
+            file.axes[0].max_velocity_mm_per_s = limit;
+            file.axes[1].max_velocity_mm_per_s = limit * [1.0, 3.0, 0.21][k as usize % 3];
+            let (s, c) = sine_cosine(file.part_rotation_deg.unwrap());
+            let (s, c) = (s.abs(), c.abs());
+            let both = [0, 1].map(|i| file.axes[i].max_velocity_mm_per_s);
+            let [wx, wy] = Machine::new(file).unwrap().limits_on_part().max_velocity_mm_per_s();
+            let used = [(c * wx + s * wy) / both[0], (s * wx + c * wy) / both[1]];
+            assert!(used.iter().all(|u| *u <= 1.0 + 1e-14), "{k}: {used:?}");
+            // Half of the lesser limit along both is a box at any angle.
+            assert!(wx * wy >= (0.5 * both[0].min(both[1])).powi(2), "{k}: {wx} {wy}");
+        }
     }
 
     /// Every corner of the box is within the limits of the axes, and no box of a larger product is: found by trying.
