@@ -24,8 +24,8 @@ const POLYNOMIALS_Y_X: (usize, usize) = (6, 9);
 pub(crate) struct Extension {
     /// The extended map.
     pub grid: Grid,
-    /// Pixels of border on every side.
-    pub border: usize,
+    /// Pixels of border above and below, and to the left and right.
+    pub border: [usize; 2],
     /// Known pixels of the extended map.
     valid: Array2<bool>,
     /// Per pixel: the nearest valid one.
@@ -38,21 +38,22 @@ pub(crate) struct Extension {
 }
 
 impl Extension {
-    /// A border of `border` pixels around the pixels of `grid` with `valid`; the ring of (2) begins
+    /// A border of `border` rows and columns around the pixels of `grid` with `valid`; the ring of (2) begins
     /// `ring_mm` from the nearest valid pixel.
     pub fn new(
         grid: &Grid,
         valid: &Array2<bool>,
-        border: usize,
+        border: [usize; 2],
         ring_mm: f64,
     ) -> Result<Self, Invalid> {
-        let widen = |a: &Axis| {
+        let widen = |a: &Axis, border: usize| {
             Axis::new(a.start_mm() - border as f64 * a.step_mm(), a.step_mm(), a.len() + 2 * border)
         };
-        let extended = Grid { x: widen(&grid.x)?, y: widen(&grid.y)? };
+        let [rows, columns] = border;
+        let extended = Grid { x: widen(&grid.x, columns)?, y: widen(&grid.y, rows)? };
         let (ny, nx) = grid.shape();
         let mut wide = Array2::from_elem(extended.shape(), false);
-        wide.slice_mut(s![border..border + ny, border..border + nx]).assign(valid);
+        wide.slice_mut(s![rows..rows + ny, columns..columns + nx]).assign(valid);
         let nearest = nearest_valid(&wide, grid.x.step_mm(), grid.y.step_mm());
         let mut extension = Self {
             grid: extended,
@@ -82,16 +83,16 @@ impl Extension {
     /// The part of an extended map that is the map.
     pub fn inner(&self, map: &Array2<f64>) -> Array2<f64> {
         let (ny, nx) = map.dim();
-        let b = self.border;
-        map.slice(s![b..ny - b, b..nx - b]).to_owned()
+        let [rows, columns] = self.border;
+        map.slice(s![rows..ny - rows, columns..nx - columns]).to_owned()
     }
 
     /// (2) for a map (ny, nx) whose invalid pixels may hold anything.
     pub fn rise(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut z = Array2::zeros(self.valid.dim());
         let (ny, nx) = map.dim();
-        let b = self.border;
-        z.slice_mut(s![b..b + ny, b..b + nx]).assign(map);
+        let [rows, columns] = self.border;
+        z.slice_mut(s![rows..rows + ny, columns..columns + nx]).assign(map);
         let odd = Array2::from_shape_fn(z.dim(), |p| self.odd(&z, p));
         let Some(factor) = &self.factor else { return odd };
         // Phi' z over the valid pixels and the ring, as T_y' Z T_x.
@@ -240,7 +241,7 @@ mod tests {
     fn constants_and_planes_continue_and_valid_pixels_stay() {
         let g = grid(40, 30);
         let valid = Array2::from_elem(g.shape(), true);
-        let e = Extension::new(&g, &valid, 9, 3.2).unwrap();
+        let e = Extension::new(&g, &valid, [9, 9], 3.2).unwrap();
         for (a, b) in [(0.0, 0.0), (0.3, -0.7)] {
             let plane = |x: f64, y: f64| 5.0 + a * x + b * y;
             let map = Array2::from_shape_fn(g.shape(), |(r, c)| plane(g.x.at(c), g.y.at(r)));
@@ -265,7 +266,7 @@ mod tests {
         let map = Array2::from_shape_fn(g.shape(), |(r, c)| {
             if disk[[r, c]] { (0.1 * r as f64).sin() + 0.05 * c as f64 } else { f64::NAN }
         });
-        let e = Extension::new(&g, &disk, 10, 4.0).unwrap();
+        let e = Extension::new(&g, &disk, [10, 10], 4.0).unwrap();
         let found = e.rise(&map);
         // The map is within -1 and 4; an odd reflection doubles the way to the edge value.
         assert!(found.iter().all(|z| z.is_finite() && *z > -4.0 && *z < 7.0));

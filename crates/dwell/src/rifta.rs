@@ -196,7 +196,7 @@ impl<'a> Fourier<'a> {
         // Tools in the margin reach another half size; then room for the way down to zero.
         let border = (2.5 * radius_mm / step).ceil() as usize;
         let valid = model.weight.mapv(|w| w > 0.0);
-        let extension = Extension::new(desired.grid(), &valid, border, radius_mm)?;
+        let extension = Extension::new(desired.grid(), &valid, [border; 2], radius_mm)?;
         let target = model.target();
         let low = model.lowest(&target, pits);
         let target = extension.rise(&target.mapv(|z| z - low));

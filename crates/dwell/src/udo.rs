@@ -180,11 +180,12 @@ impl Image {
         let grid = desired.grid();
         let [half_x, half_y] = tif.half_size_mm();
         let half = half_x.max(half_y);
-        let border = (half / grid.x.step_mm().min(grid.y.step_mm())).floor().max(1.0) as usize;
+        let steps_mm = [grid.y.step_mm(), grid.x.step_mm()];
+        let border = steps_mm.map(|step_mm| (half / step_mm).floor().max(1.0));
         let valid = model.weight.mapv(|w| w > 0.0);
-        // The outermost pixels are the ring.
-        let ring_mm = (border as f64 - 0.5) * grid.x.step_mm().max(grid.y.step_mm());
-        let extension = Extension::new(grid, &valid, border, ring_mm)?;
+        // The outermost pixels are the ring, on every side: where it is missing on one, the polynomials run away there.
+        let ring_mm = ((border[0] - 0.5) * steps_mm[0]).min((border[1] - 0.5) * steps_mm[1]);
+        let extension = Extension::new(grid, &valid, border.map(|b| b as usize), ring_mm)?;
         let operator = Operator::new(&model.places, tif, &extension.grid)?;
         Ok(Self { extension, operator })
     }
