@@ -160,11 +160,12 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check_steps(settings.max_iterations)?;
     check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
-    let problem = &Problem { tif: &tif, ..*problem };
-    let model = match settings.unknowns {
-        Unknowns::Path => Model::new(problem)?,
-        Unknowns::Map => Model::for_map(problem)?,
+    let solved = &Problem { tif: &tif, ..*problem };
+    let ready = |problem| match settings.unknowns {
+        Unknowns::Path => Model::new(problem),
+        Unknowns::Map => Model::for_map(problem),
     };
+    let mut model = ready(solved)?;
     let e = positive_target(&model, settings);
     let (t, mut report) = match settings.unknowns {
         Unknowns::Path => on_path(&model, &e, settings),
@@ -172,6 +173,10 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     drop(e);
     report.clipped_tif_samples = clipped_tif_samples;
+    if clipped_tif_samples > 0 {
+        // What the dwell times do is what the tool does, not the one that they were found with.
+        model = ready(problem)?;
+    }
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
 }
 

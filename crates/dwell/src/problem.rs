@@ -274,9 +274,10 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// Whether dwell point j reaches the map.
+    /// Whether dwell point j reaches the map. At the rim of a tool the interpolation of steep flanks, and the noise of
+    /// a measured one, may add more than it removes there: that is within reach, too.
     pub fn reached(&self, j: usize) -> bool {
-        self.sensitivity[j] > self.unreached_below
+        self.sensitivity[j].abs() > self.unreached_below
     }
 
     /// (2) of dwell times: `M W^1/2 B t`, by rows.

@@ -475,6 +475,30 @@ fn nnls_and_bounded_least_squares_find_the_same_minimum_and_its_conditions_hold(
 }
 
 #[test]
+fn where_a_tool_with_steep_flanks_adds_more_than_it_removes_it_reaches_the_map() {
+    // Its interpolation swings below zero outside of the flanks: some dwell points beside the map have nothing else
+    // on it.
+    let pad = tif(|x, y| if x.hypot(y) < 1.4 { 8.0 } else { 0.0 });
+    let (desired, path) = (surface(bowl()), path(2.0));
+    let case =
+        Case { desired: &desired, tif: &pad, path: &path, weight: None, floor_s_per_mm: FLOOR };
+    let tikhonov = 1e-5;
+    let settings = non_negative_least_squares::Settings { tikhonov, ..Default::default() };
+    let found = non_negative_least_squares::solve(&case.problem(), &settings).unwrap();
+    // In (1) what does not reach the map is at its bound.
+    let columns = patches(&Columns::Segment.places(&path, &pad), &pad, &grid());
+    let t: Vec<f64> = (found.dwell.dwell_s().iter().zip(&columns).enumerate())
+        .map(|(j, (t, column))| match column.rate_nm_per_s.iter().any(|r| r.abs() > 1e-6) {
+            true => *t,
+            false => FLOOR * path.segment_length_mm(j),
+        })
+        .collect();
+    // Gradients at 1e-12 of the largest, a condition number of 1e4.
+    let q = certificate(&case, &t, tikhonov);
+    assert!(q < 1e-9, "{q}");
+}
+
+#[test]
 fn dwell_times_that_hardly_move_are_not_a_proof() {
     // Dwell times that would move by less than a second are soon found, long before the gap is 1e-4.
     let (desired, tool, path) = (surface(bowl()), bell(), path(1.0));
@@ -675,6 +699,25 @@ fn accelerated_lucy_richardson_needs_fewer_steps() {
 }
 
 #[test]
+fn lucy_richardson_says_what_a_tool_with_noise_removes() {
+    // Without its negative samples the tool would remove more everywhere; 1 % of the peak, as a measured one has.
+    let noisy = tif(|x, y| {
+        8.0 * (-(x * x + y * y) / (2.0 * 0.8 * 0.8)).exp() + 0.08 * (41.0 * x + 67.0 * y).sin()
+    });
+    let (desired, path) = (surface(bowl()), path(2.0));
+    let case =
+        Case { desired: &desired, tif: &noisy, path: &path, weight: None, floor_s_per_mm: FLOOR };
+    for unknowns in [Unknowns::Path, Unknowns::Map] {
+        let settings = lucy_richardson::Settings { unknowns, ..Default::default() };
+        let found = lucy_richardson::solve(&case.problem(), &settings).unwrap();
+        assert!(found.report.clipped_tif_samples > 50, "{}", found.report.clipped_tif_samples);
+        let left = rms(&(desired.height_nm() - &removal(&path, &noisy, found.dwell.dwell_s())));
+        let said = found.outcome.model_rms_nm;
+        assert!((said / left - 1.0).abs() < 1e-9, "{unknowns:?}: {said} {left}");
+    }
+}
+
+#[test]
 fn lucy_richardson_stays_where_the_removal_is_the_desired_one() {
     // E = B T* is a fixed point: from a map whose lowest pixel has the margin that E gets.
     let (tool, path) = (bell(), path(2.0));
@@ -719,6 +762,35 @@ fn udo_goes_down_and_the_model_floor_beats_the_shift() {
     let last = |r: &udo::Report| *r.rms_nm.last().unwrap();
     assert!((model.outcome.model_rms_nm - last(&model.report)).abs() < 1e-3);
     assert!(model.outcome.total_time_s < shift.outcome.total_time_s);
+}
+
+#[test]
+fn udo_extends_maps_of_oblong_pixels_on_all_sides() {
+    let (tool, path) = (bell(), path(2.0));
+    let left = [[0.25, 0.25], [0.125, 0.5], [0.5, 0.125]].map(|[dx, dy]| {
+        let axes = [(9.0, dx), (7.0, dy)].map(|(size, d)| axis(0.0, d, (size / d) as usize + 1));
+        let g = Grid { x: axes[0], y: axes[1] };
+        let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
+            let (x, y) = (g.x.at(c) - 4.0, g.y.at(r) - 3.0);
+            0.9 * x * x - 0.4 * x * y + 0.6 * y * y + 2.0 * (1.1 * x).sin()
+        });
+        let desired = Surface::new(g, height).unwrap();
+        let case = Case {
+            desired: &desired,
+            tif: &tool,
+            path: &path,
+            weight: None,
+            floor_s_per_mm: FLOOR,
+        };
+        udo::solve(&case.problem(), &Default::default()).unwrap().outcome
+    });
+    for oblong in &left[1..] {
+        let rms = [&left[0], oblong].map(|o| o.model_rms_nm);
+        let time = [&left[0], oblong].map(|o| o.total_time_s);
+        // The ring lies some tenths of a millimetre elsewhere.
+        assert!((rms[1] / rms[0] - 1.0).abs() < 0.2, "{rms:?}");
+        assert!((time[1] / time[0] - 1.0).abs() < 0.2, "{time:?}");
+    }
 }
 
 #[test]
