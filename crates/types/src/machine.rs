@@ -271,7 +271,7 @@ mod tests {
         );
     }
 
-    /// Whether a middle is on its own line, and where two lines cross that are one, is rounding: many limits and angles.
+    /// Whether a middle is on its own line, and where two cross that are one, is rounding: many limits and angles.
     #[test]
     fn the_box_is_one_whatever_the_rounding() {
         for k in 0..2000 {
