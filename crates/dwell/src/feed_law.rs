@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! v = VRR / (d r) <= v_max                                                                (1)
-//! t = l max(d r / VRR, 1 / v_max)                                                         (2)
+//! t = l max(d r / (k VRR), 1 / v_max)                                                     (2)
 //! ```
 //!
 //! Lines a distance d apart, run at the feed v, remove the depth r on average. It is right where the depth varies
@@ -14,6 +14,8 @@
 //! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their distances
 //!   to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the lines on both
 //!   sides of it, or the distance to the only one.
+//! * *Runs* k of a segment: how many lines go over it, as on a path that is run several times; each takes its part of the
+//!   depth.
 //! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around its
 //!   dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest one. A map with negative heights is lifted
 //!   until none is.
@@ -25,6 +27,7 @@
 //! |---|---|---|---|
 //! | l | `segment_length_mm` | (n) | mm |
 //! | d | `pitch_mm` | (n) | mm |
+//! | k | `runs` | - | 1 |
 //! | r | `depth_nm` | - | nm |
 
 use std::collections::BTreeMap;
@@ -90,7 +93,8 @@ pub fn dwell(
         check("pitch_mm", pitch_mm, |p| p > 0.0, "give a distance above 0")?;
     }
     let mut dwell_s = bounds::lower(path, min_dwell)?;
-    let lines = lines(path)?;
+    let (lines, along) = lines(path)?;
+    let same_place = in_the_same_place(&lines);
     let pitches = match settings.pitch_mm {
         Some(pitch_mm) => vec![pitch_mm; lines.len()],
         None => measured(&lines)?,
@@ -99,16 +103,19 @@ pub fn dwell(
     let vrr = tif.vrr_nm_mm2_per_s();
     let [off_x, off_y] = tif.centroid_mm();
     let mut too_fast = 0;
-    for (k, (line, pitch_mm)) in lines.iter().zip(&pitches).enumerate() {
-        progress::done(k as f64 / lines.len() as f64);
+    for (line_idx, (line, pitch_mm)) in lines.iter().zip(&pitches).enumerate() {
+        progress::done(line_idx as f64 / lines.len() as f64);
         for i in line.segments.clone() {
             let length_mm = path.segment_length_mm(i);
             let side_mm = (length_mm * pitch_mm).sqrt();
             // Where the tool removes when it is at the dwell point
             let [x, y] = path.dwell_point_mm()[i];
             let depth_nm = depth_nm(desired, [x + off_x, y + off_y], side_mm) + lifted_nm;
+            let at_mm = x * along[0] + y * along[1];
+            let others = same_place[line_idx].iter();
+            let runs = 1 + others.filter(|[low, high]| *low <= at_mm && at_mm <= *high).count();
             // (2)
-            let time_s = length_mm * pitch_mm * depth_nm / vrr;
+            let time_s = length_mm * pitch_mm * depth_nm / (runs as f64 * vrr);
             too_fast += usize::from(time_s < dwell_s[i]);
             dwell_s[i] = dwell_s[i].max(time_s);
         }
@@ -135,8 +142,9 @@ struct Line {
     along_mm: [f64; 2],
 }
 
-/// The lines of a path, in its order; refuses a path whose length is not mostly that of parallel lines.
-fn lines(path: &ToolPath) -> Result<Vec<Line>, Invalid> {
+/// The lines of a path, in its order, and their direction; refuses a path whose length is not mostly that of parallel
+/// lines.
+fn lines(path: &ToolPath) -> Result<(Vec<Line>, [f64; 2]), Invalid> {
     let unit = |i: usize| path.displacement_mm(i).map(|d| d / path.segment_length_mm(i));
     let is_on = |i: &usize| path.tool_on()[*i] && path.segment_length_mm(*i) > 0.0;
     let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
@@ -183,7 +191,23 @@ fn lines(path: &ToolPath) -> Result<Vec<Line>, Invalid> {
         let remedy = "give a raster or a multi-pitch path, or use a solver: bounded-least-squares";
         return Err(Invalid::whole("point_mm", problem, remedy));
     }
-    Ok(lines)
+    Ok((lines, along))
+}
+
+/// From where to where along it the other lines in the place of each one go, mm.
+fn in_the_same_place(lines: &[Line]) -> Vec<Vec<[f64; 2]>> {
+    let mut order: Vec<usize> = (0..lines.len()).collect();
+    order.sort_by(|a, b| lines[*a].across_mm.total_cmp(&lines[*b].across_mm));
+    let mut found = vec![Vec::new(); lines.len()];
+    for (place, k) in order.iter().enumerate() {
+        let is_same =
+            |other: &&usize| lines[**other].across_mm - lines[*k].across_mm <= SAME_LINE_MM;
+        for other in order[place + 1..].iter().take_while(is_same) {
+            found[*k].push(lines[*other].along_mm);
+            found[*other].push(lines[*k].along_mm);
+        }
+    }
+    found
 }
 
 /// d of every line.
@@ -316,6 +340,37 @@ mod tests {
         (operator.apply(dwell.dwell_s()), report)
     }
 
+    /// There and back over the same lines, and a third time over half of one in the middle.
+    #[test]
+    fn lines_that_are_run_several_times_remove_the_depth_once() {
+        let flat = part(|_, _| 50.0);
+        for angle in [0.0, 0.5] {
+            let once = raster(&places(1.0), true, angle);
+            let (there, passes) = (once.point_mm(), once.pass_idx());
+            let mut points: Vec<[f64; 2]> =
+                there.iter().chain(there.iter().rev()).copied().collect();
+            let half = &there[18 * 37..=18 * 37 + 18];
+            points.extend(half);
+            let mut pass = passes.to_vec();
+            pass.push(99);
+            pass.extend(passes.iter().rev().map(|p| 200 + p));
+            pass.push(299);
+            pass.extend([300; 18]);
+            let several = ToolPath::through(points, vec![true; pass.len()], pass).unwrap();
+            let (removed, report) = removal_nm(&flat, &several);
+            assert_eq!(report.lines, 2 * places(1.0).len() + 1);
+            assert!(
+                report.pitch_mm.iter().all(|d| (d - 1.0).abs() < 1e-9),
+                "{:?}",
+                report.pitch_mm
+            );
+            let (alone, _) = removal_nm(&flat, &once);
+            // What is run at the floor of 1e-6 s/mm, the links, is there twice.
+            let differs = (&removed - &alone).mapv(f64::abs).fold(0.0, |a: f64, b| a.max(*b));
+            assert!(differs < 1e-3, "{angle}: {differs} nm");
+        }
+    }
+
     #[test]
     fn lines_remove_the_depth_of_a_flat_map_whatever_their_pitch_and_angle() {
         let flat = part(|_, _| 50.0);
@@ -344,7 +399,7 @@ mod tests {
     fn every_line_has_the_pitch_around_it_and_every_region_its_own() {
         // Neighbours at different distances: half the distance between them.
         let uneven = raster(&[0.0, 1.0, 3.0, 4.0], true, 0.0);
-        let found = |path: &ToolPath| measured(&lines(path).unwrap()).unwrap();
+        let found = |path: &ToolPath| measured(&lines(path).unwrap().0).unwrap();
         let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
         assert!(near(&found(&uneven), &[1.0, 1.5, 1.5, 1.0]));
         // Two regions, 0.3 mm from each other, the first with a part beyond the second: the lines at the borders
@@ -371,7 +426,7 @@ mod tests {
         }
         let n = points.len() - 1;
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
-        let lines = lines(&path).unwrap();
+        let (lines, _) = lines(&path).unwrap();
         assert_eq!(lines.len(), 20);
         // Rounding of places up to 42 mm.
         assert!(measured(&lines).unwrap().iter().all(|d| (d - 1.0).abs() < 1e-12));
