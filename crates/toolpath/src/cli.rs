@@ -16,7 +16,9 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, say, warn,
     with_flags,
 };
-use planish_toolpath::{PathReport, travel_warnings, usual_overscan_mm};
+use planish_toolpath::{
+    PathReport, off_centre_mm, seen_by_tool, travel_warnings, usual_overscan_mm,
+};
 use planish_types::{Machine, Surface, Tif, ToolPath, plausible};
 use serde::Serialize;
 
@@ -81,8 +83,10 @@ struct RegionArgs {
 struct Region {
     inputs: Inputs,
     output: OutputArgs,
+    /// The map where the tool stands when it removes there.
     surface: Surface,
     tif: Option<Tif>,
+    off_centre_mm: [f64; 2],
     overscan_mm: f64,
     /// Where its travel is limited: only then the report depends on it.
     machine: Option<Machine>,
@@ -91,13 +95,18 @@ struct Region {
 impl Region {
     fn read(args: &RegionArgs) -> Result<Self, Failure> {
         let mut inputs = Inputs::new();
-        let surface = inputs.read("surface", &args.surface)?;
+        let surface: Surface = inputs.read("surface", &args.surface)?;
         let tif: Option<Tif> = args.tif.as_ref().map(|dir| inputs.read("tif", dir)).transpose()?;
         if let Some(tif) = &tif {
             plausible::check_tool(&surface, tif)?;
             plausible::check_pitch(tif, args.pitch_mm)?;
         }
-        let usual_mm = tif.as_ref().map(usual_overscan_mm);
+        let off_centre_mm = tif.as_ref().map_or([0.0; 2], |tif| off_centre_mm(tif, surface.grid()));
+        let surface = match off_centre_mm {
+            [0.0, 0.0] => surface,
+            _ => seen_by_tool(&surface, off_centre_mm)?,
+        };
+        let usual_mm = tif.as_ref().map(|tif| usual_overscan_mm(tif, off_centre_mm));
         let overscan_mm = args.overscan_mm.or(usual_mm).ok_or_else(|| {
             Failure::new("overscan: unknown; give --overscan-mm, or --tif for half its size")
         })?;
@@ -108,7 +117,15 @@ impl Region {
                 machine = Some(inputs.read_machine(file)?);
             }
         }
-        Ok(Self { inputs, output: args.output.clone(), surface, tif, overscan_mm, machine })
+        Ok(Self {
+            inputs,
+            output: args.output.clone(),
+            surface,
+            tif,
+            off_centre_mm,
+            overscan_mm,
+            machine,
+        })
     }
 
     fn begin(&self, task: &Task) -> Result<Begin, Failure> {
@@ -126,6 +143,14 @@ impl Region {
     ) -> Result<Status, Failure> {
         let tif = self.tif.as_ref();
         let mut report = PathReport::new(path, &self.surface, tif, largest_pitch_mm, own, warnings);
+        if self.off_centre_mm != [0.0; 2] {
+            let [x, y] = self.off_centre_mm;
+            report.warnings.push(format!(
+                "the TIF removes ({x:.3}, {y:.3}) mm from where the tool stands (its centroid), so the path \
+                 lies that much the other way from the aperture; `planish-surface tif --centre centroid` \
+                 centres it, where the tool is not mounted like that"
+            ));
+        }
         if let Some(machine) = &self.machine {
             report.warnings.extend(travel_warnings(path, &self.surface, machine));
         }

@@ -180,10 +180,10 @@ fn turns_deg(path: &ToolPath) -> Vec<f64> {
 
 /// What bounds the pitch for this TIF.
 pub fn pitch_limit(tif: &Tif) -> PitchLimit {
-    let [x, y] = tif.half_size_mm();
+    let [x, y] = tif.grid().size_mm();
     let sigma_mm = (tif.vrr_nm_mm2_per_s() / (2.0 * PI * tif.peak_nm_per_s())).sqrt();
     PitchLimit {
-        tif_size_sixth_mm: 2.0 * x.min(y) / 6.0,
+        tif_size_sixth_mm: x.min(y) / 6.0,
         ripple_mm: sigma_mm * (2.0 * PI * PI / (4.0 / RIPPLE).ln()).sqrt(),
     }
 }

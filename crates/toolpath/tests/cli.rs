@@ -53,6 +53,41 @@ fn read(dir: &Path) -> (ToolPath, Manifest) {
 
 const BASIC: [&str; 6] = ["--surface", "surface", "--pitch-mm", "1", "--step-mm", "1"];
 
+/// A tool that removes beside the place where it stands goes the other way, by as much, with the same overscan and the
+/// same limit of the pitch.
+#[test]
+fn a_tool_that_removes_beside_itself_stands_beside_the_aperture() {
+    let tmp = tempfile::tempdir().unwrap();
+    write_inputs(tmp.path());
+    let made = |method: &str, [x, y]: [f64; 2]| {
+        save_axis(&tmp.path().join("tif"), "x_mm", -3.0 + x, 0.25, 25);
+        save_axis(&tmp.path().join("tif"), "y_mm", -3.0 + y, 0.25, 25);
+        let flags = [&BASIC[..], &["--tif", "tif", "--out", "out", "--force"]].concat();
+        let output = call(tmp.path(), method, &flags);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        read(&tmp.path().join("out"))
+    };
+    for method in ["raster", "maze", "spiral"] {
+        let (centred, _) = made(method, [0.0; 2]);
+        let (path, manifest) = made(method, [1.5, -0.7]);
+        assert_eq!(path.len(), centred.len(), "{method}");
+        for (p, q) in path.point_mm().iter().zip(centred.point_mm()) {
+            // Rounding of the centroid.
+            let is_moved = (p[0] + 1.5 - q[0]).abs() < 1e-9 && (p[1] - 0.7 - q[1]).abs() < 1e-9;
+            assert!(is_moved, "{method}: {p:?} for {q:?}");
+        }
+        let number = |v: &serde_json::Value| v.as_f64().unwrap();
+        assert!((number(&manifest.settings["overscan_mm"]) - 3.0).abs() < 1e-9);
+        let o = &manifest.outcome;
+        assert!((number(&o["pitch_limit"]["tif_size_sixth_mm"]) - 1.0).abs() < 1e-9, "{o}");
+        assert!(o["warnings"].to_string().contains("removes (1.500, -0.700) mm from where"), "{o}");
+    }
+    // Less than half a pixel of the map, 0.25 mm, is not seen; all of the TIF is within the overscan.
+    let (_, manifest) = made("raster", [-0.2, 0.2]);
+    assert_eq!(manifest.settings["overscan_mm"], 3.2);
+    assert_eq!(manifest.outcome["warnings"].as_array().unwrap().len(), 0);
+}
+
 #[test]
 fn the_overscan_defaults_to_half_the_tif_and_the_manifest_has_the_statistics() {
     let tmp = tempfile::tempdir().unwrap();
