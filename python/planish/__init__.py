@@ -90,8 +90,9 @@ def load(path):
 def save(path, **arrays):
     """Writes arrays under their names, with their units, as an artifact: save("mirror", height_nm=..., x_mm=..., y_mm=...).
 
-    A map has the shape (ny, nx), row 0 at the smallest y; NaN marks an invalid pixel. `path` must not exist, or be the
-    directory of an earlier save of the same names: what is not of this function is never replaced.
+    A map has the shape (ny, nx), row 0 at the smallest y; NaN marks an invalid pixel, and so does the mask of a masked
+    array. `path` must not exist, or be the directory of an earlier save of the same names: what is not of this function
+    is never replaced.
     """
     path = pathlib.Path(path)
     if not arrays:
@@ -102,9 +103,12 @@ def save(path, **arrays):
         raise FileExistsError(f"{path}: holds something else; give another directory, or remove it")
     converted = {}
     for name, array in arrays.items():
-        array = np.asarray(array)
+        array = np.asanyarray(array)
         if array.dtype.kind not in "fiub":
             raise TypeError(f"{name}: has the type {array.dtype}; give real numbers")
+        if np.ma.is_masked(array):
+            # Under a mask lies any number, often 9999; as a plain array it would be a height.
+            array = array.astype(float).filled(np.nan)
         converted[name] = np.ascontiguousarray(array)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
@@ -244,7 +248,9 @@ def _words(flag, value):
     if several and flag["repeats"] and most == 1:
         return [word for v in value for word in (name, _word(v))]
     if several and most > 1:
-        return [name, *map(_word, value)]
+        # A flag of several values that repeats: [[0.1, 1], [1, 10]] are two bands, [0.1, 1] is one.
+        groups = value if flag["repeats"] and all(np.ndim(v) == 1 for v in value) else [value]
+        return [word for group in groups for word in (name, *map(_word, group))]
     # X,Y: one value of two numbers. With =, so that a negative number is none of the flags.
     return [f"{name}={','.join(map(_word, value)) if several else _word(value)}"]
 

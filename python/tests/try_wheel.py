@@ -26,6 +26,12 @@ def mirror():
     pathlib.Path("machine.json").write_text(json.dumps(MACHINE))
     back = planish.load("mirror")
     assert np.array_equal(back["height_nm"], surface["height_nm"]) and back.kind is None
+    # What lies under a mask is no height.
+    masked = np.ma.masked_less(surface["height_nm"], 20.0)
+    planish.save("masked", **{**surface, "height_nm": masked})
+    stored = planish.load("masked")["height_nm"]
+    assert 0 < np.isnan(stored).sum() < stored.size and np.array_equal(np.isnan(stored), masked.mask)
+    assert np.array_equal(stored[~masked.mask], surface["height_nm"][~masked.mask])
 
 
 def digests(folder):
@@ -57,6 +63,10 @@ def functions_write_what_the_command_line_writes():
         subprocess.run([planish.programs() / f"planish-{program}", *words], check=True, capture_output=True)
     assert digests("made") == first, "a function writes other bytes than the command line"
     print(f"functions: {len(first)} files, the bytes of the command line")
+    for bands in ([0.02, 0.1], [[0.02, 0.1], [0.1, 0.5]], np.array([[0.02, 0.1], [0.1, 0.5]])):
+        out = f"spectrum/{np.size(bands)}-{type(bands).__name__}"
+        psd = planish.surface.psd(surface="mirror", band_per_mm=bands, out=out)
+        assert np.array_equal([b["band_per_mm"] for b in psd.outcome["bands"]], np.reshape(bands, (-1, 2)))
 
 
 def messages_say_what_to_do():
