@@ -315,7 +315,9 @@ pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statem
 /// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second.
 /// A spot that has to be cut out or divided by its time is a [`crate::spot`].
 pub fn tif(reading: Reading, settings: &Settings) -> Result<(Tif, Statement), Invalid> {
+    let of_file = reading.coordinates.is_some() && settings.origin == Origin::File;
     let (grid, values, statement) = map(reading, settings)?;
+    let grid = if of_file { turned_about_0(&grid, settings)? } else { grid };
     Ok((Tif::new(grid, values)?, statement))
 }
 
@@ -491,7 +493,8 @@ fn place(
     Ok((Grid { x, y }, view.to_owned(), first_row, "file"))
 }
 
-/// Mirrors, then turns. A mirrored axis keeps its coordinates; a quarter turn swaps the axes.
+/// Mirrors, then turns. A mirrored axis keeps its coordinates; a quarter turn swaps the axes. Of a TIF see
+/// [`turned_about_0`].
 fn turn(
     grid: Grid,
     values: Array2<f64>,
@@ -523,6 +526,25 @@ fn turn(
             (swapped, turned.as_standard_layout().into_owned())
         }
     })
+}
+
+/// The grid of a map that was turned, with the offset 0 where it was in the file: offsets are mirrored and turn with
+/// the samples, or the tool would be beside the place from which the file counts them.
+fn turned_about_0(grid: &Grid, settings: &Settings) -> Result<Grid, Invalid> {
+    let sign = |flip: bool| if flip { -1.0 } else { 1.0 };
+    let (x, y) = (sign(settings.flip_x), sign(settings.flip_y));
+    // Sign of the coordinate of the file that became x, and of the one that became y; 90 degrees: (x, y) -> (-y, x)
+    let [along_x, along_y] = match settings.rotation {
+        Rotation::None => [x, y],
+        Rotation::Quarter => [-y, x],
+        Rotation::Half => [-x, -y],
+        Rotation::ThreeQuarters => [y, -x],
+    };
+    let turned = |axis: &Axis, sign: f64| {
+        let start = if sign < 0.0 { -axis.end_mm() } else { axis.start_mm() };
+        Axis::new(start, axis.step_mm(), axis.len())
+    };
+    Ok(Grid { x: turned(&grid.x, along_x)?, y: turned(&grid.y, along_y)? })
 }
 
 fn set_origin(grid: Grid, origin: Origin) -> Result<Grid, Invalid> {
@@ -586,6 +608,47 @@ mod tests {
         let grid = surface.grid();
         assert_eq!((grid.x.start_mm(), grid.y.start_mm()), (-0.125, -0.5));
         assert_eq!((grid.x.end_mm(), grid.y.end_mm()), (0.125, 0.5));
+    }
+
+    #[test]
+    fn the_offset_0_of_a_tif_turns_with_its_samples() {
+        // Offsets -1, 0, 1, 2 mm along x and 0, 0.5, 1 mm along y; 9 nm/s at (0, 0.5).
+        let values = array![[1.0, 2.0, 3.0, 4.0], [5.0, 9.0, 6.0, 7.0], [8.0, 1.0, 2.0, 3.0]];
+        let reading = || {
+            let mut reading = Reading::new(Format::Npy, values.clone(), FirstRow::SmallestY);
+            let (x, y) = (vec![-1.0, 0.0, 1.0, 2.0], vec![0.0, 0.5, 1.0]);
+            reading.unit = Some(Unit::Nm);
+            reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::Mm) });
+            reading
+        };
+        for flip_x in [false, true] {
+            for flip_y in [false, true] {
+                for (rotation, cos, sin) in [
+                    (Rotation::None, 1.0, 0.0),
+                    (Rotation::Quarter, 0.0, 1.0),
+                    (Rotation::Half, -1.0, 0.0),
+                    (Rotation::ThreeQuarters, 0.0, -1.0),
+                ] {
+                    let settings = Settings { flip_x, flip_y, rotation, ..Settings::default() };
+                    let made = tif(reading(), &settings).unwrap().0;
+                    for (r, y) in [0.0, 0.5, 1.0].into_iter().enumerate() {
+                        for (c, x) in [-1.0, 0.0, 1.0, 2.0].into_iter().enumerate() {
+                            let u = if flip_x { -x } else { x };
+                            let v = if flip_y { -y } else { y };
+                            let rate = made.rate_at(cos * u - sin * v, sin * u + cos * v);
+                            assert!((rate - values[[r, c]]).abs() < 1e-9, "{settings:?} {x} {y}");
+                        }
+                    }
+                    // The middle of the samples is asked for, and stays there.
+                    let settings = Settings { origin: Origin::Centre, ..settings };
+                    let g = *tif(reading(), &settings).unwrap().0.grid();
+                    assert_eq!(
+                        [g.x.start_mm() + g.x.end_mm(), g.y.start_mm() + g.y.end_mm()],
+                        [0.0; 2]
+                    );
+                }
+            }
+        }
     }
 
     #[test]
