@@ -17,8 +17,8 @@
 //! taper      R'(p) = R(p) (1 + cos(pi t)) / 2,  t = (rho - 1 + F) / F in [0, 1]
 //! ```
 //!
-//! with K Keys' kernel along x and along y, and rho the distance from the centre over that of the
-//! nearest border in units of the half size. To a finer pitch K interpolates; to a coarser one it is
+//! with K Keys' kernel along x and along y, and rho = hypot(x / X, y / Y), X and Y the borders on the side of
+//! the sample (x, y). To a finer pitch K interpolates; to a coarser one it is
 //! stretched, so that what the new lattice cannot hold is averaged, not aliased. Both are exact for
 //! quadratics: a smooth TIF is not widened. Rotation and pitch keep the volumetric removal rate (VRR)
 //! exactly: the samples are scaled by what the interpolation lost, and the report states it. Where it
@@ -77,7 +77,7 @@ pub enum Centre {
     Given,
     /// The centroid of the samples.
     Centroid,
-    /// The vertex of the parabola through the largest sample and its neighbours.
+    /// The vertex of the paraboloid through the largest sample and its neighbours.
     Peak,
 }
 
@@ -260,21 +260,46 @@ fn border_mean(tif: &Tif) -> f64 {
     sum / count
 }
 
-/// Vertex of the parabolas along x and y through the largest sample and its neighbours.
+/// Vertex of the paraboloid through the largest sample and its neighbours.
+///
+/// ```text
+/// R(u, v) = R0 + g u + h v + (a u^2 + b v^2) / 2 + c u v,   u, v in samples from the largest one
+/// vertex    (u, v) = -[a c; c b]^-1 (g, h)
+/// ```
+///
+/// Each coefficient is the central difference, exact for a quadratic. Without c, which is that of a spot whose axes are
+/// turned, each coordinate would be that of the largest rate on the line through the sample, not on the plane.
 fn vertex_mm(tif: &Tif) -> [f64; 2] {
     let (r, c) = peak_place(tif);
-    let rate = tif.rate_nm_per_s();
-    let vertex = |axis: &Axis, k: usize, at: &dyn Fn(usize) -> f64| {
-        if k == 0 || k + 1 == axis.len() {
-            return axis.at(k);
-        }
-        let (a, b, c) = (at(k - 1), at(k), at(k + 1));
-        let bend = a - 2.0 * b + c;
-        let offset = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
-        axis.at(k) + offset * axis.step_mm()
+    let (g, rate) = (tif.grid(), tif.rate_nm_per_s());
+    let at = |offset: [f64; 2]| {
+        let along = |axis: &Axis, k: usize, offset: f64| axis.at(k) + offset * axis.step_mm();
+        [along(&g.x, c, offset[0]), along(&g.y, r, offset[1])]
     };
-    let g = tif.grid();
-    [vertex(&g.x, c, &|k| rate[[r, k]]), vertex(&g.y, r, &|k| rate[[k, c]])]
+    // Slope and bend along a line of which the largest sample is the middle; along a line that ends there nothing is
+    // known but that it is the largest.
+    let differences = |before: f64, after: f64| {
+        let bend = before - 2.0 * rate[[r, c]] + after;
+        (bend < 0.0).then_some((0.5 * (after - before), bend))
+    };
+    let (ny, nx) = rate.dim();
+    let inner = |k: usize, n: usize| k > 0 && k + 1 < n;
+    let along_x = inner(c, nx).then(|| differences(rate[[r, c - 1]], rate[[r, c + 1]])).flatten();
+    let along_y = inner(r, ny).then(|| differences(rate[[r - 1, c]], rate[[r + 1, c]])).flatten();
+    let on_lines = [along_x, along_y].map(|line| line.map_or(0.0, |(slope, bend)| -slope / bend));
+    let (Some((slope_x, bend_x)), Some((slope_y, bend_y))) = (along_x, along_y) else {
+        return at(on_lines);
+    };
+    let rising = rate[[r + 1, c + 1]] + rate[[r - 1, c - 1]];
+    let twist = 0.25 * (rising - rate[[r + 1, c - 1]] - rate[[r - 1, c + 1]]);
+    let determinant = bend_x * bend_y - twist * twist;
+    let vertex = [
+        (twist * slope_y - bend_y * slope_x) / determinant,
+        (twist * slope_x - bend_x * slope_y) / determinant,
+    ];
+    // Beyond the neighbours the paraboloid is a guess: that of a saddle, or of noise on a plateau.
+    let within = determinant > 0.0 && vertex.iter().all(|offset| offset.abs() <= 1.0);
+    at(if within { vertex } else { on_lines })
 }
 
 /// The grid with its origin at `centre_mm`.
@@ -438,20 +463,26 @@ fn kernel(t: f64) -> f64 {
     }
 }
 
-/// R (1 + cos(pi t)) / 2 on ellipses that touch the nearest borders.
+/// R (1 + cos(pi t)) / 2 on quarters of ellipses about the centre that touch the borders. One ellipse about a centre
+/// that is not the middle of the samples would end at the nearest border, and cut off what lies as far on the other
+/// side.
 fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
-    let half = |axis: &Axis| axis.end_mm().min(-axis.start_mm());
-    let (hx, hy) = (half(&g.x), half(&g.y));
-    if !(hx > 0.0 && hy > 0.0) {
+    let inside = |axis: &Axis| axis.start_mm() < 0.0 && axis.end_mm() > 0.0;
+    if !(inside(&g.x) && inside(&g.y)) {
         return Err(Invalid::whole(
             "taper",
             "the tool centre is not within the samples",
             "give a centre (`centre` centroid)",
         ));
     }
+    // The offset over that of the border on its side.
+    let to_border = |axis: &Axis, k: usize| {
+        let offset = axis.at(k);
+        offset / if offset < 0.0 { axis.start_mm() } else { axis.end_mm() }
+    };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let rho = (g.x.at(c) / hx).hypot(g.y.at(r) / hy);
+        let rho = to_border(&g.x, c).hypot(to_border(&g.y, r));
         let t = ((rho - 1.0 + fraction) / fraction).clamp(0.0, 1.0);
         tif.rate_nm_per_s()[[r, c]] * 0.5 * (1.0 + (PI * t).cos())
     });
@@ -522,6 +553,39 @@ mod tests {
                 assert!((a - b).abs() < 1e-10, "{a} {b}");
             }
         }
+    }
+
+    #[test]
+    fn the_peak_of_a_turned_spot_is_not_that_of_the_lines_through_its_largest_sample() {
+        // Half a sample off along x and y, where the lines alone err most: by 0.27 of a sample.
+        let grid =
+            Grid { x: Axis::new(-3.0, 0.2, 61).unwrap(), y: Axis::new(-7.0, 0.3, 56).unwrap() };
+        let (sine, cosine) = 0.4_f64.sin_cos();
+        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (grid.x.at(c) - 2.5, grid.y.at(r) + 1.15);
+            let (u, v) = (cosine * x + sine * y, cosine * y - sine * x);
+            7.0 * (-0.5 * ((u / 1.2).powi(2) + (v / 0.7).powi(2))).exp()
+        });
+        let tif = Tif::new(grid, rate).unwrap();
+        let peak = TifSettings { centre: Centre::Peak, ..settings() };
+        let [x, y] = prepare_tif(&tif, &peak).unwrap().1.centre_mm;
+        // A paraboloid through samples of a Gaussian errs by (step / sigma)^2 of the offset, 0.1 mm along x.
+        assert!((x - 2.5).abs() < 0.02 && (y + 1.15).abs() < 0.02, "{x} {y}");
+    }
+
+    #[test]
+    fn a_taper_about_a_centre_beside_the_middle_leaves_the_samples_on_the_long_side() {
+        // From -3 to 9 mm about the tool, the spot at 2.5 mm: within 3 mm of the tool lies half of it.
+        let grid =
+            Grid { x: Axis::new(-3.0, 0.2, 61).unwrap(), y: Axis::new(-4.0, 0.2, 41).unwrap() };
+        let tif = Tif::new(grid, bell(&grid, [2.5, 0.5], [0.8, 0.6])).unwrap();
+        let taper = TifSettings { taper_fraction: Some(0.15), ..settings() };
+        let (tapered, report) = prepare_tif(&tif, &taper).unwrap();
+        // The taper begins at 0.85 of the way to the border, 6.4 sigma from the spot: 1e-9 of its volume.
+        let (before, after) = (report.before.vrr_nm_mm2_per_s, report.after.vrr_nm_mm2_per_s);
+        assert!((after / before - 1.0).abs() < 1e-6, "{before} {after}");
+        assert_eq!(tapered.rate_nm_per_s()[[20, 60]], 0.0);
+        assert_eq!(tapered.rate_nm_per_s()[[40, 15]], 0.0);
     }
 
     #[test]
