@@ -557,7 +557,7 @@ mod tests {
 
     #[test]
     fn the_peak_of_a_turned_spot_is_not_that_of_the_lines_through_its_largest_sample() {
-        // Half a sample off along x and y, where the lines alone err most: by 0.27 of a sample.
+        // Half a sample off along x and y, where the lines alone err most: by 0.4 of a sample.
         let grid =
             Grid { x: Axis::new(-3.0, 0.2, 61).unwrap(), y: Axis::new(-7.0, 0.3, 56).unwrap() };
         let (sine, cosine) = 0.4_f64.sin_cos();
