@@ -15,8 +15,10 @@
 //! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. Then Gondzio's
 //! corrections bring products of slacks and dual variables that have become outliers back towards mu; without them the
 //! steps end early at a few rows that are far from being active. A step ends where a row would lose more than most
-//! of what it has left, measured on c itself: every iterate can be executed. The matrix keeps the skyline of H, because
-//! a row couples neighbours only.
+//! of what it has left, measured on c itself: every iterate can be executed. Where bends end it much before the
+//! tangents do, it is taken round them: what the rows leave beside their tangents at the end of the step is one more
+//! right-hand side for the same factor (a second-order correction). The matrix keeps the skyline of H, because a row
+//! couples neighbours only.
 //!
 //! f and f' are those of [`crate::merit`]: with the removal itself where the complementarity has fallen to a tenth, and at
 //! every iterate of which something is to be proven; between them H says what has changed.
@@ -29,7 +31,8 @@
 //! themselves allow, and the steps under these go on.
 //!
 //! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for programs that
-//! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263.
+//! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263; for the second-order correction
+//! A. Wächter and L. T. Biegler, Math. Program. 106 (2006) 25.
 
 use planish_dwell::residual::Normal;
 use planish_numerics::{
@@ -58,6 +61,13 @@ const BEFORE_PROOF: f64 = 0.75;
 
 /// Least centring: mu falls to no less than this fraction in a step.
 const LEAST_CENTRING: f64 = 1e-3;
+
+/// Most corrections of a step that bends end early: each takes a solution with the factor, and of a hundred none needed
+/// a third.
+const MAX_BEND_CORRECTIONS: usize = 4;
+
+/// Part of the length by the tangents above which a step is long enough: between half and all of it is usual.
+const LONG_ENOUGH: f64 = 0.5;
 
 /// Most corrections of a step that bring outlying products back.
 const MAX_CENTRALITY_CORRECTIONS: usize = 3;
@@ -89,6 +99,10 @@ const KEPT_AGAIN: f64 = 0.25;
 /// down to this part of the gap that is wanted: where rows bend much, the way along them is long, and it is proven earlier
 /// that its end is near.
 const LEAST_KEPT_BELOW: f64 = 0.06;
+
+/// Least steps under the rows themselves after a proof that failed: at the same iterate the next one would fail as
+/// well, and so on to the last step.
+const LEAST_STEPS_BETWEEN_PROOFS: usize = 3;
 
 /// Steps that a proof usually takes: so many of the last ones are for it, wherever the iterate is by then.
 const STEPS_OF_A_PROOF: usize = 25;
@@ -294,6 +308,8 @@ pub fn solve(
     let mut of_curvature: Option<Inverse<'_>> = None;
     let (mut values, mut iteration) = (Vec::new(), 0);
     let (mut value_before, mut kept_below) = (f64::INFINITY, 1.0);
+    // From which step on tangents may be kept.
+    let mut keeps_from = 0;
     let first_complementarity = at.complementarity();
     let mut referred_at = first_complementarity;
     let end = loop {
@@ -307,7 +323,7 @@ pub fn solve(
         let near = settled
             && complementarity <= enough
             && (at.kept.is_some()
-                || complementarity <= kept_below * enough && !falls
+                || complementarity <= kept_below * enough && !falls && iteration >= keeps_from
                 || to_go <= STEPS_OF_A_PROOF);
         let last = to_go == 0;
         if near || last || complementarity <= REFERRED_AGAIN * referred_at {
@@ -344,6 +360,7 @@ pub fn solve(
             if at.kept.is_some() && gap <= PROGRAM_SOLVED * enough {
                 at.move_towards_solution();
                 kept_below = (kept_below * KEPT_AGAIN).max(LEAST_KEPT_BELOW);
+                keeps_from = iteration + LEAST_STEPS_BETWEEN_PROOFS;
                 (at.f, settled) = merit.evaluate(there, &at.density);
                 continue;
             }
@@ -602,7 +619,7 @@ impl<'a> Iterate<'a> {
         let inverse = self.inverse(row_of)?;
         let (rows, bounds) = (self.c.len(), self.room.len());
         let complementarity = self.complementarity();
-        let towards = |t: &Products| self.direction(&inverse, t);
+        let towards = |t: &Products| self.direction(&inverse, t, &self.excess);
         let zero = Products { rows: vec![0.0; rows], bounds: vec![0.0; bounds] };
         let predictor = towards(&zero);
         let after = self.products(&predictor, self.primal(&predictor).0, self.dual(&predictor));
@@ -624,7 +641,42 @@ impl<'a> Iterate<'a> {
             }
             (target, step) = (corrected, next);
         }
+        if self.kept.is_none() {
+            step = self.around_bends(&inverse, &target, step);
+        }
         Some(step)
+    }
+
+    /// A longer step where bends end it early.
+    ///
+    /// ```text
+    /// c(D + t d) = c + t J d - q,   and d' instead of d with   J d' = J d + q / t as far as (2) allows   (3)
+    /// ```
+    ///
+    /// The curvature C of (2) makes d shorter where a bend costs much, but has no row avoided. So a row of which little
+    /// is left, and along which the others want to go far, ends one step after another, wherever its tangent points.
+    fn around_bends(&self, inverse: &Inverse<'_>, target: &Products, mut step: Step) -> Step {
+        let mut length = self.primal(&step).0;
+        let mut wanted = self.by_tangents(&step);
+        for _ in 0..MAX_BEND_CORRECTIONS {
+            if length >= LONG_ENOUGH * wanted {
+                break;
+            }
+            let there = self.program.rows.slacks(&moved(&self.density, &step.density, wanted));
+            let by_tangents = along(&self.here, &step.density);
+            let bends = (self.c.iter().zip(&by_tangents).zip(&there))
+                .map(|((c, d), there)| ((c - there) / wanted + d).max(0.0));
+            let next = self.direction(inverse, target, &bends.collect::<Vec<f64>>());
+            let farther = self.primal(&next).0;
+            if farther > length {
+                (step, length) = (next, farther);
+                wanted = wanted.min(self.by_tangents(&step));
+            } else {
+                // (3) of a shorter step: q is of the second order in its length.
+                wanted = (wanted * length).sqrt();
+            }
+        }
+        step
     }
 
     /// As far as the step may go; its complementarity by the tangents.
@@ -665,9 +717,9 @@ impl<'a> Iterate<'a> {
         self.program.inverse(row_of, (&diagonal, &below))
     }
 
-    /// (2) with `target` in place of mu.
-    fn direction(&self, inverse: &Inverse<'_>, target: &Products) -> Step {
-        let Self { f, here, c, room, z, y, excess, .. } = self;
+    /// (2) with `target` in place of mu, and slacks that are `excess` (rows) larger than what they shall be.
+    fn direction(&self, inverse: &Inverse<'_>, target: &Products, excess: &[f64]) -> Step {
+        let Self { f, here, c, room, z, y, .. } = self;
         let t = target.bounds.iter().zip(room).map(|(t, room)| t / room);
         let mut rhs: Vec<f64> = f.gradient.iter().zip(t).map(|(g, t)| t - g).collect();
         add_adjoint(here, |i| (target.rows[i] + z[i] * excess[i]) / c[i], &mut rhs);

@@ -248,6 +248,37 @@ fn nodes_where_they_are_worth_most_leave_less_than_as_many_everywhere() {
     assert!(refined < everywhere * (1.0 - 2e-3), "{refined} {everywhere}");
 }
 
+/// Lines 1 mm apart with a tooth of `height` to each side at every `step` mm.
+fn toothed(step: f64, height: f64) -> ToolPath {
+    let teeth = (18.0 / step).ceil() as usize;
+    let mut points = Vec::new();
+    for line in 0..14 {
+        for k in 0..=teeth {
+            let x = step * if line % 2 == 0 { k } else { teeth - k } as f64;
+            let y = f64::from(line) + if k % 2 == 0 { height } else { -height };
+            points.push([x - 2.0, y - 1.5]);
+        }
+    }
+    through(points)
+}
+
+#[test]
+fn corners_between_nodes_far_apart_do_not_hold_the_method_up() {
+    // The rows of all corners between two nodes depend on the same two densities, and bend where others want to go.
+    let cases = [
+        (toothed(0.5, 0.1), machine(40.0, 200.0, None), 2.5),
+        (toothed(0.3, 0.15), machine(60.0, 400.0, None), 1.5),
+    ];
+    for (path, limits, spacing) in cases {
+        let node_spacing_mm = Some(spacing);
+        let settings = Settings { node_spacing_mm, refinements: 0, ..Settings::default() };
+        let plan = run(&path, &limits, &settings);
+        let r = &plan.report;
+        assert_eq!(r.end, End::Optimal, "{spacing}: {:e} after {}", r.relative_gap, r.iterations);
+        assert!(r.corners > r.nodes && plan.refused.is_none());
+    }
+}
+
 /// 20 x 15 mm of low orders.
 fn low_orders() -> Surface {
     let g = Grid { x: Axis::new(0.0, 0.25, 81).unwrap(), y: Axis::new(0.0, 0.25, 61).unwrap() };
