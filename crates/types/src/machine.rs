@@ -271,23 +271,31 @@ mod tests {
         );
     }
 
-    /// Whether a middle is on its own line, and where two cross that are one, is rounding: many limits and angles.
+    /// The largest box has its corner in the middle of the nearer of two lines, or where they meet; either is some
+    /// 1e-16 beyond a line by rounding, which once made the box negative, or half as large.
     #[test]
-    fn the_box_is_one_whatever_the_rounding() {
-        for k in 0..2000 {
-            let k = f64::from(k);
-            let mut file = turned([45.0, 30.0, -45.0, 17.3][k as usize % 4]);
-            let limit = 3.0 + (7.31 * k) % 90.0;
-            file.axes[0].max_velocity_mm_per_s = limit;
-            file.axes[1].max_velocity_mm_per_s = limit * [1.0, 3.0, 0.21][k as usize % 3];
-            let (s, c) = sine_cosine(file.part_rotation_deg.unwrap());
-            let (s, c) = (s.abs(), c.abs());
-            let both = [0, 1].map(|i| file.axes[i].max_velocity_mm_per_s);
-            let [wx, wy] = Machine::new(file).unwrap().limits_on_part().max_velocity_mm_per_s();
-            let used = [(c * wx + s * wy) / both[0], (s * wx + c * wy) / both[1]];
-            assert!(used.iter().all(|u| *u <= 1.0 + 1e-14), "{k}: {used:?}");
-            // Half of the lesser limit along both is a box at any angle.
-            assert!(wx * wy >= (0.5 * both[0].min(both[1])).powi(2), "{k}: {wx} {wy}");
+    fn rounding_does_not_decide_on_the_box_of_a_turned_part() {
+        for tenth in 1..900 {
+            let angle_deg = 0.1 * f64::from(tenth);
+            for speeds in [[117.0, 117.0], [61.0, 1223.0], [313.0, 234.0], [1014.0, 1014.0]] {
+                let mut file = turned(angle_deg);
+                for (axis, speed) in file.axes.iter_mut().zip(speeds) {
+                    axis.max_velocity_mm_per_s = speed;
+                }
+                let machine = Machine::new(file).unwrap();
+                let [wx, wy] = machine.limits_on_part().max_velocity_mm_per_s();
+                let (s, c) = f64::to_radians(angle_deg).sin_cos();
+                let used = [(c * wx + s * wy) / speeds[0], (s * wx + c * wy) / speeds[1]];
+                let most = used[0].max(used[1]);
+                assert!((most - 1.0).abs() < 1e-12, "{angle_deg} {speeds:?}: {most} of a limit");
+                // On the line of the nearer limit the product is c^2 / 4ab at its middle; no box has more, and that
+                // where both lines meet has less.
+                let middle = |i: usize| speeds[i].powi(2) / (4.0 * s * c);
+                let bound = middle(0).min(middle(1)) * (1.0 + 1e-12);
+                let is_corner = used.iter().all(|u| (u - 1.0).abs() < 1e-12);
+                assert!(wx > 0.0 && wy > 0.0 && wx * wy <= bound, "{angle_deg} {speeds:?}");
+                assert!(is_corner || wx * wy >= bound * (1.0 - 1e-11), "{angle_deg} {speeds:?}");
+            }
         }
     }
 
