@@ -26,8 +26,8 @@ pub enum Solver {
     Tridiagonal,
     /// Bounds are active: interior point method.
     QuadraticProgram,
-    /// The interior point method still did not converge after many rounds: at rest in every control
-    /// point, which is within the limits and monotone, but far from the least energy.
+    /// The interior point method did not converge: the spline, slowed where it would reverse and at
+    /// rest where it exceeds the limits. It is within them and monotone, but has not the least energy.
     Rest,
 }
 
@@ -73,10 +73,6 @@ pub(super) struct Rounds {
     limited: Vec<usize>,
     /// The last durations had clearly no motion within the limits.
     infeasible: bool,
-    /// Neither program was solved.
-    pub(super) unsolved: bool,
-    /// [`Solver::Rest`] is allowed.
-    pub(super) may_rest: bool,
 }
 
 /// Segments of an axis from a node at rest to another. Neither (4) nor a bound couples what is on the
@@ -196,7 +192,6 @@ impl AxisProblem<'_> {
         price: impl Fn() -> f64,
         before: &mut Rounds,
     ) -> Result<Solved, Vec<f64>> {
-        before.unsolved = false;
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
         if allowed && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
@@ -225,19 +220,18 @@ impl AxisProblem<'_> {
                 }
                 excess
             }
-            None => {
-                before.unsolved = true;
-                if before.may_rest {
-                    let velocity = vec![0.0; h.len() + 1];
-                    let excess = self.excess(&velocity, h);
-                    if excess.iter().all(|e| *e <= 1.0) {
-                        return Ok(Solved { velocity, solver: Solver::Rest });
-                    }
-                    return Err(excess);
-                }
-                self.excess(&self.clamped_spline(h), h)
-            }
+            None => match self.without_program(h) {
+                Ok(velocity) => return Ok(Solved { velocity, solver: Solver::Rest }),
+                Err(excess) => excess,
+            },
         };
+        // No more time would help where the tool can rest in every control point.
+        if excess.iter().any(|e| *e > within) {
+            let velocity = vec![0.0; h.len() + 1];
+            if (0..h.len()).all(|i| self.excess_of(i, &velocity, h) <= 1.0) {
+                return Ok(Solved { velocity, solver: Solver::Rest });
+            }
+        }
         before.infeasible = excess.iter().any(|e| *e > EXCESS_FOR_ELASTIC_START);
         if excess.iter().all(|e| *e <= within) {
             // Only the solver's tolerance stands in the way.
@@ -245,6 +239,45 @@ impl AxisProblem<'_> {
         }
         excess.iter_mut().filter(|e| **e <= within).for_each(|e| *e = 1.0);
         Err(excess)
+    }
+
+    /// Least time of segment `i` from rest to rest. Its acceleration is then 6 dp/h^2 by (2), its
+    /// largest velocity 1.5 dp/h by (3), and its jerk 12 dp/h^3.
+    pub(super) fn rest_to_rest_s(&self, i: usize) -> f64 {
+        let dp = self.displacement_mm[i].abs();
+        let acceleration = (6.0 * dp / self.max_acceleration).sqrt();
+        let jerk = (12.0 * dp / self.max_jerk).cbrt();
+        acceleration.max(1.5 * dp / self.max_velocity).max(jerk)
+    }
+
+    /// A motion within the limits that needs no program, or how much each segment of the spline, slowed
+    /// where it would reverse, exceeds them.
+    fn without_program(&self, h: &[f64]) -> Result<Vec<f64>, Vec<f64>> {
+        let n = h.len();
+        let mut v = self.clamped_spline(h);
+        if self.mode == Mode::Monotone {
+            // V >= 0 in (3) where neither velocity is above half of 3 dp/h.
+            let most = |i: usize| 1.5 * self.displacement_mm[i].abs() / h[i];
+            for i in 1..n {
+                let most = most(i - 1).min(most(i));
+                v[i] = v[i].clamp(-most, most);
+            }
+            v = self.exact_at_fixed_nodes(v);
+        }
+        let excess = self.excess(&v, h);
+        // To rest at the ends of a segment changes its neighbours, which are looked at again.
+        let mut open: Vec<usize> = (0..n).collect();
+        while let Some(i) = open.pop() {
+            if self.excess_of(i, &v, h) <= 1.0 {
+                continue;
+            }
+            if v[i] == 0.0 && v[i + 1] == 0.0 {
+                return Err(excess);
+            }
+            (v[i], v[i + 1]) = (0.0, 0.0);
+            open.extend(i.saturating_sub(1)..(i + 2).min(n));
+        }
+        Ok(v)
     }
 
     /// The free minimiser of (4): H v = g by elimination; H is diagonally dominant.

@@ -21,7 +21,8 @@
 //! with `v_0 = v_N = 0`. Its free minimiser has `a-` = `a+` at every node: the clamped cubic
 //! spline. Where a limit is exceeded, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
 //! segments as a quadratic program; where that has no solution, the program with the least excess
-//! over the limits says which segments need more time, and the report how much they got.
+//! over the limits says which segments need more time, and the report how much they got. None ever gets more than it
+//! needs from rest to rest: where all have that, the tool can stop in every control point, whatever else limits it.
 //!
 //! Modes: *smooth* is (4); *monotone* adds that no axis reverses inside a segment, so the tool
 //! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
@@ -111,8 +112,8 @@ pub struct Schedule {
     pub report: Report,
 }
 
-/// Rounds after which segments are slowed together: what a stretched segment asks of its neighbours can go round, a
-/// slower motion of all that take part cannot.
+/// Rounds after which segments get at once what they need from rest to rest, together with their neighbours: what a
+/// stretched segment asks of its neighbours can go round, and the steps can be small.
 const ROUNDS_BEFORE_SLOWING_TOGETHER: usize = 60;
 
 /// How many take part is not known: so many on each side of a segment that exceeds a limit at first, and twice as many
@@ -159,6 +160,7 @@ fn schedule_stretched(
         return Ok(Schedule { trajectory, report });
     }
 
+    timing.set_enough(|k| axes[0].rest_to_rest_s(k).max(axes[1].rest_to_rest_s(k)));
     let mut parts = axes.each_ref().map(AxisProblem::parts);
     let mut together = FIRST_TOGETHER;
     for rounds in 0..=MAX_ROUNDS {
@@ -168,7 +170,7 @@ fn schedule_stretched(
         let h: Vec<f64> = parallel(timing.kept.len()).map(duration).collect();
         let [x, y] = &mut parts;
         rayon::join(|| axes[0].solve_parts(&h, x), || axes[1].solve_parts(&h, y));
-        let Some(mut excess) = excess_of_parts(&parts, h.len()) else {
+        let Some(excess) = excess_of_parts(&parts, h.len()) else {
             let [x, y] = parts.map(joined);
             let report = Report::new(&timing, path, dwell, [x.solver, y.solver], rounds);
             let velocity = [x.velocity, y.velocity];
@@ -195,17 +197,16 @@ fn schedule_stretched(
         if rounds == MAX_ROUNDS {
             return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
         }
-        if rounds >= ROUNDS_BEFORE_SLOWING_TOGETHER {
-            let of_parts = || parts.iter().flatten();
-            if !of_parts().any(|part| part.rounds.may_rest) {
-                excess = within_reach(excess, together);
-                together = (2 * together).min(h.len());
-            }
-            for part in parts.iter_mut().flatten() {
-                part.rounds.may_rest = part.rounds.unsolved;
-            }
-        }
-        timing.stretch(&excess);
+        let excess = timing.passed_on(&excess);
+        let excess = if rounds < ROUNDS_BEFORE_SLOWING_TOGETHER {
+            timing.stretch(&excess);
+            excess
+        } else {
+            let excess = within_reach(excess, together);
+            together = (2 * together).min(h.len());
+            timing.give_enough(&excess);
+            excess
+        };
         for part in parts.iter_mut().flatten() {
             if excess[part.segments.clone()].iter().any(|e| *e > 1.0) {
                 part.solved = None;
@@ -298,9 +299,42 @@ mod tests {
         let settings = Settings { mode: Mode::Monotone, stretch: true };
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
-        assert!(found.report.rounds > ROUNDS_BEFORE_SLOWING_TOGETHER);
-        // 11.0 s were seen; with every segment slowed by the worst excess 26.1 s.
+        // 7.7 s were seen; with every segment slowed by the worst excess 26.1 s.
         let total_s = found.trajectory.total_time_s();
-        assert!(total_s < 15.0, "{total_s}");
+        assert!(total_s < 9.0, "{total_s}");
+    }
+
+    #[test]
+    fn no_motion_takes_more_time_than_one_that_stops_in_every_control_point() {
+        // Lines of segments from 5 to 40 mm, every third one of 1 to 10 um, and every third dwell time is zero.
+        for seed in 0..6 {
+            let mut random = numbers(seed);
+            let (mut points, mut dwell_s) = (vec![[0.0, 0.0]], Vec::new());
+            for _ in 0..170 {
+                let short = random() < 0.3;
+                let length_mm = random() * if short { 0.009 } else { 35.0 };
+                let [x, y] = points[points.len() - 1];
+                points.push([x + length_mm + if short { 0.001 } else { 5.0 }, y]);
+                dwell_s.push(if random() < 0.3 { 0.0 } else { 0.01 + 0.49 * random() });
+            }
+            let n = dwell_s.len();
+            let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
+            let limits = ion_beam();
+            let [v, a] =
+                [limits.max_velocity_mm_per_s()[0], limits.max_acceleration_mm_per_s2()[0]];
+            let rest_to_rest_s = |i: usize| {
+                let length_mm = path.segment_length_mm(i);
+                (6.0 * length_mm / a).sqrt().max(1.5 * length_mm / v)
+            };
+            let stops_s: f64 = (0..n).map(|i| dwell_s[i].max(rest_to_rest_s(i))).sum();
+            let dwell = DwellTime::new(dwell_s).unwrap();
+            for mode in [Mode::Monotone, Mode::Smooth] {
+                let settings = Settings { mode, stretch: true };
+                let found = schedule(&path, &dwell, &limits, &settings).unwrap();
+                let total_s = found.trajectory.total_time_s();
+                // 0.003 is what a segment may get beyond.
+                assert!(total_s < 1.003 * stops_s, "{seed} {mode:?}: {total_s} {stops_s}");
+            }
+        }
     }
 }
