@@ -112,9 +112,13 @@ pub struct Schedule {
     pub report: Report,
 }
 
-/// Rounds after which segments get at once what they need from rest to rest, together with their neighbours: what a
-/// stretched segment asks of its neighbours can go round, and the steps can be small.
+/// Rounds after which segments are slowed together: what a stretched segment asks of its neighbours can go round, a
+/// slower motion of all that take part cannot.
 const ROUNDS_BEFORE_SLOWING_TOGETHER: usize = 60;
+
+/// Rounds after which all that are slowed together, by then any path of a million segments, get at once what is enough
+/// from rest to rest, which ends the stretching. Where segments are fast that can be several times what they need.
+const ROUNDS_BEFORE_ENOUGH: usize = 80;
 
 /// How many take part is not known: so many on each side of a segment that exceeds a limit at first, and twice as many
 /// from round to round.
@@ -197,16 +201,16 @@ fn schedule_stretched(
         if rounds == MAX_ROUNDS {
             return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
         }
-        let excess = timing.passed_on(&excess);
-        let excess = if rounds < ROUNDS_BEFORE_SLOWING_TOGETHER {
-            timing.stretch(&excess);
-            excess
-        } else {
-            let excess = within_reach(excess, together);
+        let mut excess = timing.passed_on(&excess);
+        if rounds >= ROUNDS_BEFORE_SLOWING_TOGETHER {
+            excess = within_reach(excess, together);
             together = (2 * together).min(h.len());
+        }
+        if rounds < ROUNDS_BEFORE_ENOUGH {
+            timing.stretch(&excess);
+        } else {
             timing.give_enough(&excess);
-            excess
-        };
+        }
         for part in parts.iter_mut().flatten() {
             if excess[part.segments.clone()].iter().any(|e| *e > 1.0) {
                 part.solved = None;
