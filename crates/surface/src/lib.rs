@@ -16,6 +16,7 @@ mod distance;
 pub mod draw;
 pub mod ellipse;
 pub mod extension;
+mod figure;
 pub mod fill;
 pub mod low_order;
 mod median;

@@ -5,17 +5,22 @@
 //! least-squares plane removed first (a tilt must not decide what is a pit):
 //!
 //! ```text
+//! z   <- z - figure(z),         order 10, robust
 //! d    = z - median filter(z),  window W/2 (odd, at least 9 px)
 //! L    = z convolved with [1 -2 1; -2 4 -2; 1 -2 1]: 0 for every quadratic, 6 times the deviation of white noise
 //! s    = 1.4826 max(median|d - median(d)|, median|L - median(L)| / 6)
 //! seed: |d| > max(15 s, floor)        grow: |d| > max(6 s, 0.3 floor), 8-connected
-//! keep: components with a seed whose bounding box is at most W/2 along x and along y
+//! keep: components with a seed whose bounding box is at most W/2 along x and along y, and whose heights stand out by
+//!       as much (largest: seed, median: grow) from a quadratic fitted to the pixels around them, no grown ones
 //! mask: the kept components, dilated by a square of half-width 3 px
 //! ```
 //!
-//! On a slope that is steeper than the noise every pixel is the median of its own window and d is zero, which says
-//! nothing of the noise; L does. The seed finds what is surely not noise, the growth takes its flanks, and the extent spares
-//! edges, rims and steps: they are long.
+//! On a slope that is steeper than the noise the median of a window is the height along its middle. A pit moves it
+//! along the slope, as far as windows reach the pit, which is too far for one to be kept; hence the figure is taken
+//! off first. What the figure does not follow can be steep still: every pixel is the median of its own window then,
+//! and d is zero, which says nothing of the noise; L does. The seed finds what is surely not noise, the growth takes its
+//! flanks, and the extent spares edges, rims and steps: they are long. The crest of a wave that the figure does
+//! not follow is not: it is spared because a quadratic through its neighbours follows it.
 //!
 //! Source: thresholds with hysteresis, J. Canny, IEEE Trans. Pattern Anal. Mach. Intell. 8 (1986)
 //! 679; MAD as the estimate of the noise, F. R. Hampel, J. Am. Stat. Assoc. 69 (1974) 383 (1.4826
@@ -33,12 +38,13 @@
 
 use std::f64::consts::PI;
 
+use nalgebra::{Matrix6, Vector6};
 use ndarray::{Array2, Axis as NdAxis, Slice};
 use planish_numerics::statistics::{fit_plane, subtract_plane};
 use planish_types::{Axis, Invalid, Surface, Tif};
 use serde::Serialize;
 
-use crate::{PrepareError, median::median_filter};
+use crate::{PrepareError, figure::figure, median::median_filter};
 
 /// The grown threshold's fraction of the floor.
 const GROW_FLOOR: f64 = 0.3;
@@ -51,6 +57,9 @@ const SIGMA_PER_MAD: f64 = 1.4826;
 
 /// The root of the sum of the squares of the weights of L: what it multiplies white noise by.
 const DIFFERENCED_NOISE: f64 = 6.0;
+
+/// Neighbours that a quadratic through them needs, ten for each of its terms.
+const MIN_NEIGHBOURS: usize = 60;
 
 /// A larger fraction of masked pixels means that the parameters are wrong, not the mirror.
 const MAX_MASKED_FRACTION: f64 = 0.02;
@@ -153,9 +162,12 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
     let extent_mm = 0.5 * settings.feature_mm;
     let window_px = (window(&grid.y, extent_mm), window(&grid.x, extent_mm));
 
+    // z <- z - figure(z)
+    let half = (window_px.0 / 2, window_px.1 / 2);
+    let level = without_plane(surface);
+    let flat = &level - &figure(level.view());
     // d = z - median filter(z)
-    let flat = without_plane(surface);
-    let deviation = &flat - &median_filter(flat.view(), (window_px.0 / 2, window_px.1 / 2));
+    let deviation = &flat - &median_filter(flat.view(), half);
 
     // s = 1.4826 max(MAD(d), MAD(L) / 6)
     let of_differences = median_absolute_deviation(&twice_differenced(&flat)) / DIFFERENCED_NOISE;
@@ -181,7 +193,11 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
     for component in components(&deviation, grow_nm) {
         let has_seed = component.iter().any(|at| deviation[*at].abs() > seed_nm);
         let (rows, columns) = bounding_box(&component);
-        if has_seed && fits(rows, &grid.y) && fits(columns, &grid.x) {
+        if has_seed
+            && fits(rows, &grid.y)
+            && fits(columns, &grid.x)
+            && stands_out(&level, &deviation, &component, half, (seed_nm, grow_nm))
+        {
             report.components += 1;
             report.core_pixels += component.len();
             component.iter().for_each(|at| dilate(&mut mask, *at, settings.dilate_px));
@@ -209,6 +225,49 @@ fn window(axis: &Axis, extent_mm: f64) -> usize {
     let half = (0.5 * (extent_mm / axis.step_mm() - 1.0)).round().clamp(0.0, largest as f64);
     let half = (half as usize).clamp(MIN_WINDOW_PX / 2, (largest - 1) / 2);
     2 * half + 1
+}
+
+/// Whether a component deviates from the quadratic through its neighbours, half a window around its bounding box:
+/// what the figure leaves of a wave does not.
+fn stands_out(
+    level: &Array2<f64>,
+    deviation: &Array2<f64>,
+    component: &[(usize, usize)],
+    half: (usize, usize),
+    (seed_nm, grow_nm): (f64, f64),
+) -> bool {
+    let (ny, nx) = level.dim();
+    let range = |of: fn(&(usize, usize)) -> usize, half: usize, n: usize| {
+        let (low, high) =
+            component.iter().map(of).fold((usize::MAX, 0), |(l, h), i| (l.min(i), h.max(i)));
+        low.saturating_sub(half)..(high + half + 1).min(n)
+    };
+    let (rows, columns) = (range(|p| p.0, half.0, ny), range(|p| p.1, half.1, nx));
+    let unit = |i: usize, of: &std::ops::Range<usize>| {
+        let reach = 0.5 * (of.end - of.start) as f64;
+        (i as f64 - of.start as f64 + 0.5) / reach - 1.0
+    };
+    let terms = |&(r, c): &(usize, usize)| {
+        let (u, v) = (unit(c, &columns), unit(r, &rows));
+        Vector6::new(1.0, u, v, u * u, u * v, v * v)
+    };
+    let (mut normal, mut right, mut count) = (Matrix6::zeros(), Vector6::zeros(), 0);
+    for at in rows.clone().flat_map(|r| columns.clone().map(move |c| (r, c))) {
+        // false for NaN
+        if deviation[at].abs() <= grow_nm {
+            let a = terms(&at);
+            normal += a * a.transpose();
+            right += a * level[at];
+            count += 1;
+        }
+    }
+    let Some(fit) = normal.cholesky().filter(|_| count >= MIN_NEIGHBOURS).map(|n| n.solve(&right))
+    else {
+        return true; // Too few neighbours to say.
+    };
+    let mut stands: Vec<f64> =
+        component.iter().map(|at| (level[*at] - fit.dot(&terms(at))).abs()).collect();
+    stands.iter().any(|d| *d > seed_nm) && middle(&mut stands) > grow_nm
 }
 
 fn without_plane(surface: &Surface) -> Array2<f64> {
@@ -336,6 +395,76 @@ mod tests {
         let square =
             Array2::from_shape_fn(SHAPE, |(r, c)| (47..59).contains(&r) && (77..89).contains(&c));
         assert_eq!(found.mask, square);
+    }
+
+    /// The figure of [`smooth`], 1, 10 and 100 times: up to 0.3, 3 and 30 nm from pixel to pixel.
+    fn steeper(seed: u64) -> impl Iterator<Item = (f64, Array2<f64>)> {
+        [1.0, 10.0, 100.0].into_iter().map(move |k| {
+            let figure = Array2::from_shape_fn(SHAPE, |(r, c)| {
+                let (x, y) = (0.1 * c as f64, 0.1 * r as f64);
+                (k - 1.0) * 10.0 * (0.3 * x).sin() * (0.25 * y).cos()
+            });
+            (k, smooth(seed) + figure)
+        })
+    }
+
+    #[test]
+    fn a_pit_on_a_slope_is_found_inside_and_at_the_border() {
+        let places = [(50, 80), (0, 90), (70, 194), (0, 0), (114, 0), (0, 194), (114, 194)];
+        for (k, map) in steeper(1) {
+            let report = find(&map).report;
+            assert_eq!(report.components, 0, "{k}: {report:?}");
+            // What the figure leaves is taken for noise: at 100 times the figure a few pm.
+            assert!((0.045..0.12).contains(&report.noise_nm), "{k}: {report:?}");
+            for (r, c) in places {
+                let mut map = map.clone();
+                map.slice_mut(ndarray::s![r..r + 6, c..c + 6]).mapv_inplace(|v| v - 20.0);
+                let found = find(&map);
+                assert_eq!(found.report.components, 1, "{k} {r} {c}: {:?}", found.report);
+                assert!(found.mask.slice(ndarray::s![r..r + 6, c..c + 6]).iter().all(|m| *m));
+                // A border of one pixel at most.
+                assert!(
+                    (36..=100).contains(&found.report.core_pixels),
+                    "{k} {r} {c} {:?}",
+                    found.report
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn waves_that_the_figure_does_not_follow_are_no_outliers() {
+        // 2 and 3 times the frequency: without a look at the neighbours the crests at the border were 5 components.
+        for (k, height) in [(2.0, 10.0), (2.0, 100.0), (3.0, 10.0), (3.0, 100.0)] {
+            let wave = Array2::from_shape_fn(SHAPE, |(r, c)| {
+                let (x, y) = (0.1 * c as f64, 0.1 * r as f64);
+                height * (k * 0.3 * x + 0.4).sin() * (k * 0.25 * y).cos()
+            });
+            let report = find(&(smooth(1) + &wave)).report;
+            assert_eq!(report.components, 0, "{k} {height}: {report:?}");
+        }
+    }
+
+    #[test]
+    fn disks_and_annuli_on_a_slope_have_their_pits_only() {
+        let (pits, radius) =
+            ([(58, 120)], |r: usize, c: usize| (r as f64 - 59.5).hypot(c as f64 - 99.5));
+        for (least, (k, map)) in
+            [0.0, 20.0].into_iter().flat_map(|least| steeper(4).map(move |m| (least, m)))
+        {
+            let aperture = |map: &Array2<f64>| {
+                Array2::from_shape_fn(SHAPE, |(r, c)| {
+                    if (least..=58.0).contains(&radius(r, c)) { map[[r, c]] } else { f64::NAN }
+                })
+            };
+            assert_eq!(find(&aperture(&map)).report.components, 0, "{least} {k}");
+            let mut pitted = map;
+            for (r, c) in pits {
+                pitted.slice_mut(ndarray::s![r..r + 6, c..c + 6]).mapv_inplace(|v| v - 20.0);
+            }
+            let report = find(&aperture(&pitted)).report;
+            assert_eq!((report.components, report.core_pixels), (1, 36), "{least} {k}");
+        }
     }
 
     #[test]
