@@ -31,6 +31,12 @@ pub fn weights(f: f64) -> [f64; 4] {
     ]
 }
 
+/// Means of Keys' weights over offsets f with these means `[f, f^2, f^3]`.
+#[inline]
+pub fn mean_weights([f, f2, f3]: [f64; 3]) -> [f64; 4] {
+    [f2 - 0.5 * (f3 + f), 1.0 + 1.5 * f3 - 2.5 * f2, 2.0 * f2 - 1.5 * f3 + 0.5 * f, 0.5 * (f3 - f2)]
+}
+
 /// `samples` (ny, nx) with one ghost node on every side: shape (ny+2, nx+2).
 ///
 /// Axes shorter than three samples continue with the highest order they have
@@ -107,6 +113,17 @@ mod tests {
                 // Rounding of values up to ~20.
                 assert!((interpolate(q, n, s) - q(s)).abs() < 1e-13, "n {n} s {s}");
             }
+        }
+    }
+
+    #[test]
+    fn means_of_weights_are_those_of_powers() {
+        let offsets = [0.0, 0.25, 0.6, 1.0];
+        let mean = |of: &dyn Fn(f64) -> f64| offsets.iter().map(|f| of(*f)).sum::<f64>() / 4.0;
+        let found = mean_weights([1, 2, 3].map(|k| mean(&|f| f.powi(k))));
+        for (d, found) in found.into_iter().enumerate() {
+            // Rounding of sums of numbers up to 2.
+            assert!((found - mean(&|f| weights(f)[d])).abs() < 1e-15, "{d}");
         }
     }
 
