@@ -9,8 +9,7 @@
 //! ```
 //!
 //! The RMS of all zones is about one mean, that of the map: weighted by their pixels, their squares add up to
-//! the square of the RMS. The travel is exact; times are sampled along every segment at distances of at most
-//! a pixel.
+//! the square of the RMS. Travel and times are exact: the motion is cut where it enters another pixel.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -20,8 +19,10 @@
 use std::f64::consts::PI;
 
 use ndarray::Array2;
-use planish_numerics::polynomial::range;
-use planish_types::{Axis, Grid, Surface, Tif, Trajectory};
+use planish_numerics::polynomial::{
+    derivative, evaluate, monotone_crossing, quadratic_roots, range,
+};
+use planish_types::{Axis, Grid, Segment, Surface, Tif, Trajectory};
 use serde::Serialize;
 
 /// How many of the worst places are listed.
@@ -32,9 +33,6 @@ const WORST_APART: f64 = 0.05;
 
 /// Regions along each side.
 const REGIONS: usize = 3;
-
-/// Most samples of one segment: a rest of hours is one place.
-const MOST_SAMPLES: f64 = 4096.0;
 
 /// How a mirror is divided.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -211,22 +209,16 @@ impl Division {
         let mut times = Times { edge_s: self.edge.as_ref().map(|_| 0.0), ..Times::default() };
         let mut regions = [[0.0; REGIONS]; REGIONS];
         let (ny, nx) = self.grid.shape();
-        let step_mm = self.grid.x.step_mm().min(self.grid.y.step_mm());
         for segment in trajectory.segments() {
             if !segment.tool_on {
                 times.tool_off_s += segment.duration_s;
                 continue;
             }
-            // No point of the segment is faster than |c1| + 2 |c2| T + 3 |c3| T^2.
-            let duration_s = segment.duration_s;
-            let speed = segment.coefficient_mm.map(|[_, c1, c2, c3]| {
-                c1.abs() + duration_s * (2.0 * c2.abs() + duration_s * 3.0 * c3.abs())
-            });
-            let length_mm = speed[0].hypot(speed[1]) * duration_s;
-            let samples = (length_mm / step_mm).ceil().clamp(1.0, MOST_SAMPLES);
-            let part_s = duration_s / samples;
-            for k in 0..samples as usize {
-                let [x_mm, y_mm] = segment.position_mm((k as f64 + 0.5) * part_s);
+            let mut from_s = 0.0;
+            for to_s in self.pixel_changes_s(&segment) {
+                let (part_s, middle_s) = (to_s - from_s, 0.5 * (from_s + to_s));
+                from_s = to_s;
+                let [x_mm, y_mm] = segment.position_mm(middle_s);
                 let pixel = pixel_at(&self.grid.y, y_mm).zip(pixel_at(&self.grid.x, x_mm));
                 let Some((r, c)) = pixel.filter(|index| self.valid[*index]) else {
                     times.beyond_s += part_s;
@@ -243,6 +235,29 @@ impl Division {
             }
         }
         (times, regions)
+    }
+
+    /// When a segment enters another pixel, from its start on, in order, and its end, s.
+    fn pixel_changes_s(&self, segment: &Segment<'_>) -> Vec<f64> {
+        let end_s = segment.duration_s;
+        let mut times_s = vec![end_s];
+        for (axis, c) in [&self.grid.x, &self.grid.y].into_iter().zip(segment.coefficient_mm) {
+            // Pixel i reaches from i to i + 1.
+            let mut p = c.map(|c| c / axis.step_mm());
+            p[0] += 0.5 - axis.start_mm() / axis.step_mm();
+            let d = derivative(&p);
+            let mut from_s = 0.0;
+            for to_s in quadratic_roots(d[0], d[1], d[2], end_s).chain([end_s]) {
+                let (a, b) = (evaluate(&p, from_s), evaluate(&p, to_s));
+                let first = a.min(b).max(0.0).ceil() as usize;
+                let last = a.max(b).min(axis.len() as f64).floor();
+                let borders = (first..).map(|i| i as f64).take_while(|border| *border <= last);
+                times_s.extend(borders.map(|border| monotone_crossing(&p, border, from_s, to_s)));
+                from_s = to_s;
+            }
+        }
+        times_s.sort_by(f64::total_cmp);
+        times_s
     }
 }
 
@@ -450,6 +465,17 @@ mod tests {
         assert!(near(row[0], 2.0) && near(row[1], 2.0) && near(row[2], 5.0), "{row:?}");
         assert_eq!(places.region_time_s[0], [0.0; 3]);
         assert_eq!(places.travel_mm, [[-2.0, 12.0], [2.5, 2.5]]);
+        // The border of the mirror is crossed within a segment: x = u^2 - 2 for 3 s, above pixels from u = 2^(1/2) on.
+        let faster = Trajectory::new(
+            vec![0.0, 3.0],
+            vec![[[-2.0, 0.0, 1.0, 0.0], [2.5, 0.0, 0.0, 0.0]]],
+            vec![true],
+            vec![None],
+        );
+        let time = division.places(&map, &faster.unwrap()).time;
+        // Roundings of numbers up to 3. The first pixel is of the edge zone, up to x = 1.
+        assert!((time.beyond_s - 2.0_f64.sqrt()).abs() < 1e-14, "{time:?}");
+        assert!((time.edge_s.unwrap() - 3.0_f64.sqrt() + 2.0_f64.sqrt()).abs() < 1e-14, "{time:?}");
         // An excursion inside a segment counts: x = 4 u - u^2 for 3 s reaches 4 mm.
         let hump = Trajectory::new(
             vec![0.0, 3.0],
