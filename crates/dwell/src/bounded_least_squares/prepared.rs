@@ -196,9 +196,11 @@ impl<'a> BoundedProblem<'a> {
     /// where another H~ is used.
     pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
         let (grid, smaller) = (self.desired.grid(), self.cell / 2);
-        let pixels = pixels_under(self.tif, grid) / (smaller * smaller).max(1) as f64;
-        let is_too_large = self.path.len() as f64 * pixels > MAX_COLUMN_ELEMENTS;
-        if smaller == 0 || is_too_large || matches!(self.surrogate, Surrogate::Convolved(_)) {
+        if smaller == 0 || matches!(self.surrogate, Surrogate::Convolved(_)) {
+            return false;
+        }
+        let pixels = pixels_under(self.tif, grid) / (smaller * smaller) as f64;
+        if self.path.len() as f64 * pixels > MAX_COLUMN_ELEMENTS {
             return false;
         }
         self.cell = smaller;
