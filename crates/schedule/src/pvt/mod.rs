@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn short_and_long_segments_that_are_too_fast_are_slowed_as_little_as_the_machine_needs() {
-        // Ten lines of segments from 0.01 to 1.2 mm, at densities from 0.006 to 0.034 s/mm: much faster than the machine.
+        // Ten lines of segments from 0.01 to 1.2 mm, at densities from 0.006 to 0.034 s/mm: too fast for the machine.
         let mut random = numbers(8);
         let (mut points, mut dwell_s) = (vec![[0.0, 0.0]], Vec::new());
         for line in 0..10 {

@@ -24,8 +24,8 @@
 //! Where every node has a few candidates for its velocity, the best of all their combinations follows from node to node
 //! (dynamic programming; R. Bellman, 1957). The first candidates are speeds along the path, rest among them, which
 //! gives a motion whatever is asked; then there are steps of both axes up and down around the best so far, which get
-//! smaller when they gain nothing more. All nodes can move at once, so braking before a bend takes no more sweeps over a
-//! hundred segments than over one.
+//! smaller when they gain nothing more. All nodes can move at once, so braking before a bend takes no more sweeps over
+//! a hundred segments than over one.
 //!
 //! Most of a path can be as it was asked. Only nodes near segments that take longer have candidates, as far as it takes
 //! an axis to brake; what the others pass at is kept.
@@ -204,11 +204,9 @@ impl<'a> Search<'a> {
     fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
         let of = |i: usize| {
             let least = self.least_time(i, velocity[i], velocity[i + 1]);
-            if least <= self.least_s[i] || !(open[i] || open[i + 1]) {
-                self.asked_s[i]
-            } else {
-                least
-            }
+            // A path of one segment has no node between.
+            let takes_part = open[i] || open[i + 1] || open.len() == 2;
+            if least > self.least_s[i] && takes_part { least } else { self.asked_s[i] }
         };
         (0..self.asked_s.len()).map(of).collect()
     }
@@ -316,8 +314,8 @@ impl<'a> Search<'a> {
         best.unwrap_or_else(|| velocity.to_vec())
     }
 
-    /// The best of all combinations of candidates at the open nodes, or `None` where none keeps the limits. The
-    /// first [`OTHERS`] candidates go with all of a neighbour, the others with those that are at most `apart` from them.
+    /// The best of all combinations of candidates at the open nodes, or `None` where none keeps the limits. The first
+    /// [`OTHERS`] candidates go with all of a neighbour, the others with those that are at most `apart` from them.
     fn best(
         &self,
         open: &[bool],
@@ -580,6 +578,17 @@ mod tests {
                 assert!(peak_velocity(0.1, v0, v1, *h).0 <= 10.0, "{mode:?} {i}");
             }
         }
+    }
+
+    #[test]
+    fn one_segment_takes_what_it_needs_from_rest_to_rest() {
+        // 1.5 * 3 / 10 s for the velocity, sqrt(6 * 3 / 60) s for the acceleration.
+        let limits = machine(10.0, 60.0, None);
+        let axes = problems([vec![3.0], vec![0.0]], Mode::Monotone, &limits);
+        let found = Search::new(&axes, &[0.3]).run(&[vec![0.0; 2], vec![0.0; 2]], &[true]);
+        let least_s = (18.0_f64 / 60.0).sqrt();
+        let over = found.duration_s[0] / least_s;
+        assert!(over > 1.0 && over < 1.0 + 2.0 * ROOM, "{over}");
     }
 
     #[test]
