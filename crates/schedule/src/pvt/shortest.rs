@@ -417,7 +417,8 @@ impl<'a> Search<'a> {
             for (axis, (v0, v1)) in self.axes.iter().zip(from.into_iter().zip(to)) {
                 h = axis.least_time(i, v0, v1, h);
             }
-            if h <= before || h == f64::INFINITY {
+            let goes_on = h > before && h.is_finite();
+            if !goes_on {
                 return h;
             }
         }
@@ -472,14 +473,14 @@ impl Axis<'_> {
 fn end_of_cubic(c0: f64, c1: f64, j: f64) -> f64 {
     // Not below it; from there the steps of Newton descend to it, because the difference is concave.
     let mut h = (2.0 * c0.max(0.0) / j).cbrt().max((2.0 * c1.max(0.0) / j).sqrt());
-    loop {
-        let next = h - (c0 + c1 * h - j * h.powi(3)) / (c1 - 3.0 * j * h * h);
-        // To rounding.
-        if next >= h * (1.0 - 1e-14) {
-            return h;
-        }
+    let newton = |h: f64| h - (c0 + c1 * h - j * h.powi(3)) / (c1 - 3.0 * j * h * h);
+    let mut next = newton(h);
+    // To rounding.
+    while next < h * (1.0 - 1e-14) {
         h = next;
+        next = newton(h);
     }
+    h
 }
 
 #[cfg(test)]
