@@ -229,7 +229,7 @@ fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
 }
 
 /// Lines at a distance of 0.5 mm with a point every 0.4 mm, to and fro, 0.04 to 0.06 s per point, but
-/// one point in twenty has 0.002 to 0.004 s: the limits stretch it and its neighbours.
+/// one point in twenty has 0.002 to 0.004 s: the limits stretch it and some of its neighbours.
 fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     let per_line = segments.isqrt();
     let points = (0..=segments)
@@ -249,7 +249,7 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     (path, DwellTime::new(dwell).unwrap())
 }
 
-/// Several rounds of stretching.
+/// The search for the shortest times in many places.
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);

@@ -11,7 +11,7 @@
 //! Source: C. C. Paige, M. A. Saunders, ACM Trans. Math. Softw. 8 (1982) 43, section 4 (the
 //! rotations), 5.3 (damping), 5.4 (stopping).
 
-use crate::linear::power::power_method;
+use crate::linear::lanczos::largest_eigenvalue;
 
 /// The solution of (1) for one damping.
 #[derive(Clone, Debug)]
@@ -135,22 +135,9 @@ fn normalise(x: &mut [f64]) -> f64 {
     length
 }
 
-/// Most steps of the power method in [`largest_singular_value`], and the relative change of the value at
-/// which it ends.
-const POWER_STEPS: usize = 100;
-const POWER_CHANGE: f64 = 1e-4;
-
-/// Largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3.
+/// Largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3, and never above it.
 pub fn largest_singular_value(normal: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
-    let mut value = 0.0_f64;
-    for eigenvalue in power_method(normal, &vec![1.0; n]).take(POWER_STEPS) {
-        let before = value;
-        value = eigenvalue.sqrt();
-        if (value - before).abs() <= POWER_CHANGE * value {
-            break;
-        }
-    }
-    value
+    largest_eigenvalue(normal, n).sqrt()
 }
 
 #[cfg(test)]

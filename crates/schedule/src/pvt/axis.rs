@@ -1,8 +1,8 @@
 //! The node velocities of one axis: equation (4) of [`super`] under the limits of the machine.
 //!
 //! The free minimiser is a tridiagonal solution. Where it exceeds a limit, a quadratic program is
-//! solved; where that has no solution, the one with the least excess over the limits says which
-//! segments need more time. The numbers of equations are those of the scheduler.
+//! solved; where that has no solution, the one with the least excess over the limits says where more
+//! time is needed ([`super::shortest`] says how much). The numbers of equations are those of the scheduler.
 
 use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
 
@@ -26,9 +26,9 @@ pub enum Solver {
     Tridiagonal,
     /// Bounds are active: interior point method.
     QuadraticProgram,
-    /// The interior point method did not converge: the spline, slowed where it would reverse and at
-    /// rest where it exceeds the limits. It is within them and monotone, but has not the least energy.
-    Rest,
+    /// The interior point method did not converge: the motion that takes the least time. It is within the
+    /// limits, but has not the least energy.
+    LeastTime,
 }
 
 /// How the limits of the machine enter the quadratic program.
@@ -56,34 +56,32 @@ const ELASTIC_ENERGY: f64 = 1e-4;
 pub(super) struct AxisProblem<'a> {
     pub(super) displacement_mm: Cow<'a, [f64]>,
     mode: Mode,
-    max_velocity: f64,
-    max_acceleration: f64,
+    pub(super) max_velocity: f64,
+    pub(super) max_acceleration: f64,
     /// Infinite where the machine has none.
     pub(super) max_jerk: f64,
 }
 
-/// Excess above which the next round, whose times are longer by little, begins with the elastic
-/// program. Nearer to the limits the elastic one may exceed by its tolerance what the hard one keeps.
-const EXCESS_FOR_ELASTIC_START: f64 = 1.01;
-
-/// What a round of stretching knows of the rounds before it.
-#[derive(Debug, Default)]
-pub(super) struct Rounds {
-    /// Segments that needed the rows of the machine's limits.
-    limited: Vec<usize>,
-    /// The last durations had clearly no motion within the limits.
-    infeasible: bool,
+/// Where an axis at the asked times exceeds its limits.
+#[derive(Debug)]
+pub(super) struct Exceeding {
+    /// Node velocities (N+1), within the limits elsewhere.
+    pub(super) velocity: Vec<f64>,
+    /// How much each segment (N) exceeds the limits: the factor by which its time should grow at least; 1
+    /// where it does not.
+    pub(super) excess: Vec<f64>,
 }
 
 /// Segments of an axis from a node at rest to another. Neither (4) nor a bound couples what is on the
 /// two sides of a node whose velocity is zero, so the parts are solved one by one: they fit the
-/// caches, and a round of stretching solves only those whose times it changed.
+/// caches, and those whose times do not change are solved once.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) segments: Range<usize>,
-    pub(super) rounds: Rounds,
+    /// Segments that needed the rows of the machine's limits in the programs before.
+    pub(super) limited: Vec<usize>,
     /// At the present durations, or `None`; see [`AxisProblem::solve`].
-    pub(super) solved: Option<Result<Solved, Vec<f64>>>,
+    pub(super) solved: Option<Result<Solved, Exceeding>>,
 }
 
 /// Least segments of a part: fewer cost more to set up than to solve.
@@ -93,10 +91,23 @@ const LEAST_PART_SEGMENTS: usize = 64;
 pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f64>> {
     let mut all = None;
     for part in parts.iter().flatten() {
-        if let Some(Err(excess)) = &part.solved {
+        if let Some(Err(exceeding)) = &part.solved {
             let all = &mut all.get_or_insert_with(|| vec![1.0_f64; n])[part.segments.clone()];
-            all.iter_mut().zip(excess).for_each(|(a, e)| *a = a.max(*e));
+            all.iter_mut().zip(&exceeding.excess).for_each(|(a, e)| *a = a.max(*e));
         }
+    }
+    all
+}
+
+/// Node velocities of an axis, whether its parts exceed limits or not.
+pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
+    let mut all = vec![0.0];
+    for part in parts {
+        let velocity = match part.solved.as_ref().expect("every part is solved") {
+            Ok(solved) => &solved.velocity,
+            Err(exceeding) => &exceeding.velocity,
+        };
+        all.extend(&velocity[1..]); // the first is at rest, and the last one of the part before
     }
     all
 }
@@ -164,8 +175,7 @@ impl AxisProblem<'_> {
             let is_long =
                 node - start >= LEAST_PART_SEGMENTS && self.allowed_signs(node) == [false, false];
             if is_long || node == n {
-                let rounds = Rounds::default();
-                parts.push(Part { segments: start..node, rounds, solved: None });
+                parts.push(Part { segments: start..node, limited: Vec::new(), solved: None });
                 start = node;
             }
         }
@@ -180,18 +190,17 @@ impl AxisProblem<'_> {
             let segments = part.segments.clone();
             let displacement_mm = Cow::Borrowed(&self.displacement_mm[segments.clone()]);
             let problem = AxisProblem { displacement_mm, ..*self };
-            part.solved = Some(problem.solve(&h[segments], price, &mut part.rounds));
+            part.solved = Some(problem.solve(&h[segments], price, &mut part.limited));
         });
     }
 
-    /// Node velocities within the limits at the durations `h`, or how much each segment exceeds
-    /// them: the factor by which its time should grow.
+    /// Node velocities within the limits at the durations `h`, or those with the least excess.
     fn solve(
         &self,
         h: &[f64],
         price: impl Fn() -> f64,
-        before: &mut Rounds,
-    ) -> Result<Solved, Vec<f64>> {
+        limited: &mut Vec<usize>,
+    ) -> Result<Solved, Exceeding> {
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
         if allowed && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
@@ -199,85 +208,23 @@ impl AxisProblem<'_> {
         }
         drop(free); // its memory is the program's
         let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
-        if !before.infeasible
-            && let Some(velocity) = self.quadratic_program(h, Bounds::Hard, before)
-        {
+        if let Some(velocity) = self.quadratic_program(h, Bounds::Hard, limited) {
             return solved(velocity);
         }
         // Where the bounds leave a single motion, hard rows have no interior and the method does
         // not converge; with the elastic ones it does, and nothing exceeds.
         let within = 1.0 + 0.5 * MARGIN;
-        let mut excess = match self.quadratic_program(h, Bounds::Elastic { price: price() }, before)
-        {
-            Some(velocity) => {
-                let excess = self.excess(&velocity, h);
-                if excess.iter().all(|e| *e <= within) {
-                    let hard = before.infeasible.then(|| {
-                        before.infeasible = false;
-                        self.quadratic_program(h, Bounds::Hard, before)
-                    });
-                    return solved(hard.flatten().unwrap_or(velocity));
-                }
-                excess
-            }
-            None => match self.without_program(h) {
-                Ok(velocity) => return Ok(Solved { velocity, solver: Solver::Rest }),
-                Err(excess) => excess,
-            },
-        };
-        // No more time would help where the tool can rest in every control point.
-        if excess.iter().any(|e| *e > within) {
-            let velocity = vec![0.0; h.len() + 1];
-            if (0..h.len()).all(|i| self.excess_of(i, &velocity, h) <= 1.0) {
-                return Ok(Solved { velocity, solver: Solver::Rest });
-            }
-        }
-        before.infeasible = excess.iter().any(|e| *e > EXCESS_FOR_ELASTIC_START);
+        let elastic = self.quadratic_program(h, Bounds::Elastic { price: price() }, limited);
+        let converged = elastic.is_some();
+        // At rest in every control point it has no need of its neighbours.
+        let velocity = elastic.unwrap_or_else(|| vec![0.0; h.len() + 1]);
+        let mut excess = self.excess(&velocity, h);
         if excess.iter().all(|e| *e <= within) {
-            // Only the solver's tolerance stands in the way.
-            excess.fill(1.0 + MARGIN);
+            let solver = if converged { Solver::QuadraticProgram } else { Solver::LeastTime };
+            return Ok(Solved { velocity, solver });
         }
         excess.iter_mut().filter(|e| **e <= within).for_each(|e| *e = 1.0);
-        Err(excess)
-    }
-
-    /// Least time of segment `i` from rest to rest. Its acceleration is then 6 dp/h^2 by (2), its
-    /// largest velocity 1.5 dp/h by (3), and its jerk 12 dp/h^3.
-    pub(super) fn rest_to_rest_s(&self, i: usize) -> f64 {
-        let dp = self.displacement_mm[i].abs();
-        let acceleration = (6.0 * dp / self.max_acceleration).sqrt();
-        let jerk = (12.0 * dp / self.max_jerk).cbrt();
-        acceleration.max(1.5 * dp / self.max_velocity).max(jerk)
-    }
-
-    /// A motion within the limits that needs no program, or how much each segment of the spline, slowed
-    /// where it would reverse, exceeds them.
-    fn without_program(&self, h: &[f64]) -> Result<Vec<f64>, Vec<f64>> {
-        let n = h.len();
-        let mut v = self.clamped_spline(h);
-        if self.mode == Mode::Monotone {
-            // V >= 0 in (3) where neither velocity is above half of 3 dp/h.
-            let most = |i: usize| 1.5 * self.displacement_mm[i].abs() / h[i];
-            for i in 1..n {
-                let most = most(i - 1).min(most(i));
-                v[i] = v[i].clamp(-most, most);
-            }
-            v = self.exact_at_fixed_nodes(v);
-        }
-        let excess = self.excess(&v, h);
-        // To rest at the ends of a segment changes its neighbours, which are looked at again.
-        let mut open: Vec<usize> = (0..n).collect();
-        while let Some(i) = open.pop() {
-            if self.excess_of(i, &v, h) <= 1.0 {
-                continue;
-            }
-            if v[i] == 0.0 && v[i + 1] == 0.0 {
-                return Err(excess);
-            }
-            (v[i], v[i + 1]) = (0.0, 0.0);
-            open.extend(i.saturating_sub(1)..(i + 2).min(n));
-        }
-        Ok(v)
+        Err(Exceeding { velocity, excess })
     }
 
     /// The free minimiser of (4): H v = g by elimination; H is diagonally dominant.
@@ -320,7 +267,7 @@ impl AxisProblem<'_> {
     }
 
     /// Signs that the velocity of each node may have: [negative, positive].
-    fn allowed_signs(&self, i: usize) -> [bool; 2] {
+    pub(super) fn allowed_signs(&self, i: usize) -> [bool; 2] {
         let n = self.displacement_mm.len();
         if i == 0 || i == n {
             return [false, false];
@@ -330,6 +277,11 @@ impl AxisProblem<'_> {
         }
         let (before, after) = (self.displacement_mm[i - 1], self.displacement_mm[i]);
         [before < 0.0 && after < 0.0, before > 0.0 && after > 0.0]
+    }
+
+    /// Whether the axis may reverse inside a segment.
+    pub(super) fn is_reversal_allowed(&self) -> bool {
+        self.mode == Mode::Smooth
     }
 
     fn is_monotone(&self, v: &[f64], h: &[f64]) -> bool {
@@ -354,7 +306,7 @@ impl AxisProblem<'_> {
         &self,
         h: &[f64],
         bounds: Bounds,
-        before: &mut Rounds,
+        known: &mut Vec<usize>,
     ) -> Option<Vec<f64>> {
         let n = h.len();
         let exceeds = |v: &[f64], i: usize| self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN;
@@ -365,7 +317,7 @@ impl AxisProblem<'_> {
             return kept.then_some(v);
         }
         let mut limited = Limited { segment: vec![false; n], velocity_at: BTreeMap::new() };
-        before.limited.iter().for_each(|i| limited.segment[*i] = true);
+        known.iter().for_each(|i| limited.segment[*i] = true);
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
             let add = |i: usize, rows: &mut chain::Rows| self.rows(i, h, &limited, rows);
@@ -391,7 +343,7 @@ impl AxisProblem<'_> {
                 for near in i.saturating_sub(reach)..(i + reach + 1).min(n) {
                     if !limited.segment[near] {
                         limited.segment[near] = true;
-                        before.limited.push(near);
+                        known.push(near);
                     }
                 }
                 complete = false;
@@ -509,8 +461,8 @@ mod tests {
         solve(&problem(points, mode, max_acceleration), h).unwrap().velocity
     }
 
-    fn solve(problem: &AxisProblem, h: &[f64]) -> Result<Solved, Vec<f64>> {
-        problem.solve(h, || problem.elastic_price(h), &mut Rounds::default())
+    fn solve(problem: &AxisProblem, h: &[f64]) -> Result<Solved, Exceeding> {
+        problem.solve(h, || problem.elastic_price(h), &mut Vec::new())
     }
 
     fn close(a: &[f64], b: &[f64], tolerance: f64) {
@@ -571,7 +523,7 @@ mod tests {
                     assert!(!feasible && solved > 0 && solved < parts.len(), "{limit} {solved}");
                     let excess = excess_of_parts(&[parts, Vec::new()], h.len()).unwrap();
                     // The tolerance of the elastic program, whose largest term is the price.
-                    close(&excess, &whole, 1e-5);
+                    close(&excess, &whole.excess, 1e-5);
                 }
             }
         }
@@ -584,7 +536,7 @@ mod tests {
         let problem = problem(&p, Mode::Smooth, FREE);
         let (a, b) = (
             problem.clamped_spline(&h),
-            problem.quadratic_program(&h, Bounds::Hard, &mut Rounds::default()).unwrap(),
+            problem.quadratic_program(&h, Bounds::Hard, &mut Vec::new()).unwrap(),
         );
         // The interior point method starts from the same elimination: nothing is active.
         close(&a, &b, 1e-12);
@@ -617,29 +569,11 @@ mod tests {
     }
 
     #[test]
-    fn stretching_costs_no_more_time_than_stopping_in_between() {
-        // 1 mm from rest in 1 ms, then 1 mm in 1 s: the second segment can brake with ease.
-        let mut h = vec![1.0 / 250.0, 1.0];
-        let mut p = problem(&[0.0, 1.0, 2.0], Mode::Smooth, 2000.0);
-        p.max_velocity = 250.0;
-        for _ in 0..40 {
-            match solve(&p, &h) {
-                Ok(_) => break,
-                Err(e) => h.iter_mut().zip(e).for_each(|(h, e)| *h *= 1.002 * e.clamp(1.0, 1.5)),
-            }
-        }
-        assert!(solve(&p, &h).is_ok());
-        // From rest 1 mm takes at least sqrt(2 / 2000) = 31.6 ms, and sqrt(6 / 2000) = 54.8 ms to
-        // rest: what the second segment gets is less than the difference.
-        assert!(h[0] > 0.0316 && h[0] < 0.0549 && h[1] < 1.0233, "{h:?}");
-    }
-
-    #[test]
     fn the_peak_between_nodes_is_bounded_not_only_the_nodes() {
         // Rest to rest: the nodes are at zero, the middle at 1.5 times the mean velocity.
         let mut one = problem(&[0.0, 1.0], Mode::Smooth, FREE);
         one.max_velocity = 1.49;
-        let excess = solve(&one, &[1.0]).unwrap_err();
+        let excess = solve(&one, &[1.0]).unwrap_err().excess;
         assert!((excess[0] - 1.5 / 1.49).abs() < 1e-12);
         one.max_velocity = 1.51;
         assert!(solve(&one, &[1.0]).is_ok());

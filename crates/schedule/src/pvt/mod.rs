@@ -21,14 +21,14 @@
 //! with `v_0 = v_N = 0`. Its free minimiser has `a-` = `a+` at every node: the clamped cubic
 //! spline. Where a limit is exceeded, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
 //! segments as a quadratic program; where that has no solution, the program with the least excess
-//! over the limits says which segments need more time, and the report how much they got. None ever gets more than it
-//! needs from rest to rest: where all have that, the tool can stop in every control point, whatever else limits it.
+//! over the limits says where more time is needed, the shortest times there are searched for (`shortest`), and
+//! (4) is solved again at those. The report says how much the segments got.
 //!
 //! Modes: *smooth* is (4); *monotone* adds that no axis reverses inside a segment, so the tool
 //! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
 //! where they differ), and `sign(dp) V >= 0`. A node at which the velocity is fixed at zero parts the
 //! axis: neither (4) nor a bound couples what is on its two sides, so the parts are solved one by one,
-//! and after a round of stretching only those whose times have changed.
+//! and again only those whose times have changed.
 //!
 //! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. Where the machine
 //! limits it, *monotone* has it as rows of its program; its acceleration still steps at the nodes,
@@ -58,6 +58,7 @@
 mod axis;
 mod jerk_limited;
 mod mode;
+mod shortest;
 mod timing;
 
 use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
@@ -72,8 +73,9 @@ pub use self::{
 pub(crate) use timing::least_time;
 
 use self::{
-    axis::{AxisProblem, excess_of_parts, joined},
-    timing::{MAX_ROUNDS, Timing, parallel, too_short, worst},
+    axis::{AxisProblem, Part, Solved, excess_of_parts, joined, velocity_of_parts},
+    shortest::Search,
+    timing::{Timing, parallel, too_short, worst},
 };
 use crate::{ScheduleError, check_lengths, hermite::coefficients};
 
@@ -99,7 +101,8 @@ pub struct Report {
     pub dropped: Vec<usize>,
     /// Solver of (4) for [x, y] in the last round.
     pub solver: [Solver; 2],
-    /// Rounds of stretching.
+    /// Sweeps of the search for the shortest times, or under a limit on jerk rounds of stretching; 0 where the
+    /// machine can follow the dwell times.
     pub rounds: usize,
 }
 
@@ -111,18 +114,6 @@ pub struct Schedule {
     /// What was done.
     pub report: Report,
 }
-
-/// Rounds after which segments are slowed together: what a stretched segment asks of its neighbours can go round, a
-/// slower motion of all that take part cannot.
-const ROUNDS_BEFORE_SLOWING_TOGETHER: usize = 60;
-
-/// Rounds after which all that are slowed together, by then any path of a million segments, get at once what is enough
-/// from rest to rest, which ends the stretching. Where segments are fast that can be several times what they need.
-const ROUNDS_BEFORE_ENOUGH: usize = 80;
-
-/// How many take part is not known: so many on each side of a segment that exceeds a limit at first, and twice as many
-/// from round to round.
-const FIRST_TOGETHER: usize = 1;
 
 /// Schedules `path` with the times `dwell` within `limits`.
 pub fn schedule(
@@ -164,76 +155,82 @@ fn schedule_stretched(
         return Ok(Schedule { trajectory, report });
     }
 
-    timing.set_enough(|k| axes[0].rest_to_rest_s(k).max(axes[1].rest_to_rest_s(k)));
     let mut parts = axes.each_ref().map(AxisProblem::parts);
-    let mut together = FIRST_TOGETHER;
-    for rounds in 0..=MAX_ROUNDS {
-        // Durations as the difference of the break times, so that the segments join to rounding.
-        let break_time_s = break_times(&timing.duration_s);
-        let duration = |k: usize| break_time_s[k + 1] - break_time_s[k];
-        let h: Vec<f64> = parallel(timing.kept.len()).map(duration).collect();
-        let [x, y] = &mut parts;
-        rayon::join(|| axes[0].solve_parts(&h, x), || axes[1].solve_parts(&h, y));
-        let Some(excess) = excess_of_parts(&parts, h.len()) else {
-            let [x, y] = parts.map(joined);
-            let report = Report::new(&timing, path, dwell, [x.solver, y.solver], rounds);
-            let velocity = [x.velocity, y.velocity];
-            let segments = parallel(h.len()).map(|k| {
-                let start = path.point_mm()[timing.kept[k]];
-                [0, 1].map(|axis| {
-                    let (v, dp) = (&velocity[axis], axes[axis].displacement_mm[k]);
-                    coefficients(start[axis], dp, v[k], v[k + 1], h[k])
-                })
-            });
-            let trajectory = Trajectory::new(
-                break_time_s,
-                segments.collect(),
-                parallel(h.len()).map(|k| path.tool_on()[timing.kept[k]]).collect(),
-                parallel(h.len()).map(|k| Some(timing.kept[k])).collect(),
-            )?;
-            return Ok(Schedule { trajectory, report });
-        };
+    let (break_time_s, h) = differences(&timing.duration_s);
+    solve_parts(&axes, &h, &mut parts);
+    let Some(excess) = excess_of_parts(&parts, h.len()) else {
+        return joined_motion(path, dwell, &timing, &axes, parts, break_time_s, 0);
+    };
+    if !settings.stretch {
         let (k, worst) = worst(&excess);
-        let segment = timing.kept[k];
-        if !settings.stretch {
-            return Err(too_short(path, dwell, segment, worst));
-        }
-        if rounds == MAX_ROUNDS {
-            return Err(ScheduleError::StretchLimit { rounds, segment, excess: worst });
-        }
-        let mut excess = timing.passed_on(&excess);
-        if rounds >= ROUNDS_BEFORE_SLOWING_TOGETHER {
-            excess = within_reach(excess, together);
-            together = (2 * together).min(h.len());
-        }
-        if rounds < ROUNDS_BEFORE_ENOUGH {
-            timing.stretch(&excess);
-        } else {
-            timing.give_enough(&excess);
-        }
-        for part in parts.iter_mut().flatten() {
-            if excess[part.segments.clone()].iter().any(|e| *e > 1.0) {
-                part.solved = None;
-            }
+        return Err(too_short(path, dwell, timing.kept[k], worst));
+    }
+    let exceed: Vec<bool> = excess.iter().map(|e| *e > 1.0).collect();
+    let before = parts.each_ref().map(|parts| velocity_of_parts(parts));
+    let found = Search::new(&axes, &timing.duration_s).run(&before, &exceed);
+    let changed: Vec<bool> =
+        found.duration_s.iter().zip(&timing.duration_s).map(|(a, b)| a != b).collect();
+    timing.duration_s = found.duration_s;
+    let (break_time_s, h) = differences(&timing.duration_s);
+    for part in parts.iter_mut().flatten() {
+        if matches!(part.solved, Some(Err(_))) || changed[part.segments.clone()].contains(&true) {
+            part.solved = None;
         }
     }
-    unreachable!("the last round returns")
+    solve_parts(&axes, &h, &mut parts);
+    for (parts, velocity) in parts.iter_mut().zip(&found.velocity) {
+        for part in parts.iter_mut().filter(|part| matches!(part.solved, Some(Err(_)))) {
+            let velocity = velocity[part.segments.start..=part.segments.end].to_vec();
+            part.solved = Some(Ok(Solved { velocity, solver: Solver::LeastTime }));
+        }
+    }
+    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, found.sweeps)
 }
 
-/// For every segment the largest excess of those at most `reach` from it.
-fn within_reach(mut excess: Vec<f64>, reach: usize) -> Vec<f64> {
-    let (n, mut done) = (excess.len(), 0);
-    while done < reach {
-        // What is within `done` is known: so is what is within `done + step` for a step of at most 2 done + 1.
-        let step = (2 * done + 1).min(reach - done);
-        let of = |k: usize| {
-            let (before, after) = (k.saturating_sub(step), (k + step).min(n - 1));
-            excess[k].max(excess[before]).max(excess[after])
-        };
-        excess = (0..n).map(of).collect();
-        done += step;
-    }
-    excess
+/// Break times, and the durations as their difference, so that the segments join to rounding.
+fn differences(duration_s: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let break_time_s = break_times(duration_s);
+    let duration = |k: usize| break_time_s[k + 1] - break_time_s[k];
+    let h = parallel(duration_s.len()).map(duration).collect();
+    (break_time_s, h)
+}
+
+/// Solves the parts of both axes whose durations have changed.
+fn solve_parts(axes: &[AxisProblem<'_>; 2], h: &[f64], parts: &mut [Vec<Part>; 2]) {
+    let [x, y] = parts;
+    rayon::join(|| axes[0].solve_parts(h, x), || axes[1].solve_parts(h, y));
+}
+
+/// The motion of parts that are solved.
+fn joined_motion(
+    path: &ToolPath,
+    dwell: &DwellTime,
+    timing: &Timing,
+    axes: &[AxisProblem<'_>; 2],
+    parts: [Vec<Part>; 2],
+    break_time_s: Vec<f64>,
+    rounds: usize,
+) -> Result<Schedule, ScheduleError> {
+    let [x, y] = parts.map(joined);
+    let report = Report::new(timing, path, dwell, [x.solver, y.solver], rounds);
+    let velocity = [x.velocity, y.velocity];
+    let n = timing.kept.len();
+    let segments = parallel(n).map(|k| {
+        let start = path.point_mm()[timing.kept[k]];
+        let h = break_time_s[k + 1] - break_time_s[k];
+        [0, 1].map(|axis| {
+            let (v, dp) = (&velocity[axis], axes[axis].displacement_mm[k]);
+            coefficients(start[axis], dp, v[k], v[k + 1], h)
+        })
+    });
+    let segments = segments.collect();
+    let trajectory = Trajectory::new(
+        break_time_s,
+        segments,
+        parallel(n).map(|k| path.tool_on()[timing.kept[k]]).collect(),
+        parallel(n).map(|k| Some(timing.kept[k])).collect(),
+    )?;
+    Ok(Schedule { trajectory, report })
 }
 
 impl Report {
@@ -266,21 +263,8 @@ mod tests {
     use planish_testkit::{ion_beam, numbers};
 
     #[test]
-    fn the_largest_within_reach_is_found() {
-        let excess: Vec<f64> = (0..40).map(|k| f64::from((17 * k * k + 3) % 41)).collect();
-        for reach in [0, 1, 2, 3, 7, 20, 100] {
-            let found = within_reach(excess.clone(), reach);
-            for (k, found) in found.iter().enumerate() {
-                let near = &excess[k.saturating_sub(reach)..(k + reach + 1).min(40)];
-                assert_eq!(*found, near.iter().copied().fold(0.0, f64::max), "{k} {reach}");
-            }
-        }
-    }
-
-    #[test]
-    fn what_goes_round_in_one_place_does_not_slow_the_rest() {
-        // Ten lines of segments from 0.01 to 1.2 mm, at densities from 0.006 to 0.034 s/mm: much faster than the machine,
-        // and in some places what segments ask of each other goes round.
+    fn short_and_long_segments_that_are_too_fast_are_slowed_as_little_as_the_machine_needs() {
+        // Ten lines of segments from 0.01 to 1.2 mm, at densities from 0.006 to 0.034 s/mm: too fast for the machine.
         let mut random = numbers(8);
         let (mut points, mut dwell_s) = (vec![[0.0, 0.0]], Vec::new());
         for line in 0..10 {
@@ -303,9 +287,33 @@ mod tests {
         let settings = Settings { mode: Mode::Monotone, stretch: true };
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
-        // 7.7 s were seen; with every segment slowed by the worst excess 26.1 s.
+        // 7.7 s where segments were slowed one by one, each by what it exceeded.
         let total_s = found.trajectory.total_time_s();
-        assert!(total_s < 9.0, "{total_s}");
+        assert!(total_s < 7.0, "{total_s}");
+    }
+
+    #[test]
+    fn a_spiral_that_is_far_too_fast_takes_little_more_than_its_least_time() {
+        // 900 segments at 500 mm/s on an axis of 7 mm/s and 12 mm/s^2. From rest to rest they take 73 s.
+        let point = |k: usize| {
+            let angle = 12.0 * k as f64 / 900.0;
+            [3.0 * angle * angle.cos(), 3.0 * angle * angle.sin()]
+        };
+        let path = ToolPath::through((0..=900).map(point).collect(), vec![true; 900], vec![0; 900]);
+        let path = path.unwrap();
+        let limits = planish_testkit::machine([7.0, 280.0], [12.0, 1100.0]);
+        let x_mm: f64 = (0..900).map(|i| path.displacement_mm(i)[0].abs()).sum();
+        let least_s = x_mm / 7.0;
+        let dwell_s = (0..900).map(|i| path.segment_length_mm(i) / 500.0 + 1e-4).collect();
+        let dwell = DwellTime::new(dwell_s).unwrap();
+        for mode in [Mode::Monotone, Mode::Smooth] {
+            let settings = Settings { mode, stretch: true };
+            let found = schedule(&path, &dwell, &limits, &settings).unwrap();
+            let total_s = found.trajectory.total_time_s();
+            // Slowed one by one, each by what it exceeded, they took six times as long.
+            assert!(total_s > least_s && total_s < 1.2 * least_s, "{mode:?}: {total_s} {least_s}");
+            assert!(found.report.solver.iter().all(|s| *s != Solver::LeastTime));
+        }
     }
 
     #[test]
@@ -336,8 +344,8 @@ mod tests {
                 let settings = Settings { mode, stretch: true };
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
-                // 0.003 is what a segment may get beyond.
-                assert!(total_s < 1.003 * stops_s, "{seed} {mode:?}: {total_s} {stops_s}");
+                // 0.001 is what the search leaves to the program.
+                assert!(total_s < 1.0011 * stops_s, "{seed} {mode:?}: {total_s} {stops_s}");
             }
         }
     }

@@ -11,15 +11,6 @@ use crate::ScheduleError;
 /// so 100 rounds cover 17 orders of magnitude.
 pub(super) const MAX_ROUNDS: usize = 100;
 
-/// Time that is enough for a segment, in units of what it needs from rest to rest. Ordinary stretching gives such a
-/// segment 1.002, so it ends as if nothing bounded it; and the velocities at its ends keep some room, without which the
-/// interior point method does not converge.
-const ENOUGH_FACTOR: f64 = 1.003;
-
-/// Least time that is enough, in roundings of the total time: a duration is the difference of two break times, and a
-/// rounding may not take a third of what [`ENOUGH_FACTOR`] leaves.
-const LEAST_ENOUGH_ROUNDINGS: f64 = 1e3;
-
 /// A segment that was given more time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stretched {
@@ -40,8 +31,6 @@ pub(super) struct Timing {
     pub(super) kept: Vec<usize>,
     /// Their time, s; > 0.
     pub(super) duration_s: Vec<f64>,
-    /// Time that stretching does not go beyond, s.
-    enough_s: Vec<f64>,
 }
 
 impl Timing {
@@ -51,8 +40,7 @@ impl Timing {
         let mut duration_s: Vec<f64> = parallel(path.len()).map(time).collect();
         let kept = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
         duration_s.retain(|h| *h > 0.0);
-        let enough_s = vec![f64::INFINITY; duration_s.len()];
-        Self { kept, duration_s, enough_s }
+        Self { kept, duration_s }
     }
 
     /// The segment that is furthest from what its mean speed or duration may be.
@@ -75,52 +63,12 @@ impl Timing {
         })
     }
 
-    /// Bounds the stretching by the time that each kept segment needs from rest to rest. A segment
-    /// between two nodes at rest depends on no other one, so that no motion needs more.
-    pub(super) fn set_enough(&mut self, rest_to_rest_s: impl Fn(usize) -> f64) {
-        let of = |(k, h): (usize, &f64)| h.max(ENOUGH_FACTOR * rest_to_rest_s(k));
-        self.enough_s = self.duration_s.iter().enumerate().map(of).collect();
-        let rounding_s = f64::EPSILON * self.enough_s.iter().sum::<f64>();
-        self.enough_s.iter_mut().for_each(|e| *e = e.max(LEAST_ENOUGH_ROUNDINGS * rounding_s));
-    }
-
-    /// The excess, that of a segment which has enough left to the nearest on both sides which has not:
-    /// these are what keeps it from resting at its ends.
-    pub(super) fn passed_on(&self, excess: &[f64]) -> Vec<f64> {
-        let full = |k: usize| self.duration_s[k] >= self.enough_s[k];
-        let (n, mut passed) = (excess.len(), excess.to_vec());
-        let mut pass = |segments: &mut dyn Iterator<Item = usize>| {
-            let mut left = 1.0_f64;
-            for k in segments {
-                if full(k) {
-                    left = left.max(excess[k]);
-                    passed[k] = 1.0;
-                } else {
-                    passed[k] = passed[k].max(left);
-                    left = 1.0;
-                }
-            }
-        };
-        pass(&mut (0..n));
-        pass(&mut (0..n).rev());
-        passed
-    }
-
-    /// `h <- 1.002 min(excess, 1.5) h` where the excess is above 1, up to what is enough: algorithms
-    /// that scale a segment's time by k divide its velocity by k and its acceleration by k^2.
+    /// `h <- 1.002 min(excess, 1.5) h` where the excess is above 1: algorithms that scale a segment's time
+    /// by k divide its velocity by k and its acceleration by k^2.
     pub(super) fn stretch(&mut self, excess: &[f64]) {
-        for ((h, e), enough) in self.duration_s.iter_mut().zip(excess).zip(&self.enough_s) {
+        for (h, e) in self.duration_s.iter_mut().zip(excess) {
             if *e > 1.0 {
-                *h = (*h * (1.002 * e.min(1.5))).min(*enough);
-            }
-        }
-    }
-
-    /// What is enough, where the excess is above 1.
-    pub(super) fn give_enough(&mut self, excess: &[f64]) {
-        for ((h, e), enough) in self.duration_s.iter_mut().zip(excess).zip(&self.enough_s) {
-            if *e > 1.0 {
-                *h = *enough;
+                *h *= 1.002 * e.min(1.5);
             }
         }
     }

@@ -1,0 +1,654 @@
+//! The shortest times that a machine needs, where it cannot follow the dwell times.
+//!
+//! Between the velocities `v0` and `v1` a segment of the cubics (1) of [`super`] can last any time at which it keeps
+//! the limits. Each limit excludes an interval of times h; with `dp >= 0` (else all signs turn), and A, V and J the
+//! limits of the axis,
+//!
+//! ```text
+//! +-a+ <= A, +-a- <= A:   c0 + c1 h <= A h^2                                              (1)
+//!     with (c0, c1) = +-(6 dp, -(4 v0 + 2 v1)) and +-(6 dp, -(2 v0 + 4 v1))
+//! +-jerk <= J:            c0 + c1 h <= J h^3,   (c0, c1) = +-(12 dp, -6 (v0 + v1))         (2)
+//! v(u) <= V:              3 dp / h <= v0 + v1 + V + sqrt((V - v0) (V - v1))                (3)
+//! v(u) >= -V:             3 dp / h >= v0 + v1 - V - sqrt((V + v0) (V + v1))                (4)
+//! no reversal:            3 dp / h >= v0 + v1
+//! ```
+//!
+//! (3): with a quadratic Bezier curve `V - v(u)` is never negative where its middle control value is at least minus the
+//! root of the product of the outer ones. So the least time that both axes allow and that is at least the dwell time is
+//! found by going from the end of one excluded interval to that of the next, and the shortest motion is
+//!
+//! ```text
+//! min over v_1 .. v_{N-1} of  sum_i h_i(v_{i-1}, v_i)                                      (5)
+//! ```
+//!
+//! Where every node has a few candidates for its velocity, the best of all their combinations follows from node to node
+//! (dynamic programming; R. Bellman, 1957). The first candidates are speeds along the path, rest among them, which
+//! gives a motion whatever is asked; then there are steps of both axes up and down around the best so far, which get
+//! smaller when they gain nothing more. All nodes can move at once, so braking before a bend takes no more sweeps over
+//! a hundred segments than over one.
+//!
+//! Most of a path can be as it was asked. Only nodes near segments that take longer have candidates, as far as it takes
+//! an axis to brake; what the others pass at is kept.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | h | `duration_s` | (N) | s |
+//! | dp | `displacement_mm` | (N) | mm |
+//! | v | `velocity` | (N+1) pairs | mm/s |
+
+use super::axis::AxisProblem;
+
+/// Times that the search leaves to the program, which needs an interior: every segment could last so much less.
+const ROOM: f64 = 1e-3;
+
+/// Least time of a segment, in roundings of the total time: a duration is the difference of two break times, and a
+/// rounding may not take all of [`ROOM`].
+const LEAST_ROUNDINGS: f64 = 1e4;
+
+/// Speeds along the path that are tried first: so many, from the largest that any direction allows, each lower by this
+/// factor. The lowest is 5e-4 of the largest.
+const SPEEDS: usize = 42;
+const SPEED_FACTOR: f64 = 1.2;
+
+/// How many of these speeds a segment may change by, unless it comes from rest or goes there: from rest with constant
+/// acceleration the second of equal segments ends 1.41 times as fast as the first.
+const SPEEDS_PER_SEGMENT: usize = 3;
+
+/// Candidates that are not such speeds: rest, what was before, and the speed of the [`Search::profile`].
+const OTHERS: usize = 3;
+
+/// By how much longer a segment may last at the speeds of a profile than at constant acceleration, for the sake of
+/// the others: the cubics bend a little at nodes where lengths or directions change.
+const LONGER_THAN_EVEN: f64 = 1.02;
+
+/// How fast the profile is at most, over the length of a segment in its asked time: where neighbours are asked for
+/// at different speeds, the velocity between them is above the lower one.
+const FASTER_THAN_ASKED: f64 = 1.25;
+
+/// Bisections for a speed of the profile.
+const BISECTIONS: usize = 20;
+
+/// First and last step around the best so far, in units of a node's velocity.
+const STEPS: [f64; 2] = [0.1, 2e-3];
+
+/// Steps are halved when a sweep gains less than this part of the time.
+const GAIN: f64 = 1e-3;
+
+/// Most sweeps of steps.
+const MAX_SWEEPS: usize = 40;
+
+/// What a node does reaches as far as it takes an axis to brake from its largest velocity and to be as fast again, and
+/// over so many segments at least.
+const BRAKING_TIMES: f64 = 2.0;
+const LEAST_REACH: usize = 8;
+
+/// Velocities of a node, mm/s.
+type Velocity = [f64; 2];
+
+/// Limits of an axis as the search keeps them.
+#[derive(Debug)]
+struct Axis<'a> {
+    problem: &'a AxisProblem<'a>,
+    velocity: f64,
+    acceleration: f64,
+    jerk: f64,
+}
+
+/// Problem (5).
+#[derive(Debug)]
+pub(super) struct Search<'a> {
+    axes: [Axis<'a>; 2],
+    /// What was asked, s.
+    asked_s: &'a [f64],
+    /// The same, not below what rounding allows, s.
+    least_s: Vec<f64>,
+}
+
+/// What the search found.
+#[derive(Debug)]
+pub(super) struct Shortest {
+    /// Time of every segment, s.
+    pub(super) duration_s: Vec<f64>,
+    /// Velocities at the nodes of a motion within the limits at these times, axis by axis.
+    pub(super) velocity: [Vec<f64>; 2],
+    /// Sweeps over the path.
+    pub(super) sweeps: usize,
+}
+
+impl<'a> Search<'a> {
+    pub(super) fn new(axes: &'a [AxisProblem<'a>; 2], asked_s: &'a [f64]) -> Self {
+        let slower = 1.0 - ROOM;
+        let axes = axes.each_ref().map(|problem| Axis {
+            problem,
+            velocity: slower * problem.max_velocity,
+            acceleration: slower.powi(2) * problem.max_acceleration,
+            jerk: slower.powi(3) * problem.max_jerk,
+        });
+        let rounding_s = f64::EPSILON * asked_s.iter().sum::<f64>();
+        let least_s = asked_s.iter().map(|h| h.max(LEAST_ROUNDINGS * rounding_s)).collect();
+        Self { axes, asked_s, least_s }
+    }
+
+    /// Searches from a motion that keeps the limits at the asked times but in the segments that `exceed`.
+    pub(super) fn run(&self, before: &[Vec<f64>; 2], exceed: &[bool]) -> Shortest {
+        let before: Vec<Velocity> =
+            before[0].iter().zip(&before[1]).map(|(x, y)| [*x, *y]).collect();
+        let open = self.near(exceed, &before);
+        let (mut open, mut velocity) = match self.along_the_path(&open, &before) {
+            Some(velocity) => (open, velocity),
+            None => {
+                // What is kept beside asks for the impossible. With all nodes there is always rest.
+                let all = self.near(&vec![true; exceed.len()], &before);
+                let velocity = self.along_the_path(&all, &before);
+                (all, velocity.expect("from rest to rest every segment has a time"))
+            }
+        };
+        let mut duration_s = self.durations(&open, &velocity);
+        let mut sweeps = 1;
+        let mut step = STEPS[0];
+        while sweeps <= MAX_SWEEPS && step > STEPS[1] {
+            let longer: Vec<bool> =
+                duration_s.iter().zip(self.asked_s).map(|(h, asked)| h > asked).collect();
+            open = self.near(&longer, &velocity);
+            let stepped = self.stepped(&open, &velocity, &duration_s, step);
+            let total_s: f64 = duration_s.iter().sum();
+            let now_s = self.durations(&open, &stepped);
+            let gained_s = total_s - now_s.iter().sum::<f64>();
+            if gained_s > 0.0 {
+                (velocity, duration_s) = (stepped, now_s);
+            }
+            let of_open = (0..duration_s.len()).filter(|i| open[*i] || open[*i + 1]);
+            if gained_s < GAIN * of_open.map(|i| duration_s[i]).sum::<f64>() {
+                step *= 0.5;
+            }
+            sweeps += 1;
+        }
+        let velocity = [0, 1].map(|axis| velocity.iter().map(|v| v[axis]).collect());
+        Shortest { duration_s, velocity, sweeps }
+    }
+
+    /// Nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment that keeps the
+    /// limits of the search at the asked time, so that it can keep its far end.
+    fn near(&self, wanted: &[bool], velocity: &[Velocity]) -> Vec<bool> {
+        let n = wanted.len();
+        let braking_s = |axis: &Axis| BRAKING_TIMES * axis.velocity / axis.acceleration;
+        let reach_s = braking_s(&self.axes[0]).max(braking_s(&self.axes[1]));
+        let mut open = vec![false; n + 1];
+        let mut pass = |segments: &mut dyn Iterator<Item = usize>, far: usize| {
+            let (mut left_s, mut left, mut go_on) = (0.0, 0, false);
+            for i in segments {
+                if wanted[i] {
+                    (left_s, left, go_on) = (reach_s, LEAST_REACH, true);
+                } else if left == 0 && left_s <= 0.0 && go_on {
+                    go_on = !self.is_at_ease(i, velocity);
+                }
+                open[i + far] |= go_on;
+                if !wanted[i] {
+                    left_s -= self.asked_s[i];
+                    left = left.saturating_sub(1);
+                }
+            }
+        };
+        pass(&mut (0..n), 1);
+        pass(&mut (0..n).rev(), 0);
+        // The machine rests before and after.
+        (open[0], open[n]) = (false, false);
+        open
+    }
+
+    fn is_at_ease(&self, i: usize, velocity: &[Velocity]) -> bool {
+        self.least_time(i, velocity[i], velocity[i + 1]) <= self.least_s[i]
+    }
+
+    /// Times of all segments: of those between two nodes that keep their velocity what was asked.
+    fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
+        let of = |i: usize| {
+            let least = self.least_time(i, velocity[i], velocity[i + 1]);
+            // A path of one segment has no node between.
+            let takes_part = open[i] || open[i + 1] || open.len() == 2;
+            if least > self.least_s[i] && takes_part { least } else { self.asked_s[i] }
+        };
+        (0..self.asked_s.len()).map(of).collect()
+    }
+
+    /// The best of speeds along the path, of rest, and of what was before.
+    fn along_the_path(&self, open: &[bool], before: &[Velocity]) -> Option<Vec<Velocity>> {
+        let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
+        let speeds: Vec<f64> = (0..SPEEDS as i32).map(|k| largest / SPEED_FACTOR.powi(k)).collect();
+        let profile = self.profile(open, before);
+        self.best(open, before, SPEEDS_PER_SEGMENT, |node, candidates| {
+            let direction = self.direction(node);
+            candidates.extend([[0.0; 2], self.allowed(node, before[node]), profile[node]]);
+            candidates.extend(speeds.iter().map(|speed| direction.map(|d| speed * d)));
+        })
+    }
+
+    /// The highest speeds along the path between which every segment is passed in about the time of a constant
+    /// acceleration: as at a constant speed, then by speeding up and, backwards, by braking (J. E. Bobrow, S. Dubowsky,
+    /// J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). Speeds of a grid would not do along segments that are too short
+    /// for a step of it.
+    fn profile(&self, open: &[bool], before: &[Velocity]) -> Vec<Velocity> {
+        let n = self.asked_s.len();
+        let length_mm = |i: usize| {
+            let [x, y] = self.axes.each_ref().map(|axis| axis.problem.displacement_mm[i]);
+            x.hypot(y)
+        };
+        let direction: Vec<Velocity> =
+            (0..=n).map(|node| if open[node] { self.direction(node) } else { [0.0; 2] }).collect();
+        let at = |node: usize, speed: f64| match open[node] {
+            true => direction[node].map(|d| speed * d),
+            false => before[node],
+        };
+        let speed_of = |node: usize| before[node][0].hypot(before[node][1]);
+        let is_even = |i: usize, from: f64, to: f64| {
+            let (from_v, to_v) = (at(i, from), at(i + 1, to));
+            let even_s = LONGER_THAN_EVEN * 2.0 * length_mm(i) / (from + to);
+            self.is_allowed(from_v)
+                && self.is_allowed(to_v)
+                && self.least_time(i, from_v, to_v) <= even_s.max(self.least_s[i])
+        };
+        let highest = |most: f64, is_even: &dyn Fn(f64) -> bool| {
+            if is_even(most) {
+                return most;
+            }
+            let (mut low, mut high) = (0.0, most);
+            for _ in 0..BISECTIONS {
+                let middle = 0.5 * (low + high);
+                if is_even(middle) { low = middle } else { high = middle }
+            }
+            low
+        };
+        let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
+        let mut speed: Vec<f64> = (0..=n).map(speed_of).collect();
+        for node in (1..n).filter(|node| open[*node]) {
+            let asked = |i: usize| FASTER_THAN_ASKED * length_mm(i) / self.least_s[i];
+            let most = largest.min(asked(node - 1)).min(asked(node));
+            speed[node] = [node - 1, node]
+                .map(|i| match open[i] && open[i + 1] {
+                    true => highest(most, &|speed| is_even(i, speed, speed)),
+                    false => most,
+                })
+                .into_iter()
+                .fold(most, f64::min);
+        }
+        for i in 0..n {
+            let (from, most) = (speed[i], speed[i + 1]);
+            if open[i + 1] && most > from {
+                speed[i + 1] = highest(most, &|to| to < from || is_even(i, from, to)).max(from);
+            }
+        }
+        for i in (0..n).rev() {
+            let (most, to) = (speed[i], speed[i + 1]);
+            if open[i] && most > to {
+                speed[i] = highest(most, &|from| from < to || is_even(i, from, to)).max(to);
+            }
+        }
+        (0..=n).map(|node| at(node, speed[node])).collect()
+    }
+
+    /// The best of steps up and down.
+    fn stepped(
+        &self,
+        open: &[bool],
+        velocity: &[Velocity],
+        duration_s: &[f64],
+        step: f64,
+    ) -> Vec<Velocity> {
+        let best = self.best(open, velocity, usize::MAX, |node, candidates| {
+            let v = velocity[node];
+            candidates.extend([[0.0; 2], v, v]);
+            let steps = [0, 1].map(|axis| {
+                let mean =
+                    |i: usize| self.axes[axis].problem.displacement_mm[i].abs() / duration_s[i];
+                step * v[axis].abs().max(mean(node - 1)).max(mean(node))
+            });
+            for x in [-1.0, 0.0, 1.0] {
+                for y in [-1.0, 0.0, 1.0] {
+                    let c = self.allowed(node, [v[0] + x * steps[0], v[1] + y * steps[1]]);
+                    if c != v && !candidates.contains(&c) {
+                        candidates.push(c);
+                    }
+                }
+            }
+        });
+        best.unwrap_or_else(|| velocity.to_vec())
+    }
+
+    /// The best of all combinations of candidates at the open nodes, or `None` where none keeps the limits. The first
+    /// [`OTHERS`] candidates go with all of a neighbour, the others with those that are at most `apart` from them.
+    fn best(
+        &self,
+        open: &[bool],
+        kept: &[Velocity],
+        apart: usize,
+        fill: impl Fn(usize, &mut Vec<Velocity>),
+    ) -> Option<Vec<Velocity>> {
+        let n = self.asked_s.len();
+        let candidates = |node: usize, to: &mut Vec<Velocity>| {
+            to.clear();
+            if open[node] { fill(node, to) } else { to.push(kept[node]) }
+        };
+        // Of the present node: candidates, the least time until there, and, of all nodes, from which candidate.
+        let (mut here, mut next) = (Vec::new(), Vec::new());
+        candidates(0, &mut here);
+        let (mut cost, mut cost_next) = (vec![0.0], Vec::new());
+        let (mut from, mut start) = (vec![0_u8], vec![0]);
+        for i in 0..n {
+            candidates(i + 1, &mut next);
+            cost_next.clear();
+            start.push(from.len());
+            let free = open[i] || open[i + 1];
+            for (b, to) in next.iter().enumerate() {
+                let mut least = (f64::INFINITY, 0);
+                if !free {
+                    least = (cost[0], 0);
+                } else if self.is_allowed(*to) {
+                    let mut try_from = |a: usize| {
+                        if cost[a] + self.least_s[i] < least.0 {
+                            let total = cost[a] + self.least_time(i, here[a], *to);
+                            if total < least.0 {
+                                least = (total, a);
+                            }
+                        }
+                    };
+                    let others = if b < OTHERS { here.len() } else { OTHERS.min(here.len()) };
+                    (0..others).for_each(&mut try_from);
+                    let near = b.saturating_sub(apart).max(others)
+                        ..(b.saturating_add(apart)).min(here.len() - 1) + 1;
+                    near.for_each(&mut try_from);
+                }
+                cost_next.push(least.0);
+                from.push(least.1 as u8);
+            }
+            std::mem::swap(&mut here, &mut next);
+            std::mem::swap(&mut cost, &mut cost_next);
+        }
+        let mut found = vec![[0.0; 2]; n + 1];
+        let mut at = 0;
+        for node in (0..=n).rev() {
+            candidates(node, &mut here);
+            found[node] = here[at];
+            at = usize::from(from[start[node] + at]);
+        }
+        cost[0].is_finite().then_some(found)
+    }
+
+    /// Direction of the path at a node: per axis the mean of the slopes beside it, without reversal the harmonic one
+    /// (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300).
+    fn direction(&self, node: usize) -> Velocity {
+        let dp = |i: usize| self.axes.each_ref().map(|axis| axis.problem.displacement_mm[i]);
+        let [before, after] = [dp(node - 1), dp(node)];
+        let [l0, l1] = [before, after].map(|d| d[0].hypot(d[1]));
+        if l0 == 0.0 || l1 == 0.0 {
+            return [0.0; 2];
+        }
+        [0, 1].map(|axis| {
+            let problem = self.axes[axis].problem;
+            let (s0, s1) = (before[axis] / l0, after[axis] / l1);
+            if problem.allowed_signs(node) == [false, false] {
+                0.0
+            } else if problem.is_reversal_allowed() {
+                (s0 * l1 + s1 * l0) / (l0 + l1)
+            } else {
+                (l0 + l1) / (l0 / s1 + l1 / s0)
+            }
+        })
+    }
+
+    /// The nearest velocity that the mode and the limits allow.
+    fn allowed(&self, node: usize, velocity: Velocity) -> Velocity {
+        [0, 1].map(|a| {
+            let axis = &self.axes[a];
+            let [negative, positive] = axis.problem.allowed_signs(node);
+            let most = |sign: bool| if sign { axis.velocity } else { 0.0 };
+            velocity[a].clamp(-most(negative), most(positive))
+        })
+    }
+
+    fn is_allowed(&self, velocity: Velocity) -> bool {
+        (0..2).all(|a| velocity[a].abs() <= self.axes[a].velocity)
+    }
+
+    /// Least time of segment `i`, not below what was asked: infinite where none keeps the limits.
+    fn least_time(&self, i: usize, from: Velocity, to: Velocity) -> f64 {
+        let mut h = self.least_s[i];
+        loop {
+            let before = h;
+            for (axis, (v0, v1)) in self.axes.iter().zip(from.into_iter().zip(to)) {
+                h = axis.least_time(i, v0, v1, h);
+            }
+            let goes_on = h > before && h.is_finite();
+            if !goes_on {
+                return h;
+            }
+        }
+    }
+}
+
+impl Axis<'_> {
+    /// The end of the excluded intervals that `h` is in, or `h` itself; infinite where an interval has no end.
+    fn least_time(&self, i: usize, v0: f64, v1: f64, mut h: f64) -> f64 {
+        /// Rounding of a condition that holds with equality.
+        const ROUNDING: f64 = 1e-12;
+        let dp = self.problem.displacement_mm[i];
+        let [dp, v0, v1] = if dp < 0.0 { [-dp, -v0, -v1] } else { [dp, v0, v1] };
+        let (limit, sum) = (self.velocity, v0 + v1);
+        if v0.abs().max(v1.abs()) > limit {
+            return f64::INFINITY;
+        }
+        // (3)
+        let most = sum + limit + ((limit - v0) * (limit - v1)).sqrt();
+        if 3.0 * dp > most * h {
+            h = 3.0 * dp / most;
+        }
+        // (1)
+        for (c0, c1) in [(6.0 * dp, 4.0 * v0 + 2.0 * v1), (6.0 * dp, 2.0 * v0 + 4.0 * v1)] {
+            for (c0, c1) in [(c0, -c1), (-c0, c1)] {
+                let a = self.acceleration;
+                if c0 + c1 * h > (1.0 + ROUNDING) * a * h * h {
+                    h = h.max((c1 + (c1 * c1 + 4.0 * a * c0).sqrt()) / (2.0 * a));
+                }
+            }
+        }
+        // (2)
+        if self.jerk.is_finite() {
+            let (c0, c1, j) = (12.0 * dp, 6.0 * sum, self.jerk);
+            for (c0, c1) in [(c0, -c1), (-c0, c1)] {
+                if c0 + c1 * h > (1.0 + ROUNDING) * j * h.powi(3) {
+                    h = h.max(end_of_cubic(c0, c1, j));
+                }
+            }
+        }
+        // (4)
+        let least = if self.problem.is_reversal_allowed() {
+            sum - limit - ((limit + v0) * (limit + v1)).sqrt()
+        } else {
+            sum
+        };
+        if least * h > (1.0 + ROUNDING) * 3.0 * dp { f64::INFINITY } else { h }
+    }
+}
+
+/// The largest h at which `c0 + c1 h = j h^3`.
+fn end_of_cubic(c0: f64, c1: f64, j: f64) -> f64 {
+    // Not below it; from there the steps of Newton descend to it, because the difference is concave.
+    let mut h = (2.0 * c0.max(0.0) / j).cbrt().max((2.0 * c1.max(0.0) / j).sqrt());
+    let newton = |h: f64| h - (c0 + c1 * h - j * h.powi(3)) / (c1 - 3.0 * j * h * h);
+    let mut next = newton(h);
+    // To rounding.
+    while next < h * (1.0 - 1e-14) {
+        h = next;
+        next = newton(h);
+    }
+    h
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        hermite::{accelerations, peak_velocity},
+        pvt::mode::Mode,
+    };
+    use planish_testkit::numbers;
+    use planish_types::{Limits, MachineFile, MachineFileAxis};
+
+    fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>) -> Limits {
+        let axis = |name: &str| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: velocity,
+            max_acceleration_mm_per_s2: acceleration,
+            max_jerk_mm_per_s3: jerk,
+            ..MachineFileAxis::default()
+        };
+        let axes = vec![axis("x"), axis("y")];
+        MachineFile { name: "m".into(), axes, ..MachineFile::default() }.checked().unwrap()
+    }
+
+    fn problems(dp: [Vec<f64>; 2], mode: Mode, limits: &Limits) -> [AxisProblem<'static>; 2] {
+        dp.map(|dp| AxisProblem::new(dp, mode, &limits.axes()[0]))
+    }
+
+    #[test]
+    fn the_least_time_is_the_least_at_which_every_limit_is_kept() {
+        let mut random = numbers(3);
+        let (mut longer, mut none) = (0, 0);
+        for case in 0..4000 {
+            let jerk = (case % 3 == 0).then(|| 200.0 * 30f64.powf(random()));
+            let mode = if case % 2 == 0 { Mode::Smooth } else { Mode::Monotone };
+            let limits = machine(10.0, 60.0, jerk);
+            let dp = (random() - 0.3) * 10f64.powf(-2.0 * random());
+            let [v0, v1] = [(); 2].map(|()| match mode {
+                Mode::Smooth => 20.0 * random() - 10.0,
+                Mode::Monotone => 10.0 * random() * dp.signum(),
+            });
+            let axes = problems([vec![dp], vec![0.0]], mode, &limits);
+            let search = Search::new(&axes, &[1e-3]);
+            let axis = &search.axes[0];
+            let slower = 1.0 - ROOM;
+            let kept = |h: f64, beyond: f64| {
+                let (start, end) = accelerations(dp, v0, v1, h);
+                let middle = 3.0 * dp / h - v0 - v1;
+                start.abs().max(end.abs()) <= beyond * slower.powi(2) * 60.0
+                    && peak_velocity(dp, v0, v1, h).0 <= beyond * slower * 10.0
+                    && jerk.is_none_or(|j| (end - start).abs() / h <= beyond * slower.powi(3) * j)
+                    && (mode == Mode::Smooth || middle * dp.signum() >= -(beyond - 1.0) * 10.0)
+            };
+            let mut h = 1e-3;
+            loop {
+                let next = axis.least_time(0, v0, v1, h);
+                if next <= h || next == f64::INFINITY {
+                    h = next;
+                    break;
+                }
+                h = next;
+            }
+            // The limits of the machine leave 1e-6 beside what the search leaves; 1e-5 is beyond that.
+            let before = |part: f64| 1e-3 * (h.min(1e3) / 1e-3).powf(part);
+            if h.is_finite() {
+                assert!(kept(h, 1.0), "{case}: {h}");
+                longer += usize::from(h > 1e-3);
+            }
+            none += usize::from(h.is_infinite());
+            for k in 0..300 {
+                let earlier = before(f64::from(k) / 300.0);
+                let apart = h > 1e-3 && earlier < h * (1.0 - 1e-3);
+                assert!(!apart || !kept(earlier, 1.0 - 1e-5), "{case}: {earlier} {h}");
+            }
+        }
+        assert!(longer > 1000 && none > 300, "{longer} {none}");
+    }
+
+    #[test]
+    fn a_line_that_is_asked_for_too_fast_takes_the_time_of_a_trapezoid() {
+        // 300 segments of 0.1 mm at 10 mm/s and 60 mm/s^2: 30 / 10 + 10 / 60 s at the least.
+        let limits = machine(10.0, 60.0, None);
+        for mode in [Mode::Monotone, Mode::Smooth] {
+            let axes = problems([vec![0.1; 300], vec![0.0; 300]], mode, &limits);
+            let asked = [0.01; 300];
+            let rest = [vec![0.0; 301], vec![0.0; 301]];
+            let found = Search::new(&axes, &asked).run(&rest, &[true; 300]);
+            let total_s: f64 = found.duration_s.iter().sum();
+            assert!(total_s > 3.1666, "{mode:?}: {total_s}");
+            // What the search leaves to the program, and a first segment whose acceleration falls linearly.
+            assert!(total_s < 3.1667 * (1.0 + 2.0 * ROOM) + 0.02, "{mode:?}: {total_s}");
+            for (i, h) in found.duration_s.iter().enumerate() {
+                let [v0, v1] = [0, 1].map(|end| found.velocity[0][i + end]);
+                let (start, end) = accelerations(0.1, v0, v1, *h);
+                assert!(start.abs().max(end.abs()) <= 60.0, "{mode:?} {i}");
+                assert!(peak_velocity(0.1, v0, v1, *h).0 <= 10.0, "{mode:?} {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_segment_takes_what_it_needs_from_rest_to_rest() {
+        // 1.5 * 3 / 10 s for the velocity, sqrt(6 * 3 / 60) s for the acceleration.
+        let limits = machine(10.0, 60.0, None);
+        let axes = problems([vec![3.0], vec![0.0]], Mode::Monotone, &limits);
+        let found = Search::new(&axes, &[0.3]).run(&[vec![0.0; 2], vec![0.0; 2]], &[true]);
+        let least_s = (18.0_f64 / 60.0).sqrt();
+        let over = found.duration_s[0] / least_s;
+        assert!(over > 1.0 && over < 1.0 + 2.0 * ROOM, "{over}");
+    }
+
+    #[test]
+    fn segments_that_are_short_beside_the_way_to_brake_are_as_fast() {
+        // 3 mm in segments of 1 um, over which the speed changes by 0.06 % where it is highest.
+        let limits = machine(10.0, 60.0, None);
+        let axes = problems([vec![1e-3; 3000], vec![0.0; 3000]], Mode::Monotone, &limits);
+        let rest = [vec![0.0; 3001], vec![0.0; 3001]];
+        let found = Search::new(&axes, &[1e-6; 3000]).run(&rest, &[true; 3000]);
+        let total_s: f64 = found.duration_s.iter().sum();
+        // Up for half of the way, and down: 2 sqrt(3 / 60) s.
+        let least_s = 2.0 * (3.0_f64 / 60.0).sqrt();
+        assert!(total_s > least_s && total_s < 1.05 * least_s, "{total_s} {least_s}");
+    }
+
+    #[test]
+    fn what_is_far_from_segments_that_exceed_is_kept() {
+        // At 5 mm/s along 2000 segments; one in the middle is asked for in a tenth of the time.
+        let limits = machine(10.0, 60.0, None);
+        let axes = problems([vec![0.1; 2000], vec![0.0; 2000]], Mode::Monotone, &limits);
+        let mut velocity = vec![5.0; 2001];
+        (velocity[0], velocity[2000]) = (0.0, 0.0);
+        let mut asked = vec![0.02; 2000];
+        (asked[0], asked[1999]) = (1.0, 1.0);
+        asked[1000] = 0.002;
+        let exceed: Vec<bool> = (0..2000).map(|i| i == 1000).collect();
+        let before = [velocity, vec![0.0; 2001]];
+        let found = Search::new(&axes, &asked).run(&before, &exceed);
+        let other = |i: &usize| found.duration_s[*i] != asked[*i];
+        assert!((0..2000).filter(other).all(|i| i == 1000), "only what is too fast is slower");
+        // 0.1 mm at no more than 10 mm/s, with the velocities of the others.
+        assert!((0.01..0.02).contains(&found.duration_s[1000]), "{}", found.duration_s[1000]);
+        let moved = |i: &usize| found.velocity[0][*i] != before[0][*i];
+        // To brake and to be as fast again takes 0.33 s, that is 17 segments, on each side.
+        assert!((0..=2000).filter(moved).all(|i| (980..=1021).contains(&i)));
+    }
+
+    #[test]
+    fn where_what_is_kept_cannot_be_reached_everything_may_change() {
+        // The segments beside the one that exceeds are far too short to brake in from what is kept.
+        let limits = machine(10.0, 60.0, None);
+        let mut dp = vec![0.1; 60];
+        dp[10..50].fill(1e-6);
+        let mut velocity = vec![9.0; 61];
+        (velocity[0], velocity[60]) = (0.0, 0.0);
+        velocity[25..=35].fill(1e-4);
+        let asked: Vec<f64> = dp.iter().map(|dp| dp / 9.0).collect();
+        let axes = problems([dp, vec![0.0; 60]], Mode::Monotone, &limits);
+        let exceed: Vec<bool> = (0..60).map(|i| i == 30).collect();
+        let search = Search::new(&axes, &asked);
+        let pairs: Vec<Velocity> = velocity.iter().map(|v| [*v, 0.0]).collect();
+        let open: Vec<bool> = (0..=60).map(|node| (23..=37).contains(&node)).collect();
+        assert!(search.along_the_path(&open, &pairs).is_none());
+        let before = [velocity, vec![0.0; 61]];
+        let found = search.run(&before, &exceed);
+        for i in 0..60 {
+            let [v0, v1] = [0, 1].map(|end| found.velocity[0][i + end]);
+            let least = search.least_time(i, [v0, 0.0], [v1, 0.0]);
+            assert!(least <= found.duration_s[i] * (1.0 + 1e-12), "{i}");
+        }
+    }
+}
