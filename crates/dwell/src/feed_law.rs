@@ -78,7 +78,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     // What they remove takes as long.
     let found = progress::part(0, 2, || dwell(desired, tif, path, min_dwell, settings));
     let (dwell, report) = found?;
-    Model::new(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
+    Model::with_any_floor(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
 }
 
 /// (2), without what the dwell times do.
@@ -494,6 +494,33 @@ mod tests {
             }
         }
         assert!(at_floor > 0 && report.too_fast >= at_floor);
+    }
+
+    #[test]
+    fn a_flat_map_is_lowered_and_where_that_is_less_than_the_floor_removes_the_floor_is_run() {
+        let path = raster(&places(1.0), false, 0.0);
+        let tif = tif();
+        let vrr = tif.vrr_nm_mm2_per_s();
+        for (depth_nm, floor) in [(5.0, 0.001), (5.0, 0.2), (0.0, 0.01)] {
+            let problem = Problem {
+                desired: &part(|_, _| depth_nm),
+                tif: &tif,
+                path: &path,
+                weight: None,
+                columns: Columns::Segment,
+                min_dwell: Bound::SecondsPerMm(floor),
+            };
+            let found = solve(&problem, &Settings::default()).unwrap();
+            // Lines of 1 mm in steps of 1 mm.
+            let time_s = (depth_nm / vrr).max(floor);
+            let is_line = |i: &usize| path.displacement_mm(*i)[1] == 0.0;
+            for i in (0..path.len()).filter(is_line) {
+                assert!(
+                    (found.dwell.dwell_s()[i] - time_s).abs() < 1e-12,
+                    "{depth_nm} {floor} {i}"
+                );
+            }
+        }
     }
 
     #[test]

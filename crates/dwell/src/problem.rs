@@ -142,13 +142,22 @@ pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
 
 impl<'a> Model<'a> {
     pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
+        let model = Self::with_any_floor(problem)?;
+        model.refuse_a_floor_above_the_map()?;
+        Ok(model)
+    }
+
+    /// For dwell times that are not solved for: they are what their rule says, whatever the floor removes.
+    pub fn with_any_floor(problem: &Problem<'a>) -> Result<Self, DwellError> {
         Self::with_sensitivity(problem, Operator::adjoint)
     }
 
     /// For solvers on a map of dwell times, which ask the sensitivity of a dwell point only whether it
     /// reaches the map: within two pixels of its reach a point counts as one that does.
     pub fn for_map(problem: &Problem<'a>) -> Result<Self, DwellError> {
-        Self::with_sensitivity(problem, Operator::adjoint_with_spill)
+        let model = Self::with_sensitivity(problem, Operator::adjoint_with_spill)?;
+        model.refuse_a_floor_above_the_map()?;
+        Ok(model)
     }
 
     fn with_sensitivity(
@@ -166,7 +175,7 @@ impl<'a> Model<'a> {
             return Err(DwellError::OutOfReach { points: path.len() });
         }
         let floor_removal = lo.iter().any(|t| *t > 0.0).then(|| operator.apply(&lo));
-        let model = Self {
+        Ok(Self {
             problem: *problem,
             places,
             operator,
@@ -176,9 +185,7 @@ impl<'a> Model<'a> {
             unreached_below: UNREACHED_FRACTION * largest,
             sensitivity,
             shape: shape(path),
-        };
-        model.refuse_a_floor_above_the_map()?;
-        Ok(model)
+        })
     }
 
     /// A floor that removes more on average than the map has from its lowest to its highest point.

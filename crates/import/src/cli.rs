@@ -220,11 +220,16 @@ fn report(statement: &Statement, grid: &Grid) {
     let format = serde_json::to_value(statement.format).unwrap_or_default();
     let (ny, nx) = grid.shape();
     say(format!(
-        "planish-import: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), {} invalid",
+        "planish-import: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), x {} .. {} and y {} .. {} mm, {} \
+         invalid",
         format.as_str().unwrap_or_default(),
         significant(grid.x.step_mm(), 10),
         significant(grid.y.step_mm(), 10),
         statement.pitch_from,
+        significant(grid.x.start_mm(), 10),
+        significant(grid.x.end_mm(), 10),
+        significant(grid.y.start_mm(), 10),
+        significant(grid.y.end_mm(), 10),
         statement.invalid
     ));
     say(format!(

@@ -1,12 +1,17 @@
 //! FITS images: blocks of 2880 bytes, cards of 80 characters, big-endian numbers.
 //!
-//! `value = BZERO + BSCALE raw`; BLANK or NaN is an invalid pixel. The unit is BUNIT, the pitch
-//! |CDELTn| in CUNITn. The first row of the file is the smallest y, as the standard shows it; an
-//! axis with a negative CDELT runs the other way.
+//! ```text
+//! value        = BZERO + BSCALE raw
+//! coordinate n = CRVALn + CDn_n (i - CRPIXn),   i = 1 ... NAXISn,   CDn_n = CDELTn PCn_n
+//! ```
+//!
+//! BLANK or NaN is an invalid pixel. The unit is BUNIT, that of the coordinates CUNITn. A header without CRPIX and CRVAL
+//! has a pitch alone, |CDELTn|. The first row of the file is the smallest y, as the standard shows it; an axis with a
+//! negative step runs the other way. Axes that are turned, sheared or not linear are refused.
 
 use std::collections::HashMap;
 
-use ndarray::{Array2, s};
+use ndarray::Array2;
 use planish_types::Invalid;
 use serde_json::json;
 
@@ -14,12 +19,16 @@ use crate::{
     Format, Unit,
     budget::{MOST_ARRAYS, MOST_HEADER_LINES, check_size, too_many},
     bytes::{Bytes, Number},
-    reading::{FirstRow, Pick, Reading},
+    reading::{FirstRow, Pick, Reading, Rule},
 };
 
 const NAME: &str = "FITS file";
 const BLOCK: usize = 2880;
 const CARD: usize = 80;
+
+/// By how much of a step the pixels of an axis may lie beside it, all over the map: as little as coordinates may depart
+/// from equal steps.
+const MOST_SLANT: f64 = 1e-4;
 
 /// Reads the image of the HDU whose number (0, the primary, first) is `pick.dataset`, else the first.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
@@ -89,35 +98,13 @@ fn map(
         // value = BZERO + BSCALE raw
         values.iter_mut().for_each(|v| *v = zero + scale * *v);
     }
-    let mut values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
+    let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
 
     let unit_name = header.text("BUNIT").filter(|u| !u.is_empty());
     let unit = unit_name.as_deref().map(|u| Unit::stated("BUNIT", u)).transpose()?;
-    let mut pitch_mm = Vec::new();
-    let mut warnings = Vec::new();
-    for axis in 1..=2 {
-        let Some(step) = header.float(&format!("CDELT{axis}"))? else { continue };
-        let key = format!("CUNIT{axis}");
-        let Some(name) = header.text(&key).filter(|u| !u.is_empty()) else {
-            warnings.push(format!("CDELT{axis} is {step} without {key}: not used"));
-            continue;
-        };
-        let to_mm = Unit::stated("CUNIT", &name)?.mm()?;
-        if !(step.is_finite() && step != 0.0) {
-            let remedy = "correct the header, or delete CDELT and give `pitch_mm`";
-            return Err(Invalid::whole(NAME, format!("has CDELT{axis} = {step}"), remedy));
-        }
-        if step < 0.0 {
-            let flipped = if axis == 1 { s![.., ..;-1] } else { s![..;-1, ..] };
-            values = values.slice(flipped).to_owned();
-            warnings.push(format!("CDELT{axis} is negative: the axis was reversed"));
-        }
-        pitch_mm.push(step.abs() * to_mm);
-    }
     let mut reading = Reading::new(Format::Fits, values, FirstRow::SmallestY);
     reading.unit = unit;
-    reading.pitch_mm = <[f64; 2]>::try_from(pitch_mm).ok();
-    reading.warnings = warnings;
+    reading.rule = header.rule([columns, rows], &mut reading.warnings)?;
     reading.stated = json!({ "hdu": hdu, "bunit": unit_name, "bscale": scale, "bzero": zero });
     Ok(reading)
 }
@@ -188,6 +175,76 @@ impl Header {
             let problem = format!("has no card {key} with a count");
             Invalid::whole(NAME, problem, "write it again")
         })
+    }
+
+    /// Where the pixels lie; `None` where the header has no step of both axes.
+    fn rule(&self, len: [usize; 2], warnings: &mut Vec<String>) -> Result<Option<Rule>, Invalid> {
+        let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
+        let remedy = "write the map on axes of length, or delete these cards and give `pitch_mm`";
+        let (mut steps, mut unit, mut reference) = ([None; 2], [None; 2], [(0.0, 0.0); 2]);
+        for (k, n) in [1, 2].into_iter().enumerate() {
+            let (step_key, matrix_key) = (format!("CDELT{n}"), format!("CD{n}_{n}"));
+            // CDn_n, where it is there, is the product.
+            steps[k] = match (self.float(&matrix_key)?, self.float(&step_key)?) {
+                (Some(step), _) => Some(step),
+                (None, Some(step)) => {
+                    Some(step * self.float(&format!("PC{n}_{n}"))?.unwrap_or(1.0))
+                }
+                (None, None) => None,
+            };
+            if let Some(step) = steps[k].filter(|step| !(step.is_finite() && *step != 0.0)) {
+                let remedy = "correct the header, or delete CDELT and give `pitch_mm`";
+                return refuse(format!("has {step_key} = {step}"), remedy);
+            }
+            if let Some(kind) = self.text(&format!("CTYPE{n}")).filter(|t| t.get(4..5) == Some("-"))
+            {
+                return refuse(
+                    format!("has CTYPE{n} \"{kind}\", an axis that is not linear"),
+                    remedy,
+                );
+            }
+            let name = self.text(&format!("CUNIT{n}")).filter(|u| !u.is_empty());
+            unit[k] = name.map(|name| Unit::stated("CUNIT", &name)).transpose()?;
+            // Pixels are counted from 1; what is not in the header is 0.
+            reference[k] = (
+                self.float(&format!("CRPIX{n}"))?.unwrap_or(0.0) - 1.0,
+                self.float(&format!("CRVAL{n}"))?.unwrap_or(0.0),
+            );
+        }
+        let keys = ["CRPIX1", "CRPIX2", "CRVAL1", "CRVAL2"];
+        let stated: Vec<&str> = keys.into_iter().filter(|key| self.raw(key).is_some()).collect();
+        if let Some((pixel, value)) = reference.iter().find(|r| !(r.0 + r.1).is_finite()) {
+            return refuse(format!("has CRPIX {pixel} or CRVAL {value}"), "correct the header");
+        }
+        let [Some(x), Some(y)] = steps else {
+            if !stated.is_empty() || steps != [None; 2] {
+                let rest = ["CDELT1", "CDELT2"].into_iter().zip(steps).filter(|(_, s)| s.is_some());
+                let all: Vec<&str> = stated.into_iter().chain(rest.map(|(key, _)| key)).collect();
+                let why = "the header has not the steps of both axes";
+                warnings.push(format!("{} not used: {why}", all.join(", ")));
+            }
+            return Ok(None);
+        };
+        // The other coordinate along the whole axis, in its steps: as uniform as coordinates have to be.
+        for ((row, column), across) in [((1, 2), x), ((2, 1), y)] {
+            let (key, scale) = match self.float(&format!("CD{row}_{column}"))? {
+                Some(_) => (format!("CD{row}_{column}"), 1.0),
+                None => {
+                    let cdelt = self.float(&format!("CDELT{row}"))?.unwrap_or(1.0);
+                    (format!("PC{row}_{column}"), cdelt)
+                }
+            };
+            let slant = self.float(&key)?.unwrap_or(0.0);
+            let beside = (slant * scale * len[column - 1] as f64).abs();
+            if !beside.is_finite() || beside > MOST_SLANT * f64::abs(across) {
+                return refuse(format!("has {key} = {slant}: the map lies at an angle"), remedy);
+            }
+        }
+        if let Some(angle) = self.float("CROTA2")?.filter(|angle| *angle != 0.0) {
+            return refuse(format!("has CROTA2 = {angle}: the map lies at an angle"), remedy);
+        }
+        let reference = (!stated.is_empty()).then_some(reference);
+        Ok(Some(Rule { step: [x, y], unit, reference }))
     }
 
     /// NAXIS1, NAXIS2, ...

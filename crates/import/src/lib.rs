@@ -43,7 +43,8 @@ pub mod trace;
 pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
 pub use reading::{
-    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Settings, Statement, Unit, surface, tif,
+    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Unit,
+    surface, tif,
 };
 pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
 

@@ -7,7 +7,7 @@
 //! in one multiplication, so that a map comes back to the last bit its file holds. A unit or a
 //! pitch that the file does not state is asked for; a unit that contradicts the file is refused.
 
-use ndarray::{Array2, s};
+use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 use serde::Serialize;
 use serde_json::Value;
@@ -128,6 +128,21 @@ pub struct Coordinates {
     pub unit: Option<Unit>,
 }
 
+/// The rule by which a header places the pixels, in the order of the file and in its units, (x, y) each:
+///
+/// ```text
+/// coordinate of pixel i = coordinate + step (i - pixel)
+/// ```
+#[derive(Clone, Debug)]
+pub struct Rule {
+    /// Step from a pixel to the next; not 0. Where it is negative the axis descends.
+    pub step: [f64; 2],
+    /// Unit of step and coordinate, where the file states it.
+    pub unit: [Option<Unit>; 2],
+    /// Pixel, counted from 0, and its coordinate; `None` where the header has no more than steps.
+    pub reference: Option<[(f64, f64); 2]>,
+}
+
 /// What a file holds.
 #[derive(Clone, Debug)]
 pub struct Reading {
@@ -147,6 +162,8 @@ pub struct Reading {
     pub pitch_mm: Option<[f64; 2]>,
     /// Coordinates, where the file has them.
     pub coordinates: Option<Coordinates>,
+    /// The rule of the coordinates, where the file has that in their place.
+    pub rule: Option<Rule>,
     /// Where the first row is, by the format.
     pub first_row: FirstRow,
     /// What the file states besides, for the manifest.
@@ -175,6 +192,7 @@ impl Reading {
             wavelength_nm: None,
             pitch_mm: None,
             coordinates: None,
+            rule: None,
             first_row,
             stated: Value::Null,
             warnings: Vec::new(),
@@ -301,8 +319,13 @@ pub struct Statement {
 impl Reading {
     /// Where the offset 0 of a map of rates is when nobody says it: as the coordinates of the file have it,
     /// or in the middle where there are none.
-    pub fn usual_tif_origin(&self) -> Origin {
-        if self.coordinates.is_some() { Origin::File } else { Origin::Centre }
+    pub fn usual_tif_origin(&self, settings: &Settings) -> Origin {
+        let by_rule = |rule: &Rule| {
+            let known = rule.unit.iter().all(|unit| unit.or(settings.coordinate_unit).is_some());
+            known && rule.reference.is_some()
+        };
+        let has_places = self.coordinates.is_some() || self.rule.as_ref().is_some_and(by_rule);
+        if has_places { Origin::File } else { Origin::Centre }
     }
 }
 
@@ -315,9 +338,7 @@ pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statem
 /// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second.
 /// A spot that has to be cut out or divided by its time is a [`crate::spot`].
 pub fn tif(reading: Reading, settings: &Settings) -> Result<(Tif, Statement), Invalid> {
-    let of_file = reading.coordinates.is_some() && settings.origin == Origin::File;
     let (grid, values, statement) = map(reading, settings)?;
-    let grid = if of_file { turned_about_0(&grid, settings)? } else { grid };
     Ok((Tif::new(grid, values)?, statement))
 }
 
@@ -340,8 +361,12 @@ fn map(
     let no_data = settings.no_data;
     // height (nm) = stored value x nm_per_value
     reading.values.mapv_inplace(|v| if Some(v) == no_data { f64::NAN } else { v * nm_per_value });
-    let (grid, values, first_row, pitch_from) = place(&reading, settings, &mut warnings)?;
-    let (grid, values) = turn(grid, values, settings)?;
+    let Placed { grid, values, first_row, pitch_from, has_coordinates } =
+        place(&reading, settings, &mut warnings)?;
+    let (mut grid, values) = turn(grid, values, settings);
+    if has_coordinates {
+        grid = turned_about_0(&grid, settings)?;
+    }
     let grid = set_origin(grid, settings.origin)?;
     let statement = Statement {
         format: reading.format,
@@ -401,51 +426,25 @@ fn wavelength(reading: &Reading, settings: &Settings) -> Result<Option<f64>, Inv
     }
 }
 
-/// The grid, and the map with both axes ascending.
+/// A map with both axes ascending.
+struct Placed {
+    grid: Grid,
+    values: Array2<f64>,
+    first_row: FirstRow,
+    pitch_from: &'static str,
+    /// Whether the grid has the coordinates of the file; else it begins at 0.
+    has_coordinates: bool,
+}
+
 fn place(
     reading: &Reading,
     settings: &Settings,
     warnings: &mut Vec<String>,
-) -> Result<(Grid, Array2<f64>, FirstRow, &'static str), Invalid> {
+) -> Result<Placed, Invalid> {
     let values = &reading.values;
     let (rows, columns) = values.dim();
     let Some(coordinates) = &reading.coordinates else {
-        if settings.coordinate_unit.is_some() {
-            return Err(Invalid::whole(
-                "coordinate_unit",
-                "was given, but no coordinates are read from the file",
-                "leave out `coordinate_unit`, or name the arrays with `x` and `y`",
-            ));
-        }
-        let ([x, y], from) = match (settings.pitch_mm, reading.pitch_mm) {
-            (None, None) => {
-                return Err(Invalid::whole(
-                    "pitch_mm",
-                    "is not in the file",
-                    "give `pitch_mm`, the distance of pixel centres",
-                ));
-            }
-            (Some(asked), stated) => {
-                for s in stated.into_iter().filter(|s| *s != asked) {
-                    warnings.push(format!("the pitch of the file, {s:?} mm, is not used"));
-                }
-                (asked, "asked for")
-            }
-            (None, Some(stated)) => (stated, "file"),
-        };
-        for pitch in [x, y] {
-            if !(pitch.is_finite() && pitch > 0.0) {
-                let remedy = "a pitch is positive; give `pitch_mm`";
-                return Err(Invalid::whole("pitch_mm", format!("is {pitch}"), remedy));
-            }
-        }
-        let grid = Grid { x: Axis::new(0.0, x, columns)?, y: Axis::new(0.0, y, rows)? };
-        let first_row = settings.first_row.unwrap_or(reading.first_row);
-        let values = match first_row {
-            FirstRow::Top => values.slice(s![..;-1, ..]).to_owned(),
-            FirstRow::SmallestY => values.clone(),
-        };
-        return Ok((grid, values, first_row, from));
+        return place_by_pitch(reading, settings, warnings);
     };
     for (name, given) in
         [("pitch_mm", settings.pitch_mm.is_some()), ("first_row", settings.first_row.is_some())]
@@ -455,18 +454,9 @@ fn place(
             return Err(Invalid::whole(name, "was given, but the file has coordinates", remedy));
         }
     }
-    let unit = match (coordinates.unit, settings.coordinate_unit) {
-        (Some(a), Some(b)) if a != b => {
-            return Err(Invalid::whole(
-                "coordinate_unit",
-                format!("is {a:?} in the file, {b:?} was asked for"),
-                "leave out `coordinate_unit`, or correct the file",
-            ));
-        }
-        (a, b) => a.or(b).ok_or_else(|| {
-            Invalid::whole("coordinate_unit", "is not in the file", "give `coordinate_unit`")
-        })?,
-    };
+    let unit = coordinate_unit(coordinates.unit, settings)?.ok_or_else(|| {
+        Invalid::whole("coordinate_unit", "is not in the file", "give `coordinate_unit`")
+    })?;
     let to_mm = unit.mm()?;
     let axis = |name: &'static str, given: &[f64], len: usize| {
         if given.len() != len {
@@ -490,16 +480,133 @@ fn place(
         view.invert_axis(ndarray::Axis(0));
     }
     let first_row = if y_descends { FirstRow::Top } else { FirstRow::SmallestY };
-    Ok((Grid { x, y }, view.to_owned(), first_row, "file"))
+    Ok(Placed {
+        grid: Grid { x, y },
+        values: view.to_owned(),
+        first_row,
+        pitch_from: "file",
+        has_coordinates: true,
+    })
 }
 
-/// Mirrors, then turns. A mirrored axis keeps its coordinates; a quarter turn swaps the axes. Of a TIF see
-/// [`turned_about_0`].
-fn turn(
-    grid: Grid,
-    values: Array2<f64>,
+/// The unit of coordinates that the file states or the user gives, who must not contradict each other.
+fn coordinate_unit(stated: Option<Unit>, settings: &Settings) -> Result<Option<Unit>, Invalid> {
+    match (stated, settings.coordinate_unit) {
+        (Some(a), Some(b)) if a != b => Err(Invalid::whole(
+            "coordinate_unit",
+            format!("is {a:?} in the file, {b:?} was asked for"),
+            "leave out `coordinate_unit`, or correct the file",
+        )),
+        (a, b) => Ok(a.or(b)),
+    }
+}
+
+/// [`place`] of a file without arrays of coordinates: with its [`Rule`], or with a pitch alone.
+fn place_by_pitch(
+    reading: &Reading,
     settings: &Settings,
-) -> Result<(Grid, Array2<f64>), Invalid> {
+    warnings: &mut Vec<String>,
+) -> Result<Placed, Invalid> {
+    if settings.coordinate_unit.is_some() && reading.rule.is_none() {
+        return Err(Invalid::whole(
+            "coordinate_unit",
+            "was given, but no coordinates are read from the file",
+            "leave out `coordinate_unit`, or name the arrays with `x` and `y`",
+        ));
+    }
+    let mut rule = None;
+    if let Some(stated) = &reading.rule {
+        match in_mm(stated, settings)? {
+            None if settings.pitch_mm.is_none() => {
+                let problem = format!("of the steps {:?} is not in the file", stated.step);
+                let remedy = "give `coordinate_unit`, or `pitch_mm` in the place of the steps";
+                return Err(Invalid::whole("coordinate_unit", problem, remedy));
+            }
+            None => warnings.push(format!(
+                "the header has the steps {:?} without their unit: neither they nor where the pixels lie \
+                 are used; give `coordinate_unit` in the place of `pitch_mm`",
+                stated.step
+            )),
+            found => rule = found,
+        }
+    }
+    let of_file = rule.as_ref().map(|rule| rule.step.map(f64::abs)).or(reading.pitch_mm);
+    let (pitch, pitch_from) = match (settings.pitch_mm, of_file) {
+        (None, None) => {
+            return Err(Invalid::whole(
+                "pitch_mm",
+                "is not in the file",
+                "give `pitch_mm`, the distance of pixel centres",
+            ));
+        }
+        (Some(asked), stated) => {
+            for s in stated.into_iter().filter(|s| *s != asked) {
+                warnings.push(format!("the pitch of the file, {s:?} mm, is not used"));
+            }
+            (asked, "asked for")
+        }
+        (None, Some(stated)) => (stated, "file"),
+    };
+    for pitch in pitch {
+        if !(pitch.is_finite() && pitch > 0.0) {
+            let remedy = "a pitch is positive; give `pitch_mm`";
+            return Err(Invalid::whole("pitch_mm", format!("is {pitch}"), remedy));
+        }
+    }
+    let reference = rule.as_ref().and_then(|rule| rule.reference);
+    if reference.is_some() && settings.first_row.is_some() {
+        let problem = "was given, but the file says where its rows lie";
+        return Err(Invalid::whole("first_row", problem, "leave it out; `flip_y` mirrors"));
+    }
+    let mut view = reading.values.view();
+    let first_row = settings.first_row.unwrap_or(reading.first_row);
+    if first_row == FirstRow::Top {
+        view.invert_axis(ndarray::Axis(0));
+    }
+    let descends = rule.map_or([false; 2], |rule| rule.step.map(|step| step < 0.0));
+    let mut axes = [None; 2];
+    for (k, len) in [reading.values.ncols(), reading.values.nrows()].into_iter().enumerate() {
+        if descends[k] {
+            let axis = ["first", "second"][k];
+            warnings.push(format!("the {axis} axis of the file descends: it was reversed"));
+            view.invert_axis(ndarray::Axis(1 - k));
+        }
+        // coordinate of the first pixel of an ascending axis = coordinate - pitch (pixel - first pixel)
+        let start = reference.map_or(0.0, |of| {
+            let (pixel, coordinate_mm) = of[k];
+            let last = (len - 1) as f64;
+            coordinate_mm - pitch[k] * if descends[k] { last - pixel } else { pixel }
+        });
+        axes[k] = Some(Axis::new(start, pitch[k], len)?);
+    }
+    let [Some(x), Some(y)] = axes else { unreachable!("both were made") };
+    Ok(Placed {
+        grid: Grid { x, y },
+        values: view.to_owned(),
+        first_row,
+        pitch_from,
+        has_coordinates: reference.is_some(),
+    })
+}
+
+/// A rule in mm; `None` where nobody knows its unit.
+fn in_mm(rule: &Rule, settings: &Settings) -> Result<Option<Rule>, Invalid> {
+    let mut made = rule.clone();
+    for (k, stated) in rule.unit.iter().enumerate() {
+        let Some(unit) = coordinate_unit(*stated, settings)? else { return Ok(None) };
+        let to_mm = unit.mm()?;
+        made.step[k] *= to_mm;
+        made.unit[k] = Some(Unit::Mm);
+        if let Some(reference) = &mut made.reference {
+            reference[k].1 *= to_mm;
+        }
+    }
+    Ok(Some(made))
+}
+
+/// Mirrors, then turns. A mirrored axis keeps its numbers; a quarter turn swaps the axes. Where they are coordinates of
+/// the file, see [`turned_about_0`].
+fn turn(grid: Grid, values: Array2<f64>, settings: &Settings) -> (Grid, Array2<f64>) {
     let mut view = values.view();
     let (mut flip_x, mut flip_y) = (settings.flip_x, settings.flip_y);
     if settings.rotation == Rotation::Half {
@@ -513,7 +620,7 @@ fn turn(
     }
     // 90 degrees: (x, y) -> (-y, x); 270 degrees: (x, y) -> (y, -x)
     let swapped = Grid { x: grid.y, y: grid.x };
-    Ok(match settings.rotation {
+    match settings.rotation {
         Rotation::None | Rotation::Half => (grid, view.to_owned()),
         Rotation::Quarter => {
             let mut turned = view.reversed_axes();
@@ -525,11 +632,12 @@ fn turn(
             turned.invert_axis(ndarray::Axis(0));
             (swapped, turned.as_standard_layout().into_owned())
         }
-    })
+    }
 }
 
-/// The grid of a map that was turned, with the offset 0 where it was in the file: offsets are mirrored and turn with
-/// the samples, or the tool would be beside the place from which the file counts them.
+/// The grid of a map that was turned, with the coordinate 0 where it was in the file: coordinates are mirrored and turn
+/// with the pixels, or a tool would act beside the place from which the file counts its offsets, and a mark of the part
+/// would lie elsewhere on its map.
 fn turned_about_0(grid: &Grid, settings: &Settings) -> Result<Grid, Invalid> {
     let sign = |flip: bool| if flip { -1.0 } else { 1.0 };
     let (x, y) = (sign(settings.flip_x), sign(settings.flip_y));
@@ -611,7 +719,7 @@ mod tests {
     }
 
     #[test]
-    fn the_offset_0_of_a_tif_turns_with_its_samples() {
+    fn the_coordinate_0_turns_with_the_samples() {
         // Offsets -1, 0, 1, 2 mm along x and 0, 0.5, 1 mm along y; 9 nm/s at (0, 0.5).
         let values = array![[1.0, 2.0, 3.0, 4.0], [5.0, 9.0, 6.0, 7.0], [8.0, 1.0, 2.0, 3.0]];
         let reading = || {
@@ -631,6 +739,8 @@ mod tests {
                 ] {
                     let settings = Settings { flip_x, flip_y, rotation, ..Settings::default() };
                     let made = tif(reading(), &settings).unwrap().0;
+                    // A map of heights lies on the same pixels.
+                    assert_eq!(surface(reading(), &settings).unwrap().0.grid(), made.grid());
                     for (r, y) in [0.0, 0.5, 1.0].into_iter().enumerate() {
                         for (c, x) in [-1.0, 0.0, 1.0, 2.0].into_iter().enumerate() {
                             let u = if flip_x { -x } else { x };

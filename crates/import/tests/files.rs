@@ -8,7 +8,7 @@ use std::panic;
 use flate2::{Compress, Compression, FlushCompress};
 use ndarray::{Array2, array};
 use planish_import::{
-    Format, Pick, Settings, Unit,
+    FirstRow, Format, Pick, Rotation, Settings, Unit,
     program::{self, Configuration, Controller},
     read, surface,
 };
@@ -219,7 +219,119 @@ fn fits_scale_blank_unit_and_pitch() {
     let expected = raw().mapv(|v| 10.0 + 0.5 * v);
     assert_eq!(reading.values.row(0), expected.row(0));
     assert!(reading.values[[1, 2]].is_nan());
-    assert_eq!((reading.unit, reading.pitch_mm), (Some(Unit::Um), Some([1.0, 2.0])));
+    assert_eq!(reading.unit, Some(Unit::Um));
+    // Steps alone: 0 is at the first pixel.
+    let grid = *surface(reading, &Settings::default()).unwrap().0.grid();
+    assert_eq!((grid.x.start_mm(), grid.x.step_mm()), (0.0, 1.0));
+    assert_eq!((grid.y.start_mm(), grid.y.step_mm()), (0.0, 2.0));
+}
+
+/// 3 x 2 heights 0 ... 5 nm, row by row, with these cards.
+fn placed(cards: &[&str]) -> Vec<u8> {
+    let data: Vec<u8> = (0..6).flat_map(|v| f64::from(v).to_be_bytes()).collect();
+    let first = ["SIMPLE  = T", "BITPIX  = -64", "NAXIS   = 2", "NAXIS1  = 3", "NAXIS2  = 2"];
+    fits(&[&first[..], &["BUNIT   = 'nm'"], cards].concat(), &data)
+}
+
+/// The height at every coordinate, as (x, y, z), or the message.
+fn heights(bytes: &[u8], settings: &Settings) -> Result<Vec<[f64; 3]>, String> {
+    let reading = read(Format::Fits, bytes, &Pick::default()).map_err(|e| e.to_string())?;
+    let (map, _) = surface(reading, settings).map_err(|e| e.to_string())?;
+    let (g, z) = (map.grid(), map.height_nm());
+    Ok(z.indexed_iter().map(|((r, c), z)| [g.x.at(c), g.y.at(r), *z]).collect())
+}
+
+#[test]
+fn fits_pixels_lie_where_the_header_says() {
+    let linear = [
+        "CRPIX1  = 2.0",
+        "CRVAL1  = 10.0",
+        "CDELT1  = 0.5",
+        "CUNIT1  = 'mm'",
+        "CRPIX2  = 2.5",
+        "CRVAL2  = -4.0D3",
+        "CDELT2  = -250",
+        "CUNIT2  = 'um'",
+    ];
+    let without = |key: &str| -> Vec<&str> {
+        linear.into_iter().filter(|card| !card.starts_with(key)).collect()
+    };
+    let plain = Settings::default();
+    // Every height with its coordinate by the formula of the standard, pixels counted from 1; these steps and places
+    // are exact in binary, but for um.
+    let expected = |x: &dyn Fn(f64) -> f64, y: &dyn Fn(f64) -> f64| -> Vec<[f64; 3]> {
+        let at = |k: usize| [x((k % 3 + 1) as f64), y((k / 3 + 1) as f64), k as f64];
+        (0..6).map(at).collect()
+    };
+    let same = |found: Vec<[f64; 3]>, expected: &[[f64; 3]]| {
+        assert_eq!(found.len(), expected.len());
+        for f in found {
+            let near = |e: &&[f64; 3]| (f[0] - e[0]).hypot(f[1] - e[1]) < 1e-12;
+            assert_eq!(expected.iter().find(near).map(|e| e[2]), Some(f[2]), "{f:?} {expected:?}");
+        }
+    };
+    let (x, y) = (|i: f64| 10.0 + 0.5 * (i - 2.0), |j: f64| -4.0 - 0.25 * (j - 2.5));
+    same(heights(&placed(&linear), &plain).unwrap(), &expected(&x, &y));
+    // The same step as a matrix, or as a factor of one.
+    let matrix = [&without("CDELT")[..], &["CD1_1   = 0.5", "CD2_2   = -250.", "CD1_2   = 1E-9"]];
+    same(heights(&placed(&matrix.concat()), &plain).unwrap(), &expected(&x, &y));
+    let factor = [&without("CDELT1")[..], &["CDELT1  = 0.25", "PC1_1   = 2.0"]].concat();
+    same(heights(&placed(&factor), &plain).unwrap(), &expected(&x, &y));
+    // A place that is not in the header is 0, a pixel too.
+    let part = [&without("CRPIX")[..], &[]].concat();
+    same(
+        heights(&placed(&part), &plain).unwrap(),
+        &expected(&|i| 10.0 + 0.5 * i, &|j| -4.0 - 0.25 * j),
+    );
+    // Another pitch leaves the reference where it is.
+    let pitch = Settings { pitch_mm: Some([0.25, 0.5]), ..plain.clone() };
+    same(
+        heights(&placed(&linear), &pitch).unwrap(),
+        &expected(&|i| 10.0 + 0.25 * (i - 2.0), &|j| -4.0 - 0.5 * (j - 2.5)),
+    );
+    // The part is turned about 0: (x, y) -> (-y, x), mirrored before.
+    let turned = Settings { flip_x: true, rotation: Rotation::Quarter, ..plain.clone() };
+    let there: Vec<[f64; 3]> = expected(&x, &y).into_iter().map(|[x, y, z]| [-y, -x, z]).collect();
+    same(heights(&placed(&linear), &turned).unwrap(), &there);
+
+    // Without their units they are asked for, and nothing is taken from the header without them.
+    let bare: Vec<&str> = without("CUNIT");
+    let said = heights(&placed(&bare), &plain).unwrap_err();
+    assert!(said.contains("give `coordinate_unit`, or `pitch_mm`"), "{said}");
+    let um = Settings { coordinate_unit: Some(Unit::Um), ..plain.clone() };
+    same(
+        heights(&placed(&bare), &um).unwrap(),
+        &expected(&|i| 0.01 + 5e-4 * (i - 2.0), &|j| -4.0 - 0.25 * (j - 2.5)),
+    );
+    let reading = read(Format::Fits, &placed(&bare), &Pick::default()).unwrap();
+    let (map, statement) = surface(reading, &pitch).unwrap();
+    assert_eq!((map.grid().x.start_mm(), map.height_nm()[[0, 0]]), (0.0, 0.0));
+    assert!(statement.warnings.iter().any(|w| w.contains("without their unit")), "{statement:?}");
+    // Places without steps are named.
+    let steps: Vec<&str> = without("CDELT");
+    let reading = read(Format::Fits, &placed(&steps), &Pick::default()).unwrap();
+    assert!(reading.warnings[0].starts_with("CRPIX1, CRPIX2, CRVAL1, CRVAL2 not used"));
+}
+
+#[test]
+fn fits_axes_that_are_no_coordinates_of_a_map_are_refused() {
+    let linear =
+        ["CRVAL1  = 10.0", "CDELT1  = 0.5", "CUNIT1  = 'mm'", "CDELT2  = 0.5", "CUNIT2  = 'mm'"];
+    let said = |card: &str, settings: &Settings| {
+        heights(&placed(&[&linear[..], &[card]].concat()), settings).unwrap_err()
+    };
+    let plain = Settings::default();
+    // 3 pixels at a slope of 1e-4 lie 3e-4 steps beside the axis, three times what is allowed.
+    for card in ["PC1_2   = 0.3", "PC2_1   = -1E-4", "CD2_1   = 1.0", "CROTA2  = 5.0"] {
+        assert!(said(card, &plain).contains("lies at an angle"), "{card}");
+    }
+    assert!(said("CTYPE1  = 'X----LOG'", &plain).contains("not linear"));
+    let top = Settings { first_row: Some(FirstRow::Top), ..plain.clone() };
+    assert!(said("CTYPE1  = 'X'", &top).contains("says where its rows lie"));
+    let um = Settings { coordinate_unit: Some(Unit::Um), ..plain.clone() };
+    assert!(said("CTYPE1  = 'X'", &um).contains("Mm in the file, Um was asked for"));
+    let zero = placed(&["CDELT1  = 0.0", "CDELT2  = 1.0"]);
+    assert!(heights(&zero, &plain).unwrap_err().contains("CDELT1 = 0"));
 }
 
 #[test]

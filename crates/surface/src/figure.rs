@@ -1,12 +1,25 @@
 //! The figure of a map, without the pits in it.
 //!
 //! ```text
-//! q(u, v) = sum_(i + j <= p) c_ij P_i(u) P_j(v),   u, v from -1 to 1 over the map,   c = argmin sum rho(z - q)
+//! q(u, v) = sum_ij c_ij P_i(u) P_j(v),   u, v from -1 to 1 over a window,   c = argmin sum rho(z - q)
+//!           i + j <= p in the whole map, i <= p and j <= p in a smaller window
 //! rho(e)  = e^2 / 2 for |e| <= t, t |e| - t^2 / 2 beyond;   t = median |z - q|
+//! figure  = sum_k w_k q_k / sum_k w_k,   w_k the distance to the border of window k, along x times along y
 //! ```
 //!
 //! Squares of a pit of 20 nm would draw the fit to it; its absolute values are outvoted by the other pixels, as in a
-//! median, and unlike a median a polynomial follows a slope and a curvature.
+//! median, and unlike a median a polynomial follows a slope and a curvature. With i + j <= p it follows a wave along a
+//! diagonal less far than one along an axis, and that in the corners, where the rest looks like a pit: hence the more
+//! terms in windows, for waves. A figure without waves does not need them, and they follow a pit in a corner.
+//!
+//! Windows lie over each other by half or more, so that a pixel is far from the border of one of them, where a polynomial
+//! is weak; the border of the map counts as infinitely far.
+//!
+//! The normal equations are sums of products over a lattice, and are made along x first, then along y:
+//!
+//! ```text
+//! sum_rc w P_i(u) P_j(v) P_k(u) P_l(v) = sum_r (P_j P_l)(v_r) sum_c w_rc (P_i P_k)(u_c)
+//! ```
 //!
 //! Source: rho, P. J. Huber, Ann. Math. Stat. 35 (1964) 73; its minimum by least squares with the weights
 //! min(1, t / |e|), solved again and again, P. W. Holland, R. E. Welsch, Commun. Stat. A 6 (1977) 813.
@@ -17,12 +30,18 @@
 //! | c_ij | `c` | (terms) | nm |
 //! | t | `middle` | - | nm |
 
-use nalgebra::{DMatrix, DVector};
-use ndarray::{Array2, ArrayView2};
-use planish_numerics::orthogonal::legendre;
+use std::ops::Range;
 
-/// p + 1: order 10 follows one wave over the map to 1e-5 of its height.
+use nalgebra::{DMatrix, DVector};
+use ndarray::{Array2, ArrayView2, s};
+use planish_numerics::orthogonal::legendre;
+use rayon::prelude::*;
+
+/// p + 1: order 10 follows one wave over the window to 4e-5 of its height.
 const ORDERS: usize = 11;
+
+/// Products of two of the polynomials of an axis.
+const PAIRS: usize = ORDERS * (ORDERS + 1) / 2;
 
 /// Samples per term that outvote a pit; where there are fewer, the order is lower.
 const SAMPLES_PER_TERM: usize = 10;
@@ -37,38 +56,168 @@ const ROUNDS: usize = 8;
 /// can be fitted too, and far below what moves a height.
 const RIDGE: f64 = 1e-10;
 
-/// The figure at every pixel.
-pub fn figure(map: ArrayView2<f64>) -> Array2<f64> {
-    let (ny, nx) = map.dim();
-    let (along_y, along_x) = (polynomials(ny), polynomials(nx));
-    let at: Vec<_> = samples(ny)
-        .flat_map(|r| samples(nx).map(move |c| (r, c)))
-        .filter(|at| !map[*at].is_nan())
-        .collect();
-    // The highest order p whose (p + 1)(p + 2) / 2 terms have samples enough.
-    let enough = |p: &usize| SAMPLES_PER_TERM * (p + 1) * (p + 2) / 2 <= at.len();
-    let order = (0..ORDERS).rev().find(enough).unwrap_or(0);
-    let terms: Vec<(usize, usize)> =
-        (0..=order).flat_map(|i| (0..=order - i).map(move |j| (i, j))).collect();
-    let row = |(r, c): &(usize, usize)| {
-        let (u, v) = (along_x[*c], along_y[*r]);
-        terms.iter().map(move |&(i, j)| u[i] * v[j])
-    };
-    let matrix = DMatrix::from_row_iterator(at.len(), terms.len(), at.iter().flat_map(row));
-    let heights = DVector::from_iterator(at.len(), at.iter().map(|at| map[*at]));
-    let Some(c) = fit(&matrix, &heights) else {
-        return Array2::zeros((ny, nx));
-    };
-    let mut figure = Array2::zeros((ny, nx));
-    for (v, mut line) in along_y.iter().zip(figure.outer_iter_mut()) {
-        // sum_ij c_ij P_i(u) P_j(v) = sum_i a_i P_i(u)
-        let mut a = [0.0; ORDERS];
-        terms.iter().zip(c.iter()).for_each(|(&(i, j), c)| a[i] += c * v[j]);
-        for (u, q) in along_x.iter().zip(line.iter_mut()) {
-            *q = a.iter().zip(u).map(|(a, u)| a * u).sum();
+/// Weight of a window with samples for a lower order only: it counts where there is no other.
+const LAST_RESORT: f64 = 1e-6;
+
+/// The figure at every pixel, with windows of so many pixels along y and x, or of the map where that is less.
+pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
+    let (rows, columns) = (windows(map.nrows(), window.0), windows(map.ncols(), window.1));
+    let all: Vec<_> =
+        rows.iter().flat_map(|r| columns.iter().map(move |c| (r.clone(), c.clone()))).collect();
+    let terms = if all.len() == 1 { Terms::Sum } else { Terms::Each };
+    let fits: Vec<_> =
+        all.par_iter().map(|(r, c)| Fit::of(map.slice(s![r.clone(), c.clone()]), terms)).collect();
+    let (mut sum, mut weight) = (Array2::zeros(map.dim()), Array2::<f64>::zeros(map.dim()));
+    for ((r, c), fit) in all.into_iter().zip(fits) {
+        let Some(fit) = fit else { continue };
+        let (along_y, along_x) = (tent(&r, map.nrows()), tent(&c, map.ncols()));
+        let whole = if fit.order + 1 == ORDERS { 1.0 } else { LAST_RESORT };
+        let q = fit.heights(r.len(), c.len());
+        for ((k, l), q) in q.indexed_iter() {
+            let w = whole * along_y[k] * along_x[l];
+            sum[[r.start + k, c.start + l]] += w * q;
+            weight[[r.start + k, c.start + l]] += w;
         }
     }
-    figure
+    // 0 where no window has a sample.
+    sum.zip_mut_with(&weight, |q, w| *q = if *w > 0.0 { *q / w } else { 0.0 });
+    sum
+}
+
+/// Ranges of `window` of `n` pixels that lie over each other by half of it or more.
+fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
+    let window = window.min(n);
+    let rest = n - window;
+    let steps = rest.div_ceil((window / 2).max(1));
+    let start = |k: usize| rest * k / steps.max(1);
+    (0..=steps).map(start).map(|start| start..start + window).collect()
+}
+
+/// Distance of the pixels of a window to its border, in windows; that of the map has none.
+fn tent(window: &Range<usize>, n: usize) -> Vec<f64> {
+    let at = |i: usize| {
+        let (low, high) = ((i - window.start) as f64 + 0.5, (window.end - i) as f64 - 0.5);
+        let low = if window.start == 0 { f64::INFINITY } else { low };
+        let high = if window.end == n { f64::INFINITY } else { high };
+        (low.min(high) / window.len() as f64).min(1.0)
+    };
+    window.clone().map(at).collect()
+}
+
+/// q of a window.
+struct Fit {
+    terms: Terms,
+    order: usize,
+    /// Of the terms in their order.
+    c: DVector<f64>,
+}
+
+/// Which terms an order has.
+#[derive(Clone, Copy, PartialEq)]
+enum Terms {
+    /// i + j <= p
+    Sum,
+    /// i <= p, j <= p
+    Each,
+}
+
+impl Terms {
+    /// (i, j) of the terms of an order.
+    fn of(self, order: usize) -> impl Iterator<Item = (usize, usize)> {
+        let last = move |i: usize| if self == Self::Sum { order - i } else { order };
+        (0..=order).flat_map(move |i| (0..=last(i)).map(move |j| (i, j)))
+    }
+}
+
+/// Number of the product of P_i and P_k.
+fn pair(i: usize, k: usize) -> usize {
+    let (low, high) = (i.min(k), i.max(k));
+    high * (high + 1) / 2 + low
+}
+
+impl Fit {
+    /// argmin sum rho(z - q); `None` without a sample.
+    fn of(map: ArrayView2<f64>, of: Terms) -> Option<Self> {
+        let (at_y, at_x) = (samples(map.nrows()), samples(map.ncols()));
+        let z = Array2::from_shape_fn((at_y.len(), at_x.len()), |(r, c)| map[[at_y[r], at_x[c]]]);
+        let count = z.iter().filter(|z| !z.is_nan()).count();
+        // The highest order p whose terms have samples enough.
+        let enough = |p: &usize| SAMPLES_PER_TERM * of.of(*p).count() <= count;
+        let order = (0..ORDERS).rev().find(enough).unwrap_or(0);
+        let (along_y, along_x) = (polynomials(map.nrows()), polynomials(map.ncols()));
+        let along = |all: &[[f64; ORDERS]], at: &[usize]| -> Vec<_> {
+            at.iter().map(|k| (all[*k], products(&all[*k]))).collect()
+        };
+        let (along_y, along_x) = (along(&along_y, &at_y), along(&along_x, &at_x));
+        let terms: Vec<_> = of.of(order).collect();
+        // 0 on invalid pixels
+        let mut w = z.mapv(|z| if z.is_nan() { 0.0 } else { 1.0 });
+        let mut found = None;
+        for _ in 0..=ROUNDS {
+            // A' w A c = A' w z
+            let (mut by_pairs, mut right) = ([[0.0; PAIRS]; PAIRS], [[0.0; ORDERS]; ORDERS]);
+            for ((z, w), (p_y, pp_y)) in z.outer_iter().zip(w.outer_iter()).zip(&along_y) {
+                let (mut of_row, mut right_of_row) = ([0.0; PAIRS], [0.0; ORDERS]);
+                for ((z, w), (p, pp)) in z.iter().zip(w).zip(&along_x) {
+                    if *w > 0.0 {
+                        of_row.iter_mut().zip(pp).for_each(|(sum, pp)| *sum += w * pp);
+                        right_of_row.iter_mut().zip(p).for_each(|(sum, p)| *sum += w * z * p);
+                    }
+                }
+                for (sums, pp) in by_pairs.iter_mut().zip(pp_y) {
+                    sums.iter_mut().zip(&of_row).for_each(|(sum, of_row)| *sum += pp * of_row);
+                }
+                for (sums, p) in right.iter_mut().zip(p_y) {
+                    sums.iter_mut().zip(&right_of_row).for_each(|(sum, row)| *sum += p * row);
+                }
+            }
+            let mut normal = DMatrix::from_fn(terms.len(), terms.len(), |a, b| {
+                let ((i, j), (k, l)) = (terms[a], terms[b]);
+                by_pairs[pair(j, l)][pair(i, k)]
+            });
+            let ridge = RIDGE * normal.trace() / normal.nrows() as f64;
+            (0..normal.nrows()).for_each(|k| normal[(k, k)] += ridge);
+            let right =
+                DVector::from_iterator(terms.len(), terms.iter().map(|&(i, j)| right[j][i]));
+            let fit = Self { terms: of, order, c: normal.cholesky()?.solve(&right) };
+            // w = min(1, t / |e|)
+            let q = fit.on(along_y.iter().map(|a| &a.0), along_x.iter().map(|a| &a.0));
+            found = Some(fit);
+            let errors = (&z - &q).mapv(f64::abs);
+            let mut sorted: Vec<f64> = errors.iter().copied().filter(|e| !e.is_nan()).collect();
+            let half = sorted.len() / 2;
+            let middle = *sorted.select_nth_unstable_by(half, f64::total_cmp).1;
+            if middle == 0.0 {
+                break; // Most samples are on the polynomial.
+            }
+            w.zip_mut_with(&errors, |w, e| {
+                *w = if e.is_nan() { 0.0 } else { middle / e.max(middle) }
+            });
+        }
+        found
+    }
+
+    /// q on the pixels of a window of this shape.
+    fn heights(&self, ny: usize, nx: usize) -> Array2<f64> {
+        self.on(polynomials(ny).iter(), polynomials(nx).iter())
+    }
+
+    fn on<'a>(
+        &self,
+        along_y: impl ExactSizeIterator<Item = &'a [f64; ORDERS]>,
+        along_x: impl ExactSizeIterator<Item = &'a [f64; ORDERS]> + Clone,
+    ) -> Array2<f64> {
+        let mut q = Array2::zeros((along_y.len(), along_x.len()));
+        for (v, mut line) in along_y.zip(q.outer_iter_mut()) {
+            // sum_ij c_ij P_i(u) P_j(v) = sum_i a_i P_i(u)
+            let mut a = [0.0; ORDERS];
+            self.terms.of(self.order).zip(self.c.iter()).for_each(|((i, j), c)| a[i] += c * v[j]);
+            for (u, q) in along_x.clone().zip(line.iter_mut()) {
+                *q = a.iter().zip(u).map(|(a, u)| a * u).sum();
+            }
+        }
+        q
+    }
 }
 
 /// P_0 ... P_p at `n` pixels from -1 to 1.
@@ -82,35 +231,110 @@ fn polynomials(n: usize) -> Vec<[f64; ORDERS]> {
     (0..n).map(at).collect()
 }
 
-/// Equally spaced pixels of an axis.
-fn samples(n: usize) -> impl Iterator<Item = usize> + Clone {
-    let step = n.div_ceil(MAX_SAMPLES).max(1);
-    ((step - 1) / 2..n).step_by(step)
-}
-
-/// argmin sum rho(z - A c); `None` without a sample.
-fn fit(a: &DMatrix<f64>, z: &DVector<f64>) -> Option<DVector<f64>> {
-    let mut weighted = a.clone();
-    let mut found = None;
-    for _ in 0..=ROUNDS {
-        // A' w A c = A' w z
-        let mut normal = a.tr_mul(&weighted);
-        let ridge = RIDGE * normal.trace() / normal.nrows() as f64;
-        (0..normal.nrows()).for_each(|k| normal[(k, k)] += ridge);
-        let c = normal.cholesky()?.solve(&weighted.tr_mul(z));
-        // w = min(1, t / |e|)
-        let errors = (z - a * &c).abs();
-        found = Some(c);
-        let mut sorted = errors.as_slice().to_vec();
-        let half = sorted.len() / 2;
-        let middle = *sorted.select_nth_unstable_by(half, f64::total_cmp).1;
-        if middle == 0.0 {
-            break; // Most samples are on the polynomial.
-        }
-        let w = errors.map(|e| middle / e.max(middle));
-        for (mut to, from) in weighted.column_iter_mut().zip(a.column_iter()) {
-            to.copy_from(&from.component_mul(&w));
+/// P_i P_k, in the order of [`pair`].
+fn products(p: &[f64; ORDERS]) -> [f64; PAIRS] {
+    let mut out = [0.0; PAIRS];
+    for high in 0..ORDERS {
+        for low in 0..=high {
+            out[pair(low, high)] = p[low] * p[high];
         }
     }
-    found
+    out
+}
+
+/// Equally spaced pixels of an axis.
+fn samples(n: usize) -> Vec<usize> {
+    let step = n.div_ceil(MAX_SAMPLES).max(1);
+    ((step - 1) / 2..n).step_by(step).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    const SHAPE: (usize, usize) = (90, 140);
+    const WHOLE: (usize, usize) = SHAPE;
+
+    fn map(height: impl Fn(f64, f64) -> f64) -> Array2<f64> {
+        Array2::from_shape_fn(SHAPE, |(r, c)| height(c as f64 / 139.0, r as f64 / 89.0))
+    }
+
+    fn largest(difference: Array2<f64>) -> f64 {
+        difference.iter().fold(0.0, |most, d| most.max(d.abs()))
+    }
+
+    #[test]
+    fn a_polynomial_is_its_own_figure_in_every_window_with_holes_too() {
+        let plane = |x: f64, y: f64| 100.0 * x - 30.0 * y;
+        let of_order_10 = |x: f64, y: f64| 50.0 * x.powi(7) * y.powi(3) - 20.0 * y.powi(10) + x;
+        for (height, window) in [(&plane as &dyn Fn(f64, f64) -> f64, WHOLE), (&of_order_10, WHOLE)]
+            .into_iter()
+            .chain([(&of_order_10 as &dyn Fn(f64, f64) -> f64, (60, 60)), (&plane, (45, 500))])
+        {
+            let exact = map(height);
+            let mut holed = exact.clone();
+            holed.slice_mut(s![20..40, 60..90]).fill(f64::NAN);
+            holed.slice_mut(s![..15, ..15]).fill(f64::NAN);
+            for given in [&exact, &holed] {
+                // The ridge of 1e-10 of the terms, which beside holes is more of some of them, where the polynomial is
+                // measured.
+                let off = &figure(given.view(), window) - given;
+                let off = largest(off.mapv(|d| if d.is_nan() { 0.0 } else { d }));
+                assert!(off < 1e-2, "{window:?}: {off}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_wave_over_the_window_is_followed_to_a_ten_thousandth() {
+        // Along y as well only in windows: the whole map has fewer terms.
+        for (window, waves, along_y) in
+            [(WHOLE, 1.0, 0.0), ((45, 70), 2.0, 1.0), ((40, 50), 2.5, 1.2)]
+        {
+            let of_x = |x: f64| 300.0 * (TAU * waves * x).sin();
+            let wave = map(|x, y| of_x(x) * (TAU * along_y * y + 0.3).cos());
+            let off = largest(figure(wave.view(), window) - &wave);
+            assert!(off < 300.0 * 1e-4, "{window:?}: {off}");
+        }
+        // More of them are not.
+        let wave = map(|x, _| 300.0 * (TAU * 8.0 * x).sin());
+        assert!(largest(figure(wave.view(), WHOLE) - &wave) > 100.0);
+    }
+
+    #[test]
+    fn a_pit_does_not_draw_it() {
+        let wave = map(|x, y| 300.0 * (TAU * 2.0 * x).sin() * (TAU * y).cos() + 40.0 * x);
+        for depth_nm in [20.0, 2000.0] {
+            let mut pitted = wave.clone();
+            pitted.slice_mut(s![40..46, 60..66]).mapv_inplace(|z| z - depth_nm);
+            let off = largest(figure(pitted.view(), (45, 70)) - &wave);
+            // 36 of the 3150 pixels of a window move the rest by a hundredth of what they are deep.
+            assert!(off < 0.015 * depth_nm, "{depth_nm}: {off}");
+        }
+    }
+
+    #[test]
+    fn windows_cover_every_pixel_and_lie_over_each_other_by_half() {
+        for (n, window) in [(1, 9), (9, 9), (10, 9), (100, 33), (101, 50), (1000, 45)] {
+            let found = windows(n, window);
+            assert_eq!((found[0].start, found[found.len() - 1].end), (0, n));
+            for pair in found.windows(2) {
+                assert!(2 * (pair[0].end - pair[1].start) >= window, "{n} {window} {pair:?}");
+            }
+            assert!(found.iter().all(|w| w.len() == window.min(n)));
+        }
+    }
+
+    #[test]
+    fn where_nothing_is_measured_it_is_0_and_few_pixels_have_their_mean() {
+        let none = Array2::from_elem((40, 40), f64::NAN);
+        assert!(figure(none.view(), (40, 40)).iter().all(|q| *q == 0.0));
+        let mut one = none.clone();
+        one[[3, 5]] = 7.0;
+        let found = figure(one.view(), (20, 20));
+        // The ridge of 1e-10.
+        assert!((found[[3, 5]] - 7.0).abs() < 1e-8, "{}", found[[3, 5]]);
+        assert_eq!(found[[30, 30]], 0.0);
+    }
 }

@@ -5,7 +5,7 @@
 //! least-squares plane removed first (a tilt must not decide what is a pit):
 //!
 //! ```text
-//! z   <- z - figure(z),         order 10, robust
+//! z   <- z - figure(z),         order 10, robust, in the whole map or in windows
 //! d    = z - median filter(z),  window W/2 (odd, at least 9 px)
 //! L    = z convolved with [1 -2 1; -2 4 -2; 1 -2 1]: 0 for every quadratic, 6 times the deviation of white noise
 //! s    = 1.4826 max(median|d - median(d)|, median|L - median(L)| / 6)
@@ -18,8 +18,16 @@
 //! On a slope that is steeper than the noise the median of a window is the height along its middle. A pit moves it
 //! along the slope, as far as windows reach the pit, which is too far for one to be kept; hence the figure is taken
 //! off first. What the figure does not follow can be steep still: every pixel is the median of its own window then,
-//! and d is zero, which says nothing of the noise; L does. The seed finds what is surely not noise, the growth takes its
-//! flanks, and the extent spares edges, rims and steps: they are long. The crest of a wave that the figure does
+//! and d is zero, which says nothing of the noise; L does.
+//!
+//! A figure of several waves over the map is followed in windows of half the map, a quarter, and so on, as long as that
+//! lowers s. It has to halve it at first, and then lower it by 5 %: what is left of a figure falls by orders of magnitude,
+//! while the roughness of a polished map falls a little in any smaller window, and with it would fall what is taken for a
+//! pit. No window is smaller than five of the median's, 2.5 W: a smaller one follows pits of half the median's window, and
+//! waves of W are followed by this one. Where third differences, which hardly see waves, tell at least half of s, there is
+//! nothing to halve.
+//!
+//! The seed finds what is surely not noise, the growth takes its flanks, and the extent spares edges, rims and steps: they are long. The crest of a wave that the figure does
 //! not follow is not: it is spared because a quadratic through its neighbours follows it.
 //!
 //! Source: thresholds with hysteresis, J. Canny, IEEE Trans. Pattern Anal. Mach. Intell. 8 (1986)
@@ -33,7 +41,7 @@
 //! | z | `surface` | (ny, nx) | nm |
 //! | W | `feature_mm` | - | mm |
 //! | d | `deviation` | (ny, nx) | nm |
-//! | L | `twice_differenced` | (ny - 2, nx - 2) | nm |
+//! | L | `noise_of_differences` | (ny - 2, nx - 2) | nm |
 //! | s | `noise_nm` | - | nm |
 
 use std::f64::consts::PI;
@@ -55,8 +63,14 @@ const MIN_WINDOW_PX: usize = 9;
 /// 1 / (the 0.75 quantile of the standard normal distribution).
 const SIGMA_PER_MAD: f64 = 1.4826;
 
-/// The root of the sum of the squares of the weights of L: what it multiplies white noise by.
-const DIFFERENCED_NOISE: f64 = 6.0;
+/// Least window of the figure, in windows of the median.
+const LEAST_FIGURE: usize = 5;
+
+/// The noise in windows over that in the whole map, at most, for windows to be used.
+const FALLS: f64 = 0.5;
+
+/// The noise in smaller windows over that in the ones that are used already, at most.
+const FALLS_ON: f64 = 0.95;
 
 /// Neighbours that a quadratic through them needs, ten for each of its terms.
 const MIN_NEIGHBOURS: usize = 60;
@@ -165,13 +179,31 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
     // z <- z - figure(z)
     let half = (window_px.0 / 2, window_px.1 / 2);
     let level = without_plane(surface);
-    let flat = &level - &figure(level.view());
-    // d = z - median filter(z)
-    let deviation = &flat - &median_filter(flat.view(), half);
-
-    // s = 1.4826 max(MAD(d), MAD(L) / 6)
-    let of_differences = median_absolute_deviation(&twice_differenced(&flat)) / DIFFERENCED_NOISE;
-    let noise_nm = SIGMA_PER_MAD * median_absolute_deviation(&deviation).max(of_differences);
+    let without_figure = |window| {
+        let flat = &level - &figure(level.view(), window);
+        // d = z - median filter(z)
+        let deviation = &flat - &median_filter(flat.view(), half);
+        // s = 1.4826 max(MAD(d), MAD(L) / 6)
+        let of_deviation = SIGMA_PER_MAD * median_absolute_deviation(&deviation);
+        (deviation, of_deviation.max(noise_of_differences(&flat, 2)))
+    };
+    let whole = without_figure(grid.shape());
+    let (noise_of_whole, mut best) = (whole.1, whole);
+    // White noise is all that third differences see, unless waves are very short: no window has less.
+    let worth_while = noise_of_differences(&level, 3) < FALLS * noise_of_whole;
+    let smaller = |window: &(usize, usize)| {
+        let halved = |of: usize, px: usize| (of / 2).max(LEAST_FIGURE * px).min(of);
+        let smaller = (halved(window.0, window_px.0), halved(window.1, window_px.1));
+        (worth_while && smaller != *window).then_some(smaller)
+    };
+    for window in std::iter::successors(Some(grid.shape()), smaller).skip(1) {
+        let found = without_figure(window);
+        let enough = if best.1 < noise_of_whole { FALLS_ON } else { FALLS };
+        if found.1 < enough * best.1 {
+            best = found;
+        }
+    }
+    let (deviation, noise_nm) = best;
     let seed_nm = (settings.seed_sigmas * noise_nm).max(settings.floor_nm);
     let grow_nm = (settings.grow_sigmas * noise_nm).max(GROW_FLOOR * settings.floor_nm);
 
@@ -276,17 +308,23 @@ fn without_plane(surface: &Surface) -> Array2<f64> {
     fit_plane(map, &x, &y).map_or_else(|| map.to_owned(), |p| subtract_plane(map, &x, &y, p))
 }
 
-/// L: second differences along one axis of second differences along the other; NaN beside an invalid pixel.
-fn twice_differenced(map: &Array2<f64>) -> Array2<f64> {
-    let along = |map: &Array2<f64>, axis: NdAxis| {
-        let n = map.len_of(axis);
-        if n < 3 {
-            return Array2::zeros((0, 0));
+/// The noise by the n-th differences along one axis of the n-th differences along the other, nm: of L, where n is 2.
+/// Their weights are the signed binomial coefficients, whose squares have the sum binomial(2 n, n) along each axis: by
+/// as much they multiply white noise, 6 where n is 2 and 20 where it is 3.
+fn noise_of_differences(map: &Array2<f64>, n: usize) -> f64 {
+    let mut differences = map.clone();
+    for axis in [NdAxis(0), NdAxis(1)] {
+        for _ in 0..n {
+            let len = differences.len_of(axis);
+            if len < 2 {
+                return 0.0;
+            }
+            let at = |k: usize| differences.slice_axis(axis, Slice::from(k..len - 1 + k));
+            differences = &at(1) - &at(0); // NaN beside an invalid pixel
         }
-        let at = |k: usize| map.slice_axis(axis, Slice::from(k..n - 2 + k));
-        &at(0) - &(&at(1) * 2.0) + at(2)
-    };
-    along(&along(map, NdAxis(0)), NdAxis(1))
+    }
+    let gain = (1..=n).fold(1.0, |product, k| product * (n + k) as f64 / k as f64);
+    SIGMA_PER_MAD * median_absolute_deviation(&differences) / gain
 }
 
 /// 0 without a valid pixel.
@@ -443,6 +481,60 @@ mod tests {
             let report = find(&(smooth(1) + &wave)).report;
             assert_eq!(report.components, 0, "{k} {height}: {report:?}");
         }
+    }
+
+    #[test]
+    fn pits_on_several_waves_are_found_and_their_crests_are_not() {
+        // Waves of 100 nm and more, from twice the width of the tool on: 40 px of 0.1 mm. As one polynomial the figure of
+        // 5 waves leaves noise of 20 nm and more.
+        let grid = |ny: usize, nx: usize| Grid {
+            x: Axis::new(0.0, 0.1, nx).unwrap(),
+            y: Axis::new(0.0, 0.1, ny).unwrap(),
+        };
+        let (ny, nx) = (240, 400);
+        for (waves, height, seed) in [(2.5, 300.0, 1), (5.0, 100.0, 2), (5.0, 300.0, 3)] {
+            let noise = Normal::new(0.0, 0.05).unwrap();
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let k = 2.0 * PI * waves / nx as f64;
+            let clean = Array2::from_shape_fn((ny, nx), |(r, c)| {
+                let (x, y) = (c as f64, r as f64);
+                height * (k * x + 0.4).sin() * (k * y).cos() + noise.sample(&mut rng)
+            });
+            let settings = OutlierSettings::for_feature_mm(4.0);
+            let found = |map: &Array2<f64>| {
+                outliers(&Surface::new(grid(ny, nx), map.clone()).unwrap(), &settings).unwrap()
+            };
+            let report = found(&clean).report;
+            assert_eq!(report.components, 0, "{waves} {height}: {report:?}");
+            // The noise but for what the figure leaves.
+            assert!((0.045..0.06).contains(&report.noise_nm), "{waves} {height}: {report:?}");
+            let mut pitted = clean;
+            let places = [(60, 100), (180, 333), (0, 200), (100, 20)];
+            for (r, c) in places {
+                pitted.slice_mut(ndarray::s![r..r + 6, c..c + 6]).mapv_inplace(|v| v - 20.0);
+            }
+            let with_pits = found(&pitted);
+            assert_eq!(with_pits.report.components, 4, "{waves} {height}: {:?}", with_pits.report);
+            for (r, c) in places {
+                assert!(with_pits.mask.slice(ndarray::s![r..r + 6, c..c + 6]).iter().all(|m| *m));
+            }
+        }
+    }
+
+    #[test]
+    fn differences_know_the_noise_whatever_the_polynomial() {
+        let noise = Normal::new(0.0, 0.2).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let map = Array2::from_shape_fn((200, 300), |(r, c)| {
+            let (x, y) = (0.1 * c as f64, 0.1 * r as f64);
+            3.0 * x * x - y * y * x + 7.0 * y + noise.sample(&mut rng)
+        });
+        for n in [2, 3] {
+            // 60 000 pixels tell it to half a percent, and their differences depend on each other.
+            let found = noise_of_differences(&map, n);
+            assert!((found / 0.2 - 1.0).abs() < 0.03, "{n}: {found}");
+        }
+        assert_eq!(noise_of_differences(&Array2::zeros((2, 9)), 3), 0.0);
     }
 
     #[test]

@@ -67,13 +67,22 @@ pub struct Report {
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
+    /// With a robust loss the root of twice its mean, of the map and of what remains, nm.
+    #[serde(skip)]
+    pub robust_nm: Option<[f64; 2]>,
 }
 
 impl Report {
     /// Why the verdict is negative, where it is: without its certificate a result is not known to be the
-    /// best, and the best is no plan where it leaves more than the map `before` it.
+    /// best, and the best is no plan where it leaves more than the map `before` it. More is what its loss says:
+    /// pits, which a robust loss leaves alone, decide an RMS, and what is removed around them deepens them.
     pub fn negative(&self, before: Rms) -> Option<String> {
-        let after = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
+        let plain = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
+        let both = |rms_nm| Rms { rms_nm, detilted_nm: rms_nm };
+        let (before, after) = match self.robust_nm {
+            Some([before, after]) => (both(before), both(after)),
+            None => (before, plain),
+        };
         let gap = self.relative_gap.map_or_else(String::new, |gap| {
             format!(", and the objective may be {gap:.1e} of itself above its minimum")
         });
@@ -151,7 +160,66 @@ impl BoundedProblem<'_> {
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
             total_time_s: t.iter().sum(),
+            robust_nm: self.settings.huber_nm.map(|k| {
+                [self.desired.height_nm(), &residual].map(|z| huber_rms(z, &self.weight, k))
+            }),
         };
         Ok(BoundedSolution { dwell: DwellTime::new(iterate.t)?, report })
+    }
+}
+
+/// Steps of the piston; each halves what is left of an error at least where more than half of the pixels are within k.
+const PISTON_STEPS: usize = 50;
+
+/// The root of twice the mean of the loss, at the piston p where it is least:
+///
+/// ```text
+/// sqrt(2 sum w rho(z - p) / sum w),   p <- sum w h z / sum w h,   h = min(1, k / |z - p|)
+/// ```
+///
+/// the RMS where no pixel is farther than k from the mean.
+fn huber_rms(z: &Array2<f64>, weight: &Array2<f64>, k: f64) -> f64 {
+    let counted: Vec<(f64, f64)> =
+        z.iter().zip(weight).filter(|(_, w)| **w > 0.0).map(|(z, w)| (*z, *w)).collect();
+    let mut sorted: Vec<f64> = counted.iter().map(|(z, _)| *z).collect();
+    if sorted.is_empty() {
+        return 0.0;
+    }
+    let half = sorted.len() / 2;
+    let mut piston = *sorted.select_nth_unstable_by(half, f64::total_cmp).1;
+    for _ in 0..PISTON_STEPS {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for (z, w) in &counted {
+            let w = w * (k / (z - piston).abs()).min(1.0);
+            sum += w * z;
+            total += w;
+        }
+        piston = sum / total;
+    }
+    let loss = |e: f64| if e <= k { 0.5 * e * e } else { k * (e - 0.5 * k) };
+    let (sum, total) = counted
+        .iter()
+        .fold((0.0, 0.0), |(sum, total), (z, w)| (sum + w * loss((z - piston).abs()), total + w));
+    (2.0 * sum / total).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn a_huber_rms_is_that_of_its_loss_at_the_best_piston() {
+        // Nothing beyond k: the RMS; weights count, what has none does not.
+        let z = array![[1.0, 3.0, f64::NAN], [5.0, 3.0, 1e9]];
+        let w = array![[1.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+        // Rounding.
+        assert!((huber_rms(&z, &w, 10.0) - 2f64.sqrt()).abs() < 1e-12);
+        // Four pixels at 0 and one at -100, k = 1: 4 p = -1 at the piston, which is -1/4; the loss is
+        // 4 / 32 + (100 - 1/4) - 1/2.
+        let z = array![[0.0, 0.0, -100.0, 0.0, 0.0]];
+        let exact = (2.0 * (0.125 + 99.75 - 0.5) / 5.0_f64).sqrt();
+        let found = huber_rms(&z, &z.mapv(|_| 1.0), 1.0);
+        assert!((found - exact).abs() < 1e-9, "{found} {exact}");
     }
 }

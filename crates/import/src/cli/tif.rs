@@ -100,7 +100,8 @@ impl TifArgs {
                 (made.tif, statement, own)
             }
             None => {
-                settings.origin = self.origin.unwrap_or_else(|| reading.usual_tif_origin());
+                settings.origin =
+                    self.origin.unwrap_or_else(|| reading.usual_tif_origin(&settings));
                 let (made, statement) =
                     tif(reading, &settings).map_err(|e| about(&file.file, &e))?;
                 (made, statement, Value::Null)
