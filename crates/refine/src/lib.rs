@@ -207,8 +207,12 @@ impl Refined {
 const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
 /// Fraction of the step below which a correction is given up.
 const LEAST_STEP_FRACTION: f64 = 0.1;
-/// Part steps in a row without progress after which the loop ends; of full steps, one is enough.
+/// Part steps in a row without progress after which the loop ends; of full steps, one is enough, unless it promised
+/// progress.
 const PATIENCE: usize = 2;
+/// A full step that leaves this fraction more than its correction promised: the machine needed times that the correction
+/// did not know, and the next one has them as lower bounds.
+const UNKEPT_PROMISE: f64 = 0.01;
 
 /// A correction that was to leave less than this fraction of the RMS, and is given up, asked for too much at once.
 const LARGE_PROMISE: f64 = 0.9;
@@ -372,9 +376,10 @@ fn rounds(
                 lo[j] = lo[j].max(needed_s);
             }
             lo_of_best.clone_from(&lo);
+            let is_unkept = promised_nm < (1.0 - UNKEPT_PROMISE) * rms_nm;
             without_progress = match progress {
                 true => 0,
-                false if step_fraction < 1.0 => without_progress + 1,
+                false if step_fraction < 1.0 || is_unkept => without_progress + 1,
                 false => PATIENCE,
             };
         }

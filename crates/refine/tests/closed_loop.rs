@@ -125,6 +125,17 @@ fn a_correction_that_promises_much_and_holds_in_no_part_is_followed_by_a_smoothe
 }
 
 #[test]
+fn a_whole_step_that_gains_nothing_of_what_it_promised_is_no_end() {
+    // The machine stretches what the correction asks for; the next one has these times as lower bounds.
+    let (desired, tif, path) = (desired(), tif(), meander());
+    let how = settings(pvt::Mode::Smooth);
+    let refined = refine(&desired, &tif, &path, &machine(3.0, 20.0), None, &how).unwrap();
+    let best = &refined.iterates[refined.best];
+    // Regression bound: 0.1195 nm were measured, and 0.1258 nm where the loop ended with such a step.
+    assert!(best.limits_respected && best.rms_nm < 0.122, "{}", best.rms_nm);
+}
+
+#[test]
 fn a_slow_machine_gets_its_time_and_the_limits_hold() {
     let (desired, tif, path, machine) = (desired(), tif(), meander(), machine(8.0, 20.0));
     let how = settings(pvt::Mode::Smooth);
