@@ -100,6 +100,21 @@ fn a_rate_and_a_displacement_do_what_they_say() {
 }
 
 #[test]
+fn an_error_moves_the_tool_by_less_than_the_tif_is_wide_wherever_it_removes() {
+    // 12 mm wide; its samples beside the tool reach 20 mm from it.
+    let grid = tif().grid().moved([14.0, 0.0]).unwrap();
+    let beside = Tif::new(grid, tif().rate_nm_per_s().clone()).unwrap();
+    let settings = Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let moved_by = |mm: f64| {
+        let errors = [error("offset_y", mm, "mm", "normal")];
+        run(&raster([0.0; 2]), &beside, &before(), &process(&errors), &settings)
+    };
+    assert!(moved_by(11.9).is_ok());
+    let message = moved_by(12.1).unwrap_err().to_string();
+    assert!(message.contains("the TIF is 1.200e1 mm wide"), "{message}");
+}
+
+#[test]
 fn errors_are_drawn_as_the_process_states_and_anew_for_every_seed() {
     let errors =
         [error("rate_scale", 2.0, "%", "normal"), error("offset_x", 50.0, "um", "uniform")];
