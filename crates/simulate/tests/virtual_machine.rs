@@ -228,6 +228,32 @@ fn a_current_is_a_factor_of_every_rate() {
 
 /// A round TIF stretched along the diagonal, by its own equation and by the turned stretch along x.
 #[test]
+fn another_shape_of_a_tool_that_is_off_centre_stays_where_it_removes() {
+    // 3 mm and -2 mm beside the tool, which stands as much on the other side: the same machine, referred to another point.
+    let off = [3.0, -2.0];
+    let beside = Tif::new(tif().grid().moved(off).unwrap(), tif().rate_nm_per_s().clone()).unwrap();
+    let map = before();
+    let on = |tif: &Tif, trajectory: &Trajectory, scalar: Scalar, size: f64| {
+        let runs = Runs::new(trajectory, tif, tif, map.grid()).unwrap();
+        let mut change = Deviation::default();
+        // An ellipse, so that a rotation shows.
+        change.add(Scalar::TifEllipticity, 0.3);
+        change.add(scalar, size);
+        runs.moved_nm(&change).unwrap()
+    };
+    for scalar in [Scalar::TifWidth, Scalar::TifDiagonalEllipticity, Scalar::TifRotation] {
+        let centred = on(&tif(), &raster([0.0; 2]), scalar, 0.1);
+        let found = on(&beside, &raster(off.map(|mm| -mm)), scalar, 0.1);
+        let plain = on(&tif(), &raster([0.0; 2]), scalar, 0.0);
+        let change = apart(&centred, &plain);
+        let apart = apart(&centred, &found);
+        println!("{scalar:?} changes {change:.1e} nm, and is apart by {apart:.1e} nm");
+        // Rounding of the coordinates of tens of nm, beside what the shape changes under lines as close as these.
+        assert!(change > 1e-3 && apart < 1e-9, "{scalar:?}: {change} {apart}");
+    }
+}
+
+#[test]
 fn a_diagonal_ellipticity_is_one_along_x_turned_by_45_degrees() {
     let mut diagonal = Deviation::default();
     diagonal.add(Scalar::TifDiagonalEllipticity, 0.1);
