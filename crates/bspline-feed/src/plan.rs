@@ -226,6 +226,9 @@ pub fn plan(
 ) -> Result<Plan, FeedError> {
     check(settings)?;
     plausible::check_path(surface, tif, path)?;
+    // What is at the place of the tool is what it removes: its turn-arounds beside the map, and (1) of `vrr`.
+    let centred = tif.centred_on(surface)?;
+    let (surface, tif) = centred.as_ref().map_or((surface, tif), |(surface, tif)| (surface, tif));
     let passes = passes(path, surface, limits)?;
     let width_mm = width_mm(tif);
     let spacing = settings.knot_spacing_mm.unwrap_or(0.25 * width_mm);

@@ -105,6 +105,31 @@ fn constant_removal_is_a_constant_feed() {
 }
 
 #[test]
+fn a_tool_that_is_off_centre_has_the_feed_of_a_centred_one() {
+    // The tool removes 1.5 mm and -0.5 mm beside its place, and stands as much on the other side: the same removal. Its
+    // turn-arounds are on the map then, 0.5 mm from its edge, and remove beyond it.
+    let off = [1.5, -0.5];
+    let path = raster(0.5, 1.0);
+    let points = path.point_mm().iter().map(|p| [0, 1].map(|k| p[k] - off[k])).collect();
+    let off_path =
+        ToolPath::through(points, vec![true; path.len()], path.pass_idx().to_vec()).unwrap();
+    let tif = tif();
+    let off_tif = Tif::new(tif.grid().moved(off).unwrap(), tif.rate_nm_per_s().clone()).unwrap();
+    let surface = map(|x, y| 40.0 + 8.0 * (1.3 * x).sin() + 4.0 * y);
+    for method in [Method::Vrr, Method::Deconvolution] {
+        let settings = Settings { method, tolerance: 1e-3, max_sweeps: 200, ..exact() };
+        let run = |tif, path| plan(&surface, tif, path, &machine(50.0, 500.0), &settings).unwrap();
+        let (centred, found) = (run(&tif, &path), run(&off_tif, &off_path));
+        let densities = |plan: &Plan| plan.density.dwell_density_s_per_mm().to_vec();
+        let pairs = densities(&centred).into_iter().zip(densities(&found));
+        let apart = largest_magnitude(pairs.map(|(a, b)| a / b - 1.0));
+        println!("{method:?}: apart by {apart:.1e}");
+        // Rounding of the coordinates, and the interior point method's 1e-8, which the sweeps add up.
+        assert!(apart < 1e-3, "{method:?}: {apart}");
+    }
+}
+
+#[test]
 fn a_planted_spline_comes_back() {
     // One line: nothing is shared with neighbours, and knots of two sigma are well determined.
     let path = ToolPath::through(vec![[-0.5, 1.0], [8.5, 1.0]], vec![true], vec![0]).unwrap();

@@ -60,6 +60,13 @@ pub struct Problem<'a> {
     pub min_dwell: Bound,
 }
 
+impl<'a> Problem<'a> {
+    /// The same problem with another map and tool, where there are any: those of [`Tif::centred_on`].
+    pub(crate) fn with(&self, centred: Option<&'a (Surface, Tif)>) -> Self {
+        centred.map_or(*self, |(desired, tif)| Self { desired, tif, ..*self })
+    }
+}
+
 /// The map before the plan, where it counts.
 pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
     let Some(weight) = weight else { return Rms::of(desired) };

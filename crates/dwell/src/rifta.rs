@@ -13,8 +13,9 @@
 //!   smallest margin is taken that costs less time and hardly any residual.
 //!
 //! The dwell map then goes to the path (`dwell_map.rs`). Solves on the pixels of the map, so
-//! the pitch of the path must be fine against the TIF. The map beyond the aperture is
-//! `extension.rs`, brought down to zero beyond the reach of the margin.
+//! the pitch of the path must be fine against the TIF. A tool that removes beside its place is seen as one that
+//! removes around it ([`planish_types::Tif::centred_on`]), so that margin and half size are those of the removal. The map
+//! beyond the aperture is `extension.rs`, brought down to zero beyond the reach of the margin.
 //!
 //! Source: T. Wang et al., Sci. Rep. 10 (2020) 8135, with the search in one dimension (theirs is a
 //! simplex) and the floor in the model.
@@ -99,6 +100,8 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("piston_tolerance_nm", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
     refuse_a_tif_larger_than_the_map(problem)?;
+    let centred = problem.tif.centred_on(problem.desired)?;
+    let problem = &problem.with(centred.as_ref());
     let model = Model::for_map(problem)?;
     let fourier = Fourier::new(&model, settings.pits)?;
     if !(fourier.map.rate_sum > 0.0 && fourier.map.rate_sum.is_finite()) {

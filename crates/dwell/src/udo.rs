@@ -5,10 +5,10 @@
 //! t <- t + beta gamma (b - min b)      for the map, then for what remains of it            (2)
 //! ```
 //!
-//! z_e is the map beyond the aperture by half the TIF, by polynomials (`extension.rs`), B_e the
-//! removal there. gamma is the step with the least RMS, in closed form: the objective is quadratic in
-//! it. It ends when the RMS falls below a threshold, rises (that step is discarded), or after a
-//! number of rounds.
+//! z_e is the map beyond the aperture by half the TIF (around where it removes:
+//! [`planish_types::Tif::centred_on`]), by polynomials (`extension.rs`), B_e the removal there. gamma is the step with
+//! the least RMS, in closed form: the objective is quadratic in it. It ends when the RMS falls below a threshold, rises
+//! (that step is discarded), or after a number of rounds.
 //!
 //! The published method then lifts all dwell times alike to the floor. Where the dwell points are not
 //! uniformly spaced this removes another shape. Here the floor is in the model: the map is what the
@@ -97,6 +97,8 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("threshold_nm", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
     check_steps(settings.max_iterations)?;
     refuse_a_tif_larger_than_the_map(problem)?;
+    let centred = problem.tif.centred_on(problem.desired)?;
+    let problem = &problem.with(centred.as_ref());
     let model = Model::new(problem)?;
     let image = Image::new(&model)?;
     let z = match settings.floor {

@@ -262,6 +262,36 @@ fn the_sign_and_the_orientation_matter() {
 }
 
 #[test]
+fn a_tool_that_is_off_centre_has_the_dwell_times_of_a_centred_one() {
+    // The tool removes 2.5 mm and -1.5 mm beside its place, and stands as much on the other side: the same removal.
+    let off = [2.5, -1.5];
+    let n = path(2.0).len();
+    let moved_path = |by: [f64; 2]| {
+        let points = path(2.0).point_mm().iter().map(|p| [p[0] + by[0], p[1] + by[1]]).collect();
+        ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
+    };
+    // No node of a map of dwell times is as far from one dwell point as from another, where rounding would decide.
+    let centred_path = moved_path([0.07, 0.11]);
+    let off_path = moved_path([0.07 - off[0], 0.11 - off[1]]);
+    // Nor is a pixel as far from the map as the margins of the inverse filter: parts of 3.12 mm.
+    let samples = axis(-3.12, 0.26, 25);
+    let bell = Tif::new(Grid { x: samples, y: samples }, bell().rate_nm_per_s().clone()).unwrap();
+    let off_bell = Tif::new(bell.grid().moved(off).unwrap(), bell.rate_nm_per_s().clone()).unwrap();
+    let desired = surface(removal(&centred_path, &bell, &planted(&centred_path)));
+    for (name, solve, _) in SOLVERS {
+        let case =
+            |tif, path| Case { desired: &desired, tif, path, weight: None, floor_s_per_mm: FLOOR };
+        let centred = solve(&case(&bell, &centred_path)).unwrap().dwell;
+        let found = solve(&case(&off_bell, &off_path)).unwrap().dwell;
+        let apart = centred.dwell_s().iter().zip(found.dwell_s()).map(|(a, b)| a - b);
+        let apart = largest_magnitude(apart) / (centred.total_s() / n as f64);
+        println!("{name}: apart by {apart:.1e} of the mean dwell time");
+        // Rounding of the coordinates, which may decide at which step an iteration ends.
+        assert!(apart < 0.02, "{name}: {apart}");
+    }
+}
+
+#[test]
 fn a_hole_in_the_map_does_not_count() {
     let path = path(2.0);
     let tool = bell();

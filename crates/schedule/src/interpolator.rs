@@ -10,6 +10,7 @@
 //! x - e/pi sin(pi x) = t/T                      solved for x, the part of the length
 //! P = P1 + (P2 - P1) x                          on a line
 //! P = (1-x)^2 P1 + 2 x (1-x) C + x^2 P2,  x = t/T      on a blend of constant tau with corner C
+//! feed = |dP/dt|:  1/D on a line,  2 |(1-x)(C - P1) + x (P2 - C)| / T  on a blend, where it is less than 1/tau
 //! ```
 //!
 //! Nothing but the block at hand is kept. The last tick is the end of the program.
@@ -155,7 +156,7 @@ pub struct Reference {
     pub time_s: f64,
     /// [x, y], mm.
     pub position_mm: [f64; 2],
-    /// Feedrate, mm/s.
+    /// Feedrate, mm/s: the magnitude of the velocity.
     pub feed_mm_per_s: f64,
     /// Number of the pass, from 0.
     pub pass_idx: i64,
@@ -231,14 +232,22 @@ impl Interpolator {
             let m = (t / duration_s).max(0.0);
             // x - e/pi sin(pi x) = t/T
             let x = piece.progress(m);
-            let position_mm = match block.corner_mm {
-                None => [0, 1].map(|a| start[a] + (block.end_mm[a] - start[a]) * x),
-                Some(corner) => [0, 1].map(|a| {
+            let end = block.end_mm;
+            let (position_mm, feed_mm_per_s) = match block.corner_mm {
+                None => (
+                    [0, 1].map(|a| start[a] + (end[a] - start[a]) * x),
+                    1.0 / piece.density_s_per_mm_at(x),
+                ),
+                Some(corner) => {
                     let y = 1.0 - m;
-                    y * y * start[a] + 2.0 * m * y * corner[a] + m * m * block.end_mm[a]
-                }),
+                    let position =
+                        |a: usize| y * y * start[a] + 2.0 * m * y * corner[a] + m * m * end[a];
+                    let velocity = |a: usize| {
+                        2.0 * (y * (corner[a] - start[a]) + m * (end[a] - corner[a])) / duration_s
+                    };
+                    ([0, 1].map(position), velocity(0).hypot(velocity(1)))
+                }
             };
-            let feed_mm_per_s = 1.0 / piece.density_s_per_mm_at(x);
             emit(Reference { time_s, position_mm, feed_mm_per_s, pass_idx: self.pass_idx });
             self.tick += 1;
         }
@@ -385,5 +394,24 @@ mod tests {
         // Middle of the blend, from 0.28 s to 0.34 s: (P1 + 2 C + P2) / 4.
         let middle = found[31].position_mm;
         assert!((middle[0] - 1.975).abs() + (middle[1] - 0.025).abs() < 1e-12, "{middle:?}");
+    }
+
+    #[test]
+    fn the_feed_is_that_of_the_positions_on_lines_and_on_blends() {
+        let tick_s = 1e-4;
+        let mut i = Interpolator::new(tick_s).unwrap();
+        let mut found = Vec::new();
+        for record in records(&density()) {
+            i.push(&record, |r| found.push(r)).unwrap();
+        }
+        for three in found.windows(3).filter(|r| r[0].pass_idx == r[2].pass_idx) {
+            let [a, b] = [0, 2].map(|k| three[k].position_mm);
+            let measured = (b[0] - a[0]).hypot(b[1] - a[1]) / (2.0 * tick_s);
+            // The parabola begins and ends with a step of the acceleration, of 79 mm/s^2: half a tick of it.
+            assert!((measured - three[1].feed_mm_per_s).abs() < 0.01, "{measured} {three:?}");
+        }
+        // Half-way around a corner of 90 degrees the tool is at (u1 + u2)/2 of its feed, 1/0.3 mm/s.
+        let middle = found[3100];
+        assert!((middle.feed_mm_per_s - 0.5_f64.sqrt() / 0.3).abs() < 1e-9, "{middle:?}");
     }
 }

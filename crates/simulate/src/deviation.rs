@@ -95,7 +95,8 @@ impl Deviation {
         if shape == [0.0; 3] && self.tif_rotation_rad == 0.0 {
             return Ok(None);
         }
-        // T'(u) = T(S^-1 u) with S a rotation after the stretch
+        // T'(c + u) = T(c + S^-1 u) about the centroid c, so that the tool stays where it removes; S is a rotation after
+        // the stretch
         //     w [[1 + e/2, d/2], [d/2, 1 - e/2]];    the volume is kept.
         let (w, e, d) = (1.0 + shape[0], 0.5 * shape[1], 0.5 * shape[2]);
         let (sine, cosine) = self.tif_rotation_rad.sin_cos();
@@ -105,11 +106,12 @@ impl Deviation {
             [-d / determinant, (1.0 + e) / determinant],
         ];
         let grid = tif.grid();
+        let [cx, cy] = tif.off_centre_mm(grid);
         let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let (x, y) = (grid.x.at(c) - cx, grid.y.at(r) - cy);
             let u = [cosine * x + sine * y, cosine * y - sine * x];
             let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
-            tif.rate_at(dx, dy)
+            tif.rate_at(cx + dx, cy + dy)
         });
         let volume = tif.rate_nm_per_s().sum() / rate.sum();
         Tif::new(*grid, rate * volume).map(Some)

@@ -98,8 +98,8 @@ impl<'a> Runs<'a> {
 
     /// Refuses displacements that are no errors, and fixed sizes of which the first order has no meaning.
     pub fn check_sizes(&self, process: &Process) -> Result<(), Invalid> {
-        let [x, y] = self.tif.half_size_mm();
-        let largest = LARGEST_DISPLACEMENT * 2.0 * x.max(y);
+        let [x, y] = self.tif.grid().size_mm();
+        let largest = LARGEST_DISPLACEMENT * x.max(y);
         for (i, error) in process.errors.iter().enumerate() {
             let moved = match error.effect {
                 Effect::Scalar(effect) => self.displacement_per_size(effect) * error.size,

@@ -100,6 +100,21 @@ fn a_rate_and_a_displacement_do_what_they_say() {
 }
 
 #[test]
+fn an_error_moves_the_tool_by_less_than_the_tif_is_wide_wherever_it_removes() {
+    // 12 mm wide; its samples beside the tool reach 20 mm from it.
+    let grid = tif().grid().moved([14.0, 0.0]).unwrap();
+    let beside = Tif::new(grid, tif().rate_nm_per_s().clone()).unwrap();
+    let settings = Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let moved_by = |mm: f64| {
+        let errors = [error("offset_y", mm, "mm", "normal")];
+        run(&raster([0.0; 2]), &beside, &before(), &process(&errors), &settings)
+    };
+    assert!(moved_by(11.9).is_ok());
+    let message = moved_by(12.1).unwrap_err().to_string();
+    assert!(message.contains("the TIF is 1.200e1 mm wide"), "{message}");
+}
+
+#[test]
 fn errors_are_drawn_as_the_process_states_and_anew_for_every_seed() {
     let errors =
         [error("rate_scale", 2.0, "%", "normal"), error("offset_x", 50.0, "um", "uniform")];
@@ -212,6 +227,32 @@ fn a_current_is_a_factor_of_every_rate() {
 }
 
 /// A round TIF stretched along the diagonal, by its own equation and by the turned stretch along x.
+#[test]
+fn another_shape_of_a_tool_that_is_off_centre_stays_where_it_removes() {
+    // 3 mm and -2 mm beside the tool, which stands as much on the other side: the same machine, referred to another point.
+    let off = [3.0, -2.0];
+    let beside = Tif::new(tif().grid().moved(off).unwrap(), tif().rate_nm_per_s().clone()).unwrap();
+    let map = before();
+    let on = |tif: &Tif, trajectory: &Trajectory, scalar: Scalar, size: f64| {
+        let runs = Runs::new(trajectory, tif, tif, map.grid()).unwrap();
+        let mut change = Deviation::default();
+        // An ellipse, so that a rotation shows.
+        change.add(Scalar::TifEllipticity, 0.3);
+        change.add(scalar, size);
+        runs.moved_nm(&change).unwrap()
+    };
+    for scalar in [Scalar::TifWidth, Scalar::TifDiagonalEllipticity, Scalar::TifRotation] {
+        let centred = on(&tif(), &raster([0.0; 2]), scalar, 0.1);
+        let found = on(&beside, &raster(off.map(|mm| -mm)), scalar, 0.1);
+        let plain = on(&tif(), &raster([0.0; 2]), scalar, 0.0);
+        let change = apart(&centred, &plain);
+        let apart = apart(&centred, &found);
+        println!("{scalar:?} changes {change:.1e} nm, and is apart by {apart:.1e} nm");
+        // Rounding of the coordinates of tens of nm, beside what the shape changes under lines as close as these.
+        assert!(change > 1e-3 && apart < 1e-9, "{scalar:?}: {change} {apart}");
+    }
+}
+
 #[test]
 fn a_diagonal_ellipticity_is_one_along_x_turned_by_45_degrees() {
     let mut diagonal = Deviation::default();

@@ -16,9 +16,7 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, say, warn,
     with_flags,
 };
-use planish_toolpath::{
-    PathReport, off_centre_mm, seen_by_tool, travel_warnings, usual_overscan_mm,
-};
+use planish_toolpath::{PathReport, travel_warnings, usual_overscan_mm};
 use planish_types::{Machine, Surface, Tif, ToolPath, plausible};
 use serde::Serialize;
 
@@ -101,10 +99,10 @@ impl Region {
             plausible::check_tool(&surface, tif)?;
             plausible::check_pitch(tif, args.pitch_mm)?;
         }
-        let off_centre_mm = tif.as_ref().map_or([0.0; 2], |tif| off_centre_mm(tif, surface.grid()));
+        let off_centre_mm = tif.as_ref().map_or([0.0; 2], |tif| tif.off_centre_mm(surface.grid()));
         let surface = match off_centre_mm {
             [0.0, 0.0] => surface,
-            _ => seen_by_tool(&surface, off_centre_mm)?,
+            _ => surface.seen_by_tool(off_centre_mm)?,
         };
         let usual_mm = tif.as_ref().map(|tif| usual_overscan_mm(tif, off_centre_mm));
         let overscan_mm = args.overscan_mm.or(usual_mm).ok_or_else(|| {

@@ -2,8 +2,8 @@
 //! and the region that they become when the tool goes beyond them by an overscan.
 //!
 //! A tool may remove beside the place where it stands: the centroid c of its TIF is off centre. It removes around the
-//! pixel p while it stands at p - c, so its path is that over the aperture moved by -c ([`seen_by_tool`]), with the
-//! overscan that the TIF has around c:
+//! pixel p while it stands at p - c, so its path is that over the aperture moved by -c
+//! ([`planish_types::Surface::seen_by_tool`]), with the overscan that the TIF has around c:
 //!
 //! ```text
 //! stands at  p - c
@@ -11,26 +11,10 @@
 //! ```
 
 use ndarray::ArrayView2;
-use planish_types::{Axis, Grid, Invalid, Surface, Tif};
+use planish_types::{Axis, Invalid, Tif};
 
 /// Lengths that agree to this fraction of a pitch or a step are equal: rounding of coordinates.
 pub(crate) const SLACK: f64 = 1e-9;
-
-/// Where the tool removes beside its own place on a map with this grid, [x, y], mm: the centroid c of its TIF. Along an
-/// axis where that is less than half a pixel it is 0: an aperture of pixels is not known better.
-pub fn off_centre_mm(tif: &Tif, grid: &Grid) -> [f64; 2] {
-    let [x, y] = tif.centroid_mm();
-    let seen = |mm: f64, axis: &Axis| if mm.abs() < 0.5 * axis.step_mm() { 0.0 } else { mm };
-    [seen(x, &grid.x), seen(y, &grid.y)]
-}
-
-/// `surface` where the tool stands when it removes there, which is off by `off_centre_mm` (c of the module).
-pub fn seen_by_tool(surface: &Surface, off_centre_mm: [f64; 2]) -> Result<Surface, Invalid> {
-    let moved = |axis: &Axis, by: f64| Axis::new(axis.start_mm() - by, axis.step_mm(), axis.len());
-    let [x, y] = off_centre_mm;
-    let grid = Grid { x: moved(&surface.grid().x, x)?, y: moved(&surface.grid().y, y)? };
-    Surface::new(grid, surface.height_nm().clone())
-}
 
 /// The usual overscan: half the TIF's larger size around `off_centre_mm`, where it removes, which keeps the removal at
 /// the edge equal to that inside, mm.

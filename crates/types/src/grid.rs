@@ -157,6 +157,12 @@ impl Grid {
         (self.y.len(), self.x.len())
     }
 
+    /// The same pixels elsewhere: [x, y] larger by `by_mm`.
+    pub fn moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
+        let moved = |axis: &Axis, by| Axis::new(axis.start_mm() + by, axis.step_mm(), axis.len());
+        Ok(Self { x: moved(&self.x, by_mm[0])?, y: moved(&self.y, by_mm[1])? })
+    }
+
     /// From the first to the last pixel centre [x, y], mm.
     pub fn size_mm(&self) -> [f64; 2] {
         [self.x, self.y].map(|axis| axis.end_mm() - axis.start_mm())

@@ -31,6 +31,13 @@ impl Surface {
         &self.height_nm
     }
 
+    /// The map where the tool stands when it removes there, which it does `off_centre_mm` beside its place
+    /// ([`crate::Tif::off_centre_mm`]).
+    pub fn seen_by_tool(&self, off_centre_mm: [f64; 2]) -> Result<Self, Invalid> {
+        let grid = self.grid.moved(off_centre_mm.map(|mm| -mm))?;
+        Self::new(grid, self.height_nm.clone())
+    }
+
     /// RMS (mean removed), PV, ... of the valid pixels.
     pub fn statistics(&self) -> Statistics {
         statistics::statistics(self.height_nm.view()).expect("a Surface has a valid pixel")

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
-use crate::{Axis, Grid, Invalid};
+use crate::{Axis, Grid, Invalid, Surface};
 
 /// Largest rate and smallest peak, nm/s: beyond them the unit is wrong.
 const LARGEST_RATE: f64 = 1e12;
@@ -172,6 +172,36 @@ impl Tif {
         let along_x: f64 = rate.rows().into_iter().map(|r| slopes(r, grid.x.step_mm())).sum();
         let along_y: f64 = rate.columns().into_iter().map(|c| slopes(c, grid.y.step_mm())).sum();
         [along_x, along_y].map(|slope| slope / energy)
+    }
+
+    /// Where the tool removes beside its own place on a map with this grid, [x, y], mm: the centroid c of the removal.
+    /// Along an axis where that is less than half a pixel it is 0: an aperture of pixels is not known better.
+    pub fn off_centre_mm(&self, map: &Grid) -> [f64; 2] {
+        let [x, y] = self.centroid_mm();
+        let seen = |mm: f64, axis: &Axis| if mm.abs() < 0.5 * axis.step_mm() { 0.0 } else { mm };
+        [seen(x, &map.x), seen(y, &map.y)]
+    }
+
+    /// The map and the tool by the places of a tool that removes around itself: `None` where this one does.
+    ///
+    /// ```text
+    /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the place of the tool
+    /// ```
+    ///
+    /// so the map that is moved by -c and the TIF whose offsets are less by c give the same removal along the same
+    /// path, and what is near the tool is what it removes.
+    pub fn centred_on(&self, map: &Surface) -> Result<Option<(Surface, Self)>, Invalid> {
+        let off_centre_mm = self.off_centre_mm(map.grid());
+        if off_centre_mm == [0.0; 2] {
+            return Ok(None);
+        }
+        let map = map.seen_by_tool(off_centre_mm)?;
+        let tif = Self {
+            grid: self.grid.moved(off_centre_mm.map(|mm| -mm))?,
+            rate_nm_per_s: self.rate_nm_per_s.clone(),
+            with_ghosts: self.with_ghosts.clone(),
+        };
+        Ok(Some((map, tif)))
     }
 
     /// Largest distance of the samples from the tool centre along (x, y), mm.
