@@ -102,12 +102,11 @@ fn a_correction_that_bends_the_curve_too_far_is_taken_in_part() {
 #[test]
 fn a_correction_that_promises_much_and_holds_in_no_part_is_followed_by_a_smoother_one() {
     let (desired, tif, path) = (desired(), tif(), meander());
-    let mut how = settings(pvt::Mode::Smooth);
+    let how = settings(pvt::Mode::Smooth);
     let solver = dwell_solver::Settings { min_dwell: how.dwell.min_dwell, ..Default::default() };
     let given = dwell_solver::solve(&desired, &tif, &path, None, &solver).unwrap().dwell;
-    let given = refine(&desired, &tif, &path, &machine(20.0, 80.0), Some(given), &how).unwrap();
-    how.dwell.min_dwell = Bound::SecondsPerMm(0.02);
-    let own = refine(&desired, &tif, &path, &machine(10.0, 80.0), None, &how).unwrap();
+    let given = refine(&desired, &tif, &path, &machine(10.0, 1280.0), Some(given), &how).unwrap();
+    let own = refine(&desired, &tif, &path, &machine(40.0, 640.0), None, &how).unwrap();
     for refined in [given, own] {
         let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
         // No part of a correction was better than what was known, down to an eighth of it ...
@@ -116,7 +115,7 @@ fn a_correction_that_promises_much_and_holds_in_no_part_is_followed_by_a_smoothe
             (k..k + 3).all(|k| rms.get(k).is_some_and(|rms| *rms > least))
         };
         let first = (1..rms.len()).find(|k| is_given_up(*k)).expect("every one holds: no test");
-        // ... and then much was still to be gained. Regression bound: measured 0.31 and 0.37; 0.20 nm or less are left on
+        // ... and then much was still to be gained. Regression bound: measured 0.48 and 0.34; 0.20 nm or less are left on
         // this meander by machines that are as slow.
         let before = rms[..first].iter().copied().fold(f64::MAX, f64::min);
         assert!(rms[refined.best] < 0.7 * before && rms[refined.best] < 0.2, "{rms:?}");
