@@ -114,7 +114,7 @@ pub fn truncated(
 }
 
 /// The largest eigenvalue of H from the products `apply` of n numbers: from below, and where no other one is near to
-/// about the square of [`RESIDUAL_OF_LARGEST`].
+/// about the square of the residual at which it ends, 2e-3 of it.
 ///
 /// The vectors are not made orthogonal to all before them: that an eigenvalue appears twice does no harm here, and
 /// three vectors are enough. Of a vector s of T to the eigenvalue theta the residual of `V s` is `beta_k |s_k|`, and
