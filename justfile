@@ -391,6 +391,13 @@ surface-pictures: build
 paths-table machine="fixtures/machines/ion-beam.json": build
     @sh docs/paths/table.sh {{ quote(machine) }}
 
+# Write the outputs that README.md and docs/ show below `printed by` anew, from what their commands print
+[group('5 pages and tables')]
+printed-numbers: build python
+    PLANISH_WRITE_PRINTED=1 cargo test --release --locked --workspace --test commands_as_printed \
+        the_commands_of_readme_and_docs_run_as_they_are_printed || true
+    git diff --stat README.md docs
+
 [private]
 python:
     @test -d target/python || python3 -m venv target/python

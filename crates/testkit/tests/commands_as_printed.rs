@@ -4,9 +4,13 @@
 //!
 //! What counts as a command: each line of a code block marked `sh`; the blocks marked `python` make the
 //! arrays that the next commands read. Files that a user would have are made by `user_files.py`.
+//!
+//! A code block below the line `<!-- printed by: COMMAND -->` shows what that command prints. Its words and numbers are
+//! compared with what the command prints here; `just printed-numbers` writes them anew.
 #![cfg(unix)]
 
 use std::{
+    collections::HashMap,
     fs,
     os::unix::fs::{PermissionsExt, symlink},
     path::{Path, PathBuf},
@@ -54,24 +58,96 @@ rate, dx, dy = made('tif/rate_nm_per_s'), made('tif/x_mm'), made('tif/y_mm')
 os.makedirs('mirror'), os.makedirs('tool')
 ";
 
-/// A code block: its mark and its text.
-#[derive(Debug, PartialEq)]
+/// Largest difference of a printed number from the one that a command prints, in units of its last digit. The arrays are
+/// the same bytes on any number of threads, but another processor may round another way.
+const LAST_DIGITS: f64 = 2.0;
+
+/// Begins the line above a block that a command prints; `, but for the last N numbers` leaves out times and memory.
+const PRINTED_BY: &str = "<!-- printed by: ";
+const BUT_FOR: &str = ", but for the last ";
+
+/// A code block: its mark, its text, and what prints it.
+#[derive(Debug, Default, PartialEq)]
 struct Block {
     mark: String,
     text: String,
+    printed: Option<Printed>,
+}
+
+/// The command that prints a block, and how many numbers at the end of every line differ from run to run.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Printed {
+    by: String,
+    varying: usize,
+}
+
+impl Printed {
+    /// Reads the line above a block.
+    fn from_line(line: &str) -> Option<Self> {
+        let inside = line.strip_prefix(PRINTED_BY)?.strip_suffix(" -->").expect("the comment ends");
+        let Some((by, varying)) = inside.split_once(BUT_FOR) else {
+            return Some(Self { by: inside.into(), varying: 0 });
+        };
+        let count = varying.split(' ').next().and_then(|n| n.parse().ok());
+        Some(Self { by: by.into(), varying: count.expect("a count of numbers") })
+    }
+}
+
+/// A line as its words and its numbers; a number is `#` among the words.
+fn words_and_numbers(line: &str) -> (String, Vec<String>) {
+    let (mut words, mut numbers) = (Vec::new(), Vec::new());
+    for word in line.split_whitespace() {
+        let bare = word.trim_end_matches([',', ';', ':', '%', ')']).trim_start_matches('(');
+        if bare.parse::<f64>().is_ok() {
+            numbers.push(bare.to_string());
+            words.push(word.replacen(bare, "#", 1));
+        } else {
+            words.push(word.into());
+        }
+    }
+    (words.join(" "), numbers)
+}
+
+/// Returns true if two numbers differ by at most [`LAST_DIGITS`] of the one that is shown.
+fn same_number(shown: &str, printed: &str) -> bool {
+    let decimals = shown.split_once('.').map_or(0, |(_, fraction)| fraction.len());
+    let [shown, printed] = [shown, printed].map(|text| text.parse::<f64>().unwrap());
+    // A thousandth of a digit allows for the rounding of the two decimal fractions.
+    (shown - printed).abs() <= (LAST_DIGITS + 1e-3) * 10_f64.powi(-(decimals as i32))
+}
+
+/// Returns true if `printed` has the words of `shown`, and its numbers but for the last `varying`.
+fn same_line(shown: &str, printed: &str, varying: usize) -> bool {
+    let (shown, printed) = (words_and_numbers(shown), words_and_numbers(printed));
+    let fixed = shown.1.len().saturating_sub(varying);
+    shown.0 == printed.0 && shown.1[..fixed].iter().zip(&printed.1).all(|(a, b)| same_number(a, b))
+}
+
+/// The lines of `output` that a block shows: as many as it has, from the last one that begins with its first word.
+fn shown_lines<'a>(block: &Block, output: &'a str) -> Option<Vec<&'a str>> {
+    let first = block.text.split_whitespace().next()?;
+    let lines: Vec<&str> = output.lines().map(str::trim_end).collect();
+    let start = lines.iter().rposition(|line| line.split_whitespace().next() == Some(first))?;
+    let end = start + block.text.lines().count();
+    lines.get(start..end).map(<[&str]>::to_vec)
 }
 
 /// The code blocks of a page.
 fn blocks(page: &str) -> Vec<Block> {
     let mut blocks = Vec::new();
     let mut open: Option<Block> = None;
+    let mut above = "";
     for line in page.lines() {
         match (line.strip_prefix("```"), &mut open) {
-            (Some(mark), None) => open = Some(Block { mark: mark.into(), text: String::new() }),
+            (Some(mark), None) => {
+                let printed = Printed::from_line(above);
+                open = Some(Block { mark: mark.into(), printed, ..Block::default() });
+            }
             (Some(_), Some(_)) => blocks.extend(open.take()),
             (None, Some(block)) => block.text.extend([line, "\n"]),
             (None, None) => {}
         }
+        above = line;
     }
     assert!(open.is_none(), "a code block is not closed");
     blocks
@@ -86,9 +162,13 @@ fn commands(text: &str) -> Vec<String> {
 
 /// Why a command is not run here.
 fn exception(command: &str) -> Option<&'static str> {
-    let bare = command.split(" #").next().unwrap().trim();
-    let found = EXCEPTIONS.iter().find(|(excepted, _)| bare == *excepted);
+    let found = EXCEPTIONS.iter().find(|(excepted, _)| bare(command) == *excepted);
     found.map(|(_, reason)| *reason)
+}
+
+/// A command without its remark.
+fn bare(command: &str) -> &str {
+    command.split(" #").next().unwrap().trim()
 }
 
 /// README.md, then docs/*.md by name.
@@ -155,8 +235,8 @@ impl Clone {
         command.output().unwrap_or_else(|e| panic!("{}: {e}", program[0]))
     }
 
-    /// [`Self::run`], which must succeed. Says what runs, and for how long.
-    fn succeed(&self, place: &str, program: &[&str], text: &str) {
+    /// [`Self::run`], which must succeed. Says what runs, and for how long; returns what it prints.
+    fn succeed(&self, place: &str, program: &[&str], text: &str) -> String {
         let started = Instant::now();
         let output = self.run(program, text);
         println!("{place}, {:.1} s: {text}", started.elapsed().as_secs_f64());
@@ -167,6 +247,7 @@ impl Clone {
             "{place}: {text}\nends with {}\n{out}\n{err}",
             output.status
         );
+        format!("{out}{err}")
     }
 
     fn rms_nm(&self, artifact: &str) -> f64 {
@@ -189,26 +270,55 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
         .unwrap();
 
     let mut count = 0;
+    let mut stale = Vec::new();
     for (name, page) in pages() {
+        let mut printed: HashMap<String, String> = HashMap::new();
+        let mut written = page.clone();
         for block in blocks(&page) {
-            match block.mark.as_str() {
-                "sh" => {
+            match (block.mark.as_str(), &block.printed) {
+                ("sh", _) => {
                     for command in commands(&block.text) {
                         match exception(&command) {
                             Some(reason) => println!("{name}, left out ({reason}): {command}"),
-                            None => clone.succeed(&name, &["bash", "-c"], &command),
+                            None => {
+                                let output = clone.succeed(&name, &["bash", "-c"], &command);
+                                printed.insert(bare(&command).into(), output);
+                            }
                         }
                         count += 1;
                     }
                 }
-                "python" => {
+                ("python", _) => {
                     clone.succeed(&name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
+                }
+                (_, Some(by)) => {
+                    let output = printed.get(&by.by);
+                    let output = output.unwrap_or_else(|| panic!("{name} runs no `{}`", by.by));
+                    let lines = shown_lines(&block, output);
+                    let lines = lines.unwrap_or_else(|| {
+                        panic!("{name}: `{}` prints nothing like\n{}\n{output}", by.by, block.text)
+                    });
+                    for (shown, line) in block.text.lines().zip(&lines) {
+                        if !same_line(shown, line, by.varying) {
+                            stale.push(format!("{name}, `{}`:\n  {shown}\n  {line}", by.by));
+                        }
+                    }
+                    written = written.replacen(&block.text, &(lines.join("\n") + "\n"), 1);
                 }
                 _ => {}
             }
         }
+        if std::env::var_os("PLANISH_WRITE_PRINTED").is_some() && written != page {
+            fs::write(workspace().join(&name), written).unwrap();
+        }
     }
     assert!(count > 20, "only {count} commands are found");
+    assert!(
+        stale.is_empty(),
+        "pages show other numbers than their commands print (below each line what is printed now); \
+         `just printed-numbers` writes them anew:\n{}",
+        stale.join("\n")
+    );
 
     // The stage of README.md's last section improves the mirror.
     clone.succeed(
@@ -259,4 +369,20 @@ fn blocks_and_commands_are_found() {
     assert_eq!(commands(&found[0].text), ["a b \\\n    c", "d # e"]);
     assert!(exception("just reproduce     # minutes").is_some());
     assert!(exception("just reproduce trig-spline").is_none());
+}
+
+#[test]
+fn a_stale_number_is_found_and_a_time_of_computation_is_not() {
+    let page = "```sh\njust x # a\n```\n<!-- printed by: just x, but for the last 1 numbers -->\n                ```\nrms 0.154 nm, 12 s\nof (3.0 mm)\n```\n";
+    let block = blocks(page).pop().unwrap();
+    assert_eq!(block.printed, Some(Printed { by: "just x".into(), varying: 1 }));
+    let printed = "rms 9 nm\nbefore\nrms 0.1559 nm, 77 s\nof (3.0 mm)\nafter\n";
+    let lines = shown_lines(&block, printed).unwrap();
+    assert_eq!(lines, ["rms 0.1559 nm, 77 s", "of (3.0 mm)"]);
+    // Two units of the third decimal are 0.002.
+    assert!(same_line("rms 0.154 nm, 12 s", lines[0], 1));
+    assert!(!same_line("rms 0.154 nm, 12 s", lines[0], 0), "the time is another");
+    assert!(!same_line("rms 0.154 nm, 12 s", "rms 0.1562 nm, 12 s", 1), "2.2 units");
+    assert!(!same_line("of (3.0 mm)", "of (3.0 um)", 0), "another unit");
+    assert_eq!(shown_lines(&block, "nothing\n"), None);
 }

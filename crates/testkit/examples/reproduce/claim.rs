@@ -8,6 +8,8 @@ const NOT_GIVEN: &str = "not given";
 pub enum Verdict {
     Agrees,
     Better,
+    /// Another part or tool leaves less than the paper's.
+    Lower,
     Differs,
 }
 
@@ -17,9 +19,11 @@ pub struct Claim {
     paper: String,
     ours: String,
     ratio: Option<f64>,
+    /// Largest relative difference from the paper's number that still agrees, where both sides are numbers.
+    within: Option<f64>,
     found: Verdict,
     expected: Verdict,
-    /// Whether it follows from the inputs alone, by a formula.
+    /// True where the row follows from the inputs alone, by a formula.
     is_arithmetic: bool,
     why: String,
 }
@@ -35,6 +39,7 @@ impl Claim {
             paper: format!("{paper}{}{unit}", space(unit)),
             ours: format!("{}{}{unit}", significant(ours, digits), space(unit)),
             ratio: Some(ratio),
+            within: Some(within),
             found: if agrees { Verdict::Agrees } else { Verdict::Differs },
             expected: Verdict::Agrees,
             is_arithmetic: false,
@@ -59,11 +64,13 @@ impl Claim {
         }
     }
 
-    /// A number that the paper has for another part or tool and that should be small: ours is not larger.
-    pub fn at_most(what: &str, unit: &str, paper: f64, ours: f64) -> Self {
-        let mut claim = Self::number(what, unit, paper, ours, 0.0);
-        claim.found = if ours <= paper { Verdict::Agrees } else { Verdict::Differs };
-        claim.ours = format!("{}{}{unit}", significant(ours, 3), space(unit));
+    /// A number that should be small, where the paper has another part or tool. Ours agrees within the fraction
+    /// `within`; below that it is lower, which compares no method.
+    pub fn elsewhere(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
+        let claim = Self::number(what, unit, paper, ours, within);
+        if ours < paper * (1.0 - within) {
+            return Self { found: Verdict::Lower, expected: Verdict::Lower, ..claim };
+        }
         claim
     }
 
@@ -83,6 +90,7 @@ impl Claim {
             paper: paper.into(),
             ours,
             ratio: None,
+            within: None,
             found: if holds { Verdict::Agrees } else { Verdict::Differs },
             expected: Verdict::Agrees,
             is_arithmetic: false,
@@ -93,6 +101,11 @@ impl Claim {
     /// What a paper does not give, and `holds` here or not.
     pub fn check(what: &str, ours: String, holds: bool) -> Self {
         Self::statement(what, NOT_GIVEN, ours, holds)
+    }
+
+    /// The row follows from the inputs alone: `why` names the formula.
+    pub fn by_arithmetic(self, why: &str) -> Self {
+        Self { is_arithmetic: true, why: why.into(), ..self }
     }
 
     /// Expected to differ, because ...
@@ -116,16 +129,20 @@ impl Claim {
     }
 
     fn cells(&self) -> [String; 5] {
-        let verdict = match self.found {
-            Verdict::Agrees if self.paper == NOT_GIVEN => "holds",
-            Verdict::Agrees if self.is_arithmetic => "arithmetic",
-            Verdict::Agrees => "agrees",
-            Verdict::Better => "better",
-            Verdict::Differs => "differs",
+        let verdict = match (self.found, self.within) {
+            (Verdict::Agrees, _) if self.paper == NOT_GIVEN => "holds".into(),
+            (Verdict::Agrees, _) if self.is_arithmetic => "arithmetic".into(),
+            (Verdict::Agrees, Some(within)) => {
+                format!("agrees within {} %", trimmed(100.0 * within))
+            }
+            (Verdict::Agrees, None) => "agrees".into(),
+            (Verdict::Better, _) => "better".into(),
+            (Verdict::Lower, _) => "lower".into(),
+            (Verdict::Differs, _) => String::from("differs"),
         };
         let remark = match (self.as_expected(), self.found, self.why.as_str()) {
             (false, ..) => format!("{verdict}; EXPECTED: {:?}", self.expected),
-            (true, _, "") => verdict.into(),
+            (true, _, "") => verdict,
             (true, Verdict::Agrees, why) => format!("{verdict}; {why}"),
             (true, _, why) => format!("{verdict}: {why}"),
         };
@@ -141,6 +158,12 @@ pub fn changed(claims: &[Claim]) -> usize {
 
 fn space(unit: &str) -> &'static str {
     if unit.is_empty() { "" } else { " " }
+}
+
+/// A percentage with at most two decimals, without trailing zeros.
+fn trimmed(percent: f64) -> String {
+    let text = format!("{percent:.2}");
+    text.trim_end_matches('0').trim_end_matches('.').into()
 }
 
 /// `value` with `digits` significant digits.

@@ -6,7 +6,7 @@
 //! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
 //!
 //! A number of a paper is only ever on the side that ours is compared with. "Better" is said only of the same part and
-//! tool, and a number that follows from its inputs alone is called arithmetic.
+//! tool, "lower" of another part or tool, and a number that follows from its inputs alone is called arithmetic.
 
 mod bspline;
 mod claim;

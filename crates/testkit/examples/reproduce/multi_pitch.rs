@@ -60,7 +60,7 @@ fn ripples() -> Vec<Claim> {
             if linear < 1e-6 { "within 1e-6".into() } else { significant(linear, 2) },
             linear < 1e-6,
         )
-        .remark("up to five times the removal"),
+        .by_arithmetic("up to five times the removal; the removal is linear in the dwell time"),
         Claim::statement(
             "the relative ripple PVn grows with the pitch (Fig. 7)",
             "it does",
@@ -144,7 +144,7 @@ fn spectrum() -> Vec<Claim> {
             format!("{} nm at 0.16, 0.63 and 2.5 / mm", significant(rms[0], 4)),
             spread.abs() < 1e-9,
         )
-        .remark("PV 20 nm; the RMS is PV / (2 sqrt 2)"),
+        .by_arithmetic("PV 20 nm; the RMS of a sine is PV / (2 sqrt 2)"),
     ]
 }
 

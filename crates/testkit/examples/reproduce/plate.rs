@@ -113,7 +113,7 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
     let densest_mm = pitch_mm[pitch_mm.len() - 1];
 
     let rows = vec![
-        Claim::at_most("PV that the uniform path leaves (Fig. 13)", "um", 0.095, uniform.pv_um()).remark(format!(
+        Claim::elsewhere("PV that the uniform path leaves (Fig. 13)", "um", 0.095, uniform.pv_um(), 0.5).remark(format!(
             "another part and tool; {} um of it is what the largest feed removes where nothing should be",
             significant(least_um(WIDEST_MM), 2)
         )),
@@ -193,7 +193,8 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
             "too much",
             format!("{} um of {} um", significant(least_um(densest_mm), 3), significant(1e-3 * pv(part.height_nm()), 3)),
             1e3 * least_um(densest_mm) > 0.5 * pv(part.height_nm()),
-        ),
+        )
+        .by_arithmetic("VRR / (pitch x largest feed), Eq. 12"),
         Claim::statement(
             "several pitches keep the feed high (mean feed over the largest, uniform and multi-pitch)",
             "they do",
