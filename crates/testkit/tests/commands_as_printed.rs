@@ -373,7 +373,7 @@ fn blocks_and_commands_are_found() {
 
 #[test]
 fn a_stale_number_is_found_and_a_time_of_computation_is_not() {
-    let page = "```sh\njust x # a\n```\n<!-- printed by: just x, but for the last 1 numbers -->\n                ```\nrms 0.154 nm, 12 s\nof (3.0 mm)\n```\n";
+    let page = "```sh\njust x # a\n```\n<!-- printed by: just x, but for the last 1 numbers -->\n```\nrms 0.154 nm, 12 s\nof (3.0 mm)\n```\n";
     let block = blocks(page).pop().unwrap();
     assert_eq!(block.printed, Some(Printed { by: "just x".into(), varying: 1 }));
     let printed = "rms 9 nm\nbefore\nrms 0.1559 nm, 77 s\nof (3.0 mm)\nafter\n";
