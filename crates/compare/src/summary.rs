@@ -596,7 +596,7 @@ mod tests {
         }
         assert_eq!(json["methods"]["pvt"]["schedule_wall_s"], 0.25);
         assert!(json["methods"]["pvt"]["simulate_wall_s"].is_null());
-        assert!(json!(summary_of(vec![]))["ideal"].is_null());
+        assert!(json!(summary_of(vec![]))["without_motion"].is_null());
     }
 
     #[test]

@@ -571,7 +571,7 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
         // reach, before and after), three verdicts by a specification, the process; slopes along y, before and
         // after, and their base, which is as long as the map. Without a tool there is no edge zone (width and
         // fraction, RMS of it and of the inside before and after, time, each of five places), two rows fill two
-        // thirds of three regions, and the answer has no ideal.
+        // thirds of three regions, and the answer has no row without a motion.
         let edge = 2 + 2 + 2 + 1 + 5;
         assert_eq!(
             numbers.matches("null").count(),

@@ -370,7 +370,7 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
             // path.
             let px_per_mm = frame.at([1.0, 0.0])[0] - frame.at([0.0, 0.0])[0];
             let own_px = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
-            let side = own_px.max(1.1 * (px_per_mm * gap_mm).min(10.0));
+            let side = own_px.max((1.1 * px_per_mm * gap_mm).min(frame.width / 25.0));
             let mut squares = vec![String::new(); BINS];
             for (p, v) in d.point_mm.iter().zip(values) {
                 let [px, py] = frame.at(*p);

@@ -7,16 +7,15 @@
 //!
 //! ```text
 //! PSD(|f|) = mean of S over the ring of |f|             nm^2 mm^2
-//! mean square of a short band   = sum of S df over it
-//! mean square of the longest    = mean square of the rectangle - those of the others
-//! contribution of a band        = sqrt(mean square of the band * pixels of the rectangle / all pixels)
-//! contribution of the outside   = sqrt(sum of z^2 outside of the rectangle / all pixels)
+//! mean square of a band  = sum of S df over it, at most what the shorter bands leave of that of the rectangle
+//! contribution of a band = sqrt(mean square of the band * pixels of the rectangle / all pixels)
+//! not in the spectrum    = sqrt(mean square of z - contributions^2)
 //! ```
 //!
-//! where z is the map without the plane of all its valid pixels. The squares of the contributions add up to the mean
-//! square of z. The sums of S alone do not: the window gives the middle of the rectangle more weight than its edges. For
-//! waves that are short beside the rectangle that is no bias; a long wave is rarely the same in the middle and at the edges,
-//! so the longest band takes the remainder.
+//! where z is the map without the plane of all its valid pixels. So the squares of all contributions add up to the mean
+//! square of z. The sums of S alone do not, and may exceed it: the window gives the middle of the rectangle more weight
+//! than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of the
+//! rectangle, heights at its edges, and its own plane.
 //!
 //! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its bins
 //! (the mean, the corners of the plane of frequencies) count in the next band.
@@ -54,8 +53,8 @@ pub struct Spectrum {
     /// Contributions to it of the periods above 10 mm, between, and of 1 mm and below in the rectangle, nm; `null` where
     /// the map does not resolve them.
     pub band_rms_nm: [Option<f64>; 3],
-    /// Contribution to it of the valid pixels outside of the rectangle, nm.
-    pub outside_rms_nm: f64,
+    /// What the bands leave of it, nm: pixels outside of the rectangle, and what the window and its plane hide.
+    pub not_in_spectrum_rms_nm: f64,
 }
 
 /// The spectrum of `map` (ny, nx); `None` where no rectangle of valid pixels is large enough.
@@ -89,15 +88,17 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let inside = squares(z.slice(s![row..row + ny, column..column + nx])).min(all);
     let count = valid.iter().filter(|v| **v).count() as f64;
     let pixels = (nx * ny) as f64;
-    let contributions = bands(&density, size_mm, step_mm, inside / pixels);
+    let contributions = bands(&density, size_mm, step_mm, inside / pixels)
+        .map(|band| band.map(|nm2| nm2 * pixels / count));
+    let seen: f64 = contributions.iter().flatten().sum();
     Some(Spectrum {
         size_mm,
         fraction_of_valid_pixels: pixels / count,
         frequency_per_mm: rings.iter().map(|ring| ring.frequency).collect(),
         psd_nm2_mm2: rings.iter().map(|ring| ring.density).collect(),
         rms_detilted_nm: (all / count).sqrt(),
-        band_rms_nm: contributions.map(|band| band.map(|nm2| (nm2 * pixels / count).sqrt())),
-        outside_rms_nm: ((all - inside) / count).sqrt(),
+        band_rms_nm: contributions.map(|band| band.map(f64::sqrt)),
+        not_in_spectrum_rms_nm: (all / count - seen).max(0.0).sqrt(),
     })
 }
 
@@ -111,7 +112,7 @@ fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f
     z - mean
 }
 
-/// The contributions of the bands to the mean square of the whole map, from those to the mean square of the rectangle.
+/// Mean squares of the bands in the rectangle, whose own mean square is `rectangle_nm2`; they do not exceed it together.
 fn bands(
     density: &Density,
     size_mm: [f64; 2],
@@ -121,20 +122,19 @@ fn bands(
     let [long, short] = BAND_PERIOD_MM.map(|period| 1.0 / period);
     let has_long = size_mm[0].max(size_mm[1]) > BAND_PERIOD_MM[0];
     let has_short = 2.0 * step_mm[0].min(step_mm[1]) <= BAND_PERIOD_MM[1];
-    let top = if has_short { short } else { f64::INFINITY };
-    let mut between = if has_long { density.mean_square([long, top]) } else { rectangle_nm2 };
-    let mut below = if has_short { density.mean_square([short, f64::INFINITY]) } else { 0.0 };
-    // The window may see more of the short waves than there is on average; then there is nothing but them.
-    let least = below + if has_long { between } else { 0.0 };
-    if least > rectangle_nm2 {
-        let scale = rectangle_nm2 / least;
-        (between, below) = (between * scale, below * scale);
-    }
-    if !has_long {
-        between = rectangle_nm2 - below;
-    }
-    let above = (rectangle_nm2 - between - below).max(0.0);
-    [has_long.then_some(above), Some(between), has_short.then_some(below)]
+    let from = if has_long { long } else { 0.0 };
+    let to = if has_short { short } else { f64::INFINITY };
+    let mut left_nm2 = rectangle_nm2;
+    // The shortest first: the window weights them with the least bias.
+    let mut take = |low: f64, high: f64| {
+        let taken = density.mean_square([low, high]).min(left_nm2);
+        left_nm2 -= taken;
+        taken
+    };
+    let below = has_short.then(|| take(short, f64::INFINITY));
+    let between = take(from, to);
+    let above = has_long.then(|| take(0.0, long));
+    [above, Some(between), below]
 }
 
 #[cfg(test)]
@@ -214,10 +214,10 @@ mod tests {
         // 0.1 / sqrt(2) between 1 and 10 mm, and what the window lets through of the low order.
         let ripple = s.band_rms_nm[1].unwrap() / s.fraction_of_valid_pixels.sqrt();
         assert!((ripple * 2.0_f64.sqrt() / 0.1 - 1.0).abs() < 0.05, "{s:?}");
-        // The mean square of the saddle 20 x y / 30^2 is (20 r^2 / 30^2)^2 / 24 over the disc, and a^4 / 9 in place of
-        // r^4 / 24 over its square with |x|, |y| < a = r / sqrt(2): 2/3 of it; the rows of pixels at its edge are 2 % of it.
-        let outside = s.outside_rms_nm.powi(2) / s.rms_detilted_nm.powi(2);
-        assert!((outside - (1.0 - 2.0 / PI * 2.0 / 3.0)).abs() < 0.05, "{outside}");
+        // Of the sum of squares of the saddle x y, pi r^6 / 24 over the disc, its square |x|, |y| < a = r / sqrt(2) holds
+        // 4 a^6 / 9: 2/3 of 2/pi. The rest at least is not in the spectrum; the rows of pixels at its edge are 2 % of it.
+        let missing = s.not_in_spectrum_rms_nm.powi(2) / s.rms_detilted_nm.powi(2);
+        assert!(missing > 1.0 - 2.0 / PI * 2.0 / 3.0 - 0.05, "{missing}");
     }
 
     #[test]
@@ -256,7 +256,7 @@ mod tests {
             z[[ny / 2, nx / 2]] = f64::NAN;
             let s = spectrum(z.view(), &g).unwrap();
             let surface = Surface::new(g, z).unwrap();
-            let bands = s.band_rms_nm.iter().flatten().chain([&s.outside_rms_nm]);
+            let bands = s.band_rms_nm.iter().flatten().chain([&s.not_in_spectrum_rms_nm]);
             let sum: f64 = bands.map(|b| b * b).sum();
             // Sums of up to 5000 terms.
             let ratio = sum / surface.detilted_rms_nm().powi(2);

@@ -146,14 +146,14 @@ function fillBands() {
   const table = byId("bands");
   table.replaceChildren();
   const [long, short_] = DATA.band_period_mm;
-  const head = element("tr"), names = ["RMS by period", `above ${long} mm (nm)`, `${short_} to ${long} mm (nm)`, `below ${short_} mm (nm)`, "outside of the rectangle (nm)", "all, plane removed (nm)"];
+  const head = element("tr"), names = ["RMS by period", `above ${long} mm (nm)`, `${short_} to ${long} mm (nm)`, `below ${short_} mm (nm)`, "not in the spectrum (nm)", "all, plane removed (nm)"];
   names.forEach((n) => head.append(element("th", n)));
   table.append(head);
   const rows = [["before", A().run.spectrum], [A().label, A().method.spectrum]];
   if (B()) rows.push([B().label, B().method.spectrum]);
   for (const [name, s] of rows) {
     const row = element("tr");
-    row.append(element("th", name), ...(s ? [...s.band_rms_nm, s.outside_rms_nm, s.rms_detilted_nm] : names.slice(1).map(() => null)).map((v) => element("td", v === null ? "-" : number(v))));
+    row.append(element("th", name), ...(s ? [...s.band_rms_nm, s.not_in_spectrum_rms_nm, s.rms_detilted_nm] : names.slice(1).map(() => null)).map((v) => element("td", v === null ? "-" : number(v))));
     table.append(row);
   }
 }
