@@ -147,7 +147,12 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
             }
         }
     };
-    format!("{choice} Its plan is marked \"{}\": {}.{}", m.plan.word, m.plan.text, exceeding(summary))
+    format!(
+        "{choice} Its plan is marked \"{}\": {}.{}",
+        m.plan.word,
+        m.plan.text,
+        exceeding(summary)
+    )
 }
 
 fn why_none(summary: &Summary) -> String {
