@@ -29,8 +29,8 @@ pub struct Answer {
     pub sentence: String,
     /// Why this one, and how good its plan is known to be.
     pub why: String,
-    /// What the ideal is, so that nobody takes it for a plan; `null` where the run has none.
-    pub ideal: Option<String>,
+    /// The row without a motion, so that nobody takes it for a plan; `null` where the run has none.
+    pub without_motion: Option<String>,
     /// What speaks against running it; empty when nothing does.
     pub problems: Vec<String>,
 }
@@ -50,16 +50,16 @@ impl Answer {
                 ("Nothing here is to be run.".into(), why_none(summary))
             }
         };
-        let ideal = summary.methods.iter().find(|(_, m)| m.plan.state == State::Ideal);
-        let ideal = ideal.map(|(name, m)| {
+        let still = summary.methods.iter().find(|(_, m)| m.plan.state == State::WithoutMotion);
+        let without_motion = still.map(|(name, m)| {
             format!(
-                "Not a plan: {name} is the ideal, the dwell times at the dwell points without a motion between them. \
-                 It leaves {} nm RMS in {}, and no machine can run it.",
+                "Not a plan: {name} applies the dwell times at the dwell points, without a motion between them. It \
+                 leaves {} nm RMS in {}; no machine can run it, and a plan may leave less.",
                 significant(m.rms_nm, DIGITS),
                 duration(m.total_time_s)
             )
         });
-        Self { method: best.map(|(name, _)| name.clone()), sentence, why, ideal, problems }
+        Self { method: best.map(|(name, _)| name.clone()), sentence, why, without_motion, problems }
     }
 }
 
@@ -93,8 +93,9 @@ fn sentence(summary: &Summary, name: &str, m: &Method) -> String {
         significant(summary.initial.rms_nm, DIGITS),
         significant(m.rms_nm, DIGITS)
     );
-    if let Some(beyond) = m.uncorrectable_rms_nm {
-        text += &format!(" (of which {} no dwell time can change)", significant(beyond, DIGITS));
+    if let Some(short) = m.short_wave_rms_nm {
+        text +=
+            &format!(" ({} in waves shorter than the tool corrects)", significant(short, DIGITS));
     }
     if let Some(worst) = m.places.worst.first() {
         text += &format!(
@@ -146,7 +147,12 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
             }
         }
     };
-    format!("{choice} Its plan is {}: {}.{}", m.plan.word, m.plan.text, exceeding(summary))
+    format!(
+        "{choice} Its plan is marked \"{}\": {}.{}",
+        m.plan.word,
+        m.plan.text,
+        exceeding(summary)
+    )
 }
 
 fn why_none(summary: &Summary) -> String {
@@ -158,7 +164,7 @@ fn why_none(summary: &Summary) -> String {
 
 /// The plans that a machine cannot follow.
 fn exceeding(summary: &Summary) -> String {
-    let beyond = |m: &Method| !m.limits_respected && m.plan.state != State::Ideal;
+    let beyond = |m: &Method| !m.limits_respected && m.plan.state != State::WithoutMotion;
     let names = summary.methods.iter().filter(|(_, m)| beyond(m)).map(|(name, _)| name.as_str());
     let names: Vec<&str> = names.collect();
     match names.len() {

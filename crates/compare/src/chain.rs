@@ -251,7 +251,10 @@ impl Context<'_> {
         let remedy = "plan it again, or remove its directory";
         of.iter()
             .map(|role| match *role {
-                "dwell" => format!("it is a plan from other dwell times: {remedy}"),
+                "dwell" => format!(
+                    "it is a plan from other dwell times: if they are its own, put them in dwell/ of its directory; \
+                     else {remedy}"
+                ),
                 role => format!("it is a plan for another {}: {remedy}", spoken(role)),
             })
             .collect()

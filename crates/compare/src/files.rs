@@ -397,8 +397,8 @@ impl Shared<'_> {
         let tool = tool.and_then(|r| r.inputs.iter().find(|(role, _)| role == "tif"));
         let same = |digest: &String| tool.is_none_or(|(_, of)| of == digest);
         let reach = self.reach.filter(|(_, digest)| same(digest));
-        let uncorrectable_rms_nm =
-            reach.map(|(reach, _)| reach.uncorrectable_rms_nm(found.removal.residual()));
+        let short_wave_rms_nm =
+            reach.map(|(reach, _)| reach.short_wave_rms_nm(found.removal.residual()));
         let numbers = Method::new(
             self.desired,
             self.division,
@@ -410,7 +410,7 @@ impl Shared<'_> {
                 wall: found.wall,
                 machine: machine_of(&found.provenance),
                 plan,
-                uncorrectable_rms_nm,
+                short_wave_rms_nm,
                 specification,
                 remarks,
             },
@@ -544,7 +544,7 @@ fn read_solver(
     let (dwell, manifest): (DwellTime, _) =
         inputs.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;
     let manifest = manifest.map(serde_json::to_value).transpose()?;
-    let plan = Plan::of(name, None, manifest.as_ref(), &[]);
+    let plan = Plan::of_solver(manifest.as_ref());
     let position: Removal =
         inputs.read(&format!("{name}/position"), &dir.join("position/removal"))?;
     let executed: Removal =

@@ -10,7 +10,7 @@
 //! * [`chain`]: whether the artifacts of a run belong together.
 //! * [`plan`]: how good a plan is known to be.
 //! * [`process`]: what the errors of a process add to a plan.
-//! * [`reach`]: what of a residual no dwell time can change.
+//! * [`reach`]: the part of a residual at wavelengths shorter than the tool corrects.
 //! * [`places`]: where something remains, and where the time goes.
 //! * [`recommended`]: which plan is to be executed;
 //! * [`specification`]: what the runs keep of a specification.

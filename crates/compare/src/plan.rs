@@ -1,19 +1,20 @@
-//! How good a plan is known to be: what the stage that chose the dwell times says of its own end.
+//! How good a plan is known to be: the end that the stage which chose the motion or the dwell times states.
 //!
-//! | state | what |
+//! | state | meaning |
 //! |---|---|
-//! | certified | the objective is proven to be within a stated fraction of its minimum |
+//! | certified | the objective of the motion is proven to be within a stated fraction of its minimum |
+//! | dwell-optimal | the same is proven of the dwell times; a scheduler made the motion from them |
 //! | converged | the method ended by itself; nothing proves how near the optimum it is |
 //! | unconverged | it stagnated, reached a limit, or was solved for something else |
-//! | ideal | dwell times without a motion: nothing that runs |
+//! | without-motion | dwell times without a motion: nothing that runs |
 //! | unknown | no manifest says |
 
 use planish_types::{End, text::significant};
 use serde::Serialize;
 use serde_json::Value;
 
-/// The scheduler whose numbers are the ideal: dwell at the dwell points, no dynamics.
-pub const IDEAL: &str = "position";
+/// The scheduler that applies the dwell times at the dwell points, without a motion between them.
+pub const WITHOUT_MOTION: &str = "position";
 
 /// A fraction of the objective below which a difference is the rounding of its sum.
 const ROUNDING: f64 = 1e-12;
@@ -25,14 +26,16 @@ pub const PROGRAM: &str = "program";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
-    /// Proven to be near the optimum.
+    /// The motion is proven to be near the optimum.
     Certified,
+    /// The dwell times are proven to be near their optimum; nothing is proven of the motion.
+    DwellOptimal,
     /// Ended by itself, without a proof.
     Converged,
     /// Did not end by itself.
     Unconverged,
-    /// Not a plan.
-    Ideal,
+    /// Dwell times without a motion: not a plan.
+    WithoutMotion,
     /// Nothing says.
     Unknown,
 }
@@ -62,13 +65,13 @@ impl Plan {
         dwell: Option<&Value>,
         solved_for_another: &[&str],
     ) -> Self {
-        if name == IDEAL {
-            let text = "the dwell times at the dwell points without a motion between them: the ideal \
-                        to compare with, not a plan; no machine can run it";
-            return Self::new(State::Ideal, "ideal", text);
+        if name == WITHOUT_MOTION {
+            let text = "the dwell times at the dwell points without a motion between them: not a plan; no machine \
+                        can run it, and a plan may leave less";
+            return Self::new(State::WithoutMotion, "no motion", text);
         }
         match trajectory.and_then(|manifest| manifest["tool"].as_str()) {
-            Some("planish-refine" | "planish-bspline-feed") => {
+            Some("planish-refine" | "planish-feed" | "planish-bspline-feed") => {
                 return Self::of_manifest(trajectory.unwrap_or(&Value::Null));
             }
             Some("planish-import") => {
@@ -78,20 +81,42 @@ impl Plan {
             }
             _ => {}
         }
-        let Some(dwell) = dwell else {
-            let text = "no manifest says how its dwell times were found";
+        if !trajectory.is_some_and(follows_dwell_times) {
+            let text = "no manifest says which dwell times its motion follows";
             return Self::new(State::Unknown, "not known", text);
-        };
+        }
+        let Some(dwell) = dwell else { return Self::without_manifest() };
         if let Some(role) = solved_for_another.first() {
             let role = role.replace('-', " ");
             let text = format!("its dwell times were found for another {role}");
             return Self::new(State::Unconverged, "other plan", text);
         }
-        Self::of_manifest(dwell)
+        Self::of_dwell(dwell)
     }
 
-    /// Of the artifact that a stage which chooses dwell times wrote.
-    pub fn of_manifest(manifest: &Value) -> Self {
+    /// Of the dwell times of a solver, from their manifest where they have one.
+    pub fn of_solver(manifest: Option<&Value>) -> Self {
+        manifest.map_or_else(Self::without_manifest, Self::of_dwell)
+    }
+
+    fn without_manifest() -> Self {
+        let text = "no manifest says how its dwell times were found";
+        Self::new(State::Unknown, "not known", text)
+    }
+
+    /// Of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
+    fn of_dwell(manifest: &Value) -> Self {
+        match Self::of_manifest(manifest) {
+            Self { state: State::Certified, text, .. } => {
+                let text = format!("the dwell times are {text}; nothing is proven of the motion");
+                Self::new(State::DwellOptimal, "dwell times optimal", text)
+            }
+            other => other,
+        }
+    }
+
+    /// Of the artifact of a stage, from the end that its manifest states.
+    fn of_manifest(manifest: &Value) -> Self {
         let outcome = &manifest["outcome"];
         let report = &outcome["report"];
         let name = report["end"].as_str().or(outcome["end"].as_str());
@@ -184,6 +209,15 @@ impl Plan {
     }
 }
 
+/// Whether a trajectory was made from dwell times, by its manifest.
+fn follows_dwell_times(trajectory: &Value) -> bool {
+    let names = |list: &str, key: &str| {
+        let mut entries = trajectory[list].as_array().into_iter().flatten();
+        entries.any(|entry| entry[key] == "dwell")
+    };
+    names("inputs", "role") || names("lineage", "kind")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,21 +227,25 @@ mod tests {
         json!({ "tool": "planish-dwell", "method": "bounded-least-squares", "outcome": outcome })
     }
 
+    fn scheduled() -> Value {
+        json!({ "tool": "planish-schedule", "inputs": [{ "role": "tool-path" }, { "role": "dwell" }] })
+    }
+
     #[test]
     fn every_end_of_a_solver_is_said() {
         let done = |report: Value| dwell(json!({ "status": "done", "report": report }));
         for (manifest, state, word, text) in [
             (
                 done(json!({ "end": "optimal", "relative_gap": 4.2e-5 })),
-                State::Certified,
-                "certified",
+                State::DwellOptimal,
+                "dwell times optimal",
                 "within 4.2e-5 of",
             ),
             (
                 done(json!({ "end": "optimal", "relative_gap": 7.4e-22 })),
-                State::Certified,
-                "certified",
-                "to rounding",
+                State::DwellOptimal,
+                "dwell times optimal",
+                "optimal to rounding; nothing is proven of the motion",
             ),
             (
                 done(json!({ "end": "optimal", "relative_gap": null })),
@@ -246,7 +284,7 @@ mod tests {
             (done(json!({ "end": "tired" })), State::Unknown, "not known", "`tired`"),
             (done(json!({ "end": "settled" })), State::Unknown, "not known", "`settled`"),
         ] {
-            let plan = Plan::of("pvt", None, Some(&manifest), &[]);
+            let plan = Plan::of("pvt", Some(&scheduled()), Some(&manifest), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{manifest}");
             assert!(plan.text.contains(text), "{plan:?}");
         }
@@ -278,16 +316,36 @@ mod tests {
                 "converged",
             ),
             (made("planish-import", json!({})), State::Unknown, "program"),
-            (made("planish-schedule", json!({})), State::Certified, "certified"),
+            (
+                made(
+                    "planish-feed",
+                    json!({ "report": { "end": "optimal", "relative_gap": 1e-4 } }),
+                ),
+                State::Certified,
+                "certified",
+            ),
+            (scheduled(), State::DwellOptimal, "dwell times optimal"),
+            // Moved to where the part lies: made from a trajectory that was made from dwell times.
+            (
+                json!({ "tool": "planish-register", "lineage": [{ "kind": "dwell" }] }),
+                State::DwellOptimal,
+                "dwell times optimal",
+            ),
+            // A motion whose manifest names no dwell times is not known to follow any.
+            (made("planish-schedule", json!({})), State::Unknown, "not known"),
         ] {
             let plan = Plan::of("mine", Some(&trajectory), Some(&certified), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{trajectory}");
         }
-        // The ideal is never taken for a plan, whatever its dwell times.
-        assert_eq!(Plan::of("position", None, Some(&certified), &[]).state, State::Ideal);
-        let other = Plan::of("pvt", None, Some(&certified), &["tool-path"]);
+        // Dwell times without a motion are never taken for a plan.
+        let still = Plan::of("position", Some(&scheduled()), Some(&certified), &[]);
+        assert_eq!(still.state, State::WithoutMotion);
+        // A trajectory of one's own, beside dwell times that are optimal.
+        let own = Plan::of("pvt", None, Some(&certified), &[]);
+        assert_eq!((own.state, own.word.as_str()), (State::Unknown, "not known"));
+        let other = Plan::of("pvt", Some(&scheduled()), Some(&certified), &["tool-path"]);
         assert_eq!(other.state, State::Unconverged);
         assert!(other.text.contains("another tool path"), "{other:?}");
-        assert_eq!(Plan::of("pvt", None, None, &[]).state, State::Unknown);
+        assert_eq!(Plan::of("pvt", Some(&scheduled()), None, &[]).state, State::Unknown);
     }
 }

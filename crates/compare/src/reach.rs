@@ -1,16 +1,20 @@
-//! What of a residual no dwell time can change: what the tool's transfer function does not let through.
+//! The part of a residual at wavelengths shorter than the tool corrects.
 //!
 //! ```text
 //! G(f) = |sum T exp(-2 pi i f u)| / |sum T|                        transfer function of the TIF
-//! uncorrectable fraction = sum of S(f) where G(f) < threshold / sum of S(f)
-//! uncorrectable RMS      = RMS sqrt(fraction),   correctable RMS = RMS sqrt(1 - fraction)
+//! short-wave fraction = sum of S(f) where G(f) < threshold / sum of S(f)
+//! short-wave RMS      = RMS sqrt(fraction),   RMS of the plane-free map
 //! ```
 //!
-//! so that the squares of both add up to that of the RMS. S is the two-dimensional spectrum of the report: of
-//! the largest rectangle of valid pixels, plane removed, Hann window.
+//! so that the squares of the short-wave RMS and of the rest add up to that of the RMS without the plane. S is the
+//! two-dimensional spectrum of the report: of the largest rectangle of valid pixels, plane removed, Hann window.
 //!
-//! The threshold is [`LEAST_TRANSFER`], where its reason stands. Of a Gaussian TIF it is at a period of 2.07 sigma; a
-//! measured one lets more through beside its main lobe.
+//! The short-wave RMS is a description of a residual, not a bound on it. It holds the ripple that the lines of the path
+//! leave, and what the window spreads from longer waves; other dwell times change both. The map outside of the rectangle
+//! counts as if its spectrum were the same.
+//!
+//! The threshold is [`LEAST_TRANSFER`], where its reason stands. A Gaussian TIF reaches it at a period of 2.07 sigma; a
+//! measured one has side lobes above it at shorter periods.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -27,7 +31,7 @@ use serde::Serialize;
 /// Which waves a tool reaches.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReachReport {
-    /// Transfer below which a wave counts as uncorrectable.
+    /// Transfer below which a wave counts as short.
     pub transfer_threshold: f64,
     /// Periods along [x, y] that are the longest with less transfer, mm; `null` where all have more.
     pub period_mm: [Option<f64>; 2],
@@ -41,7 +45,7 @@ pub struct Reach {
     y_mm: Vec<f64>,
     step_mm: [f64; 2],
     /// (ny, nx), in the order of a [`Density`].
-    uncorrectable: Array2<bool>,
+    is_short: Array2<bool>,
     report: ReachReport,
 }
 
@@ -63,7 +67,7 @@ impl Reach {
         let at = [tif.grid().x.coordinates(), tif.grid().y.coordinates()];
         let gain =
             transfer(tif.rate_nm_per_s().view(), [&at[0], &at[1]], [&frequency_x, &frequency_y]);
-        let uncorrectable = gain.mapv(|g| g < LEAST_TRANSFER);
+        let is_short = gain.mapv(|g| g < LEAST_TRANSFER);
         let first = |frequencies: &[f64], below: &dyn Fn(usize) -> bool| {
             let above_0 = frequencies.iter().enumerate().filter(|(_, f)| **f > 0.0);
             above_0.into_iter().find(|(i, _)| below(*i)).map(|(_, f)| 1.0 / f)
@@ -71,15 +75,15 @@ impl Reach {
         let zero = |frequencies: &[f64]| frequencies.iter().position(|f| *f == 0.0);
         let (zero_x, zero_y) = (zero(&frequency_x)?, zero(&frequency_y)?);
         let period_mm = [
-            first(&frequency_x, &|c| uncorrectable[[zero_y, c]]),
-            first(&frequency_y, &|r| uncorrectable[[r, zero_x]]),
+            first(&frequency_x, &|c| is_short[[zero_y, c]]),
+            first(&frequency_y, &|r| is_short[[r, zero_x]]),
         ];
         Some(Self {
             origin,
             x_mm: grid.x.coordinates()[origin.1..origin.1 + nx].to_vec(),
             y_mm: grid.y.coordinates()[origin.0..origin.0 + ny].to_vec(),
             step_mm,
-            uncorrectable,
+            is_short,
             report: ReachReport { transfer_threshold: LEAST_TRANSFER, period_mm },
         })
     }
@@ -89,22 +93,22 @@ impl Reach {
         self.report
     }
 
-    /// RMS of what of `surface` no dwell time can change, nm.
-    pub fn uncorrectable_rms_nm(&self, surface: &Surface) -> f64 {
-        let (ny, nx) = self.uncorrectable.dim();
+    /// RMS of the waves of `surface` that are shorter than the tool corrects, nm.
+    pub fn short_wave_rms_nm(&self, surface: &Surface) -> f64 {
+        let (ny, nx) = self.is_short.dim();
         let (r, c) = self.origin;
         let z = surface.height_nm().slice(s![r..r + ny, c..c + nx]);
         let z = without_plane(z, &self.x_mm, &self.y_mm);
         let density = Density::of(z.view(), self.step_mm, [&hann(nx), &hann(ny)]).density;
-        let beyond: f64 = density
+        let short: f64 = density
             .iter()
-            .zip(&self.uncorrectable)
-            .filter(|(_, beyond)| **beyond)
+            .zip(&self.is_short)
+            .filter(|(_, is_short)| **is_short)
             .map(|(s, _)| s)
             .sum();
         let whole = density.sum();
-        let fraction = if whole > 0.0 { (beyond / whole).min(1.0) } else { 0.0 };
-        surface.statistics().rms * fraction.sqrt()
+        let fraction = if whole > 0.0 { (short / whole).min(1.0) } else { 0.0 };
+        surface.detilted_rms_nm() * fraction.sqrt()
     }
 }
 
@@ -125,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_wave_is_correctable_and_a_short_one_is_not() {
+    fn a_short_wave_counts_and_a_long_one_does_not() {
         // Whole periods of 8 mm and 2 mm on 64 x 32 mm; sigma 2 mm: the threshold is at 4.14 mm.
         let grid =
             Grid { x: Axis::new(0.0, 0.25, 256).unwrap(), y: Axis::new(0.0, 0.25, 128).unwrap() };
@@ -141,7 +145,7 @@ mod tests {
                 // sqrt(ln 100 / (2 pi^2)) / sigma = 0.2415 /mm, on frequencies 1/64 and 1/32 apart.
                 let [x, y] = reach.report().period_mm.map(Option::unwrap);
                 assert_eq!((1.0 / x, 1.0 / y), (0.25, 0.25));
-                let found = reach.uncorrectable_rms_nm(&surface);
+                let found = reach.short_wave_rms_nm(&surface);
                 // The plane takes 1e-3 of the wave of 8 mm, 2 % along the shorter side.
                 assert!((found - short / 2.0_f64.sqrt()).abs() < 0.02, "{found} {short}");
             }
@@ -157,14 +161,14 @@ mod tests {
         let flat = Surface::new(grid, map).unwrap();
         let reach = Reach::new(&flat, &gaussian(2.0)).unwrap();
         assert_eq!(reach.origin, (4, 0));
-        assert_eq!(reach.uncorrectable_rms_nm(&flat), 0.0);
+        assert_eq!(reach.short_wave_rms_nm(&flat), 0.0);
         let small = Grid { x: axis, y: Axis::new(0.0, 0.25, 7).unwrap() };
         let small = Surface::new(small, Array2::zeros((7, 100))).unwrap();
         assert!(Reach::new(&small, &gaussian(2.0)).is_none());
     }
 
     #[test]
-    fn two_thirds_of_the_published_residual_are_out_of_reach() {
+    fn two_thirds_of_the_published_residual_are_short_waves() {
         let Some(mirror) = mirror() else { return };
         let reach = Reach::new(&mirror.desired, &mirror.tif).unwrap();
         // Found by NumPy with the same definition.
@@ -179,7 +183,7 @@ mod tests {
                 without_plane(surface.height_nm().view(), &x, &y)
             })
             .unwrap();
-            let found = reach.uncorrectable_rms_nm(&surface);
+            let found = reach.short_wave_rms_nm(&surface);
             // Stated to four decimals.
             assert!((found - rms_nm).abs() < 1e-4, "{name}: {found}");
         }

@@ -25,7 +25,7 @@ use crate::{
     chain::Standing,
     execution::Execution,
     places::{Division, DivisionReport, Places, ZoneRms},
-    plan::{IDEAL, PROGRAM, Plan, State},
+    plan::{PROGRAM, Plan, State, WITHOUT_MOTION},
     process::Process,
     reach::{Reach, ReachReport},
     recommended::{Candidate, recommended},
@@ -34,7 +34,7 @@ use crate::{
 
 /// Order of the methods; others follow by name. A refined method follows its base.
 const ORDER: [&str; 9] = [
-    IDEAL,
+    WITHOUT_MOTION,
     "average-velocity",
     "constant-acceleration",
     "stop-at-corners",
@@ -80,8 +80,8 @@ pub struct Summary {
     pub specification: Around,
     /// What the errors of a process add to one of the plans; `null` where nobody asked.
     pub process: Option<Process>,
-    /// Dwell applied at the dwell points, no dynamics; `null` when the run has no such method.
-    pub ideal: Option<Ideal>,
+    /// Dwell times at the dwell points, without a motion; `null` when the run has no such method.
+    pub without_motion: Option<WithoutMotion>,
     /// Methods by scheduler.
     #[serde(serialize_with = "as_map")]
     pub methods: Vec<(String, Method)>,
@@ -113,15 +113,15 @@ pub struct Initial {
     pub pv_nm: f64,
     /// RMS slope along [x, y], mean removed, nrad; `null` where the base does not fit.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of what no dwell time can change, nm; `null` where the tool is not known.
-    pub uncorrectable_rms_nm: Option<f64>,
+    /// RMS of the waves that are shorter than the tool corrects, nm; `null` where the tool is not known.
+    pub short_wave_rms_nm: Option<f64>,
     /// RMS of the edge zone and of the inside.
     pub zone_rms: ZoneRms,
 }
 
-/// Dwell applied at the dwell points.
+/// Dwell times at the dwell points.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Ideal {
+pub struct WithoutMotion {
     /// RMS of the residual, mean removed, nm.
     pub rms_nm: f64,
     /// Sum of the dwell times, s.
@@ -139,8 +139,8 @@ pub struct Method {
     pub rms_detilted_nm: f64,
     /// RMS slope of the residual along [x, y], mean removed, nrad; `null` where the base does not fit.
     pub slope_rms_nrad: [Option<f64>; 2],
-    /// RMS of what of the residual no dwell time can change, nm; `null` where the tool is not known.
-    pub uncorrectable_rms_nm: Option<f64>,
+    /// RMS of the waves of the residual that are shorter than the tool corrects, nm; `null` where the tool is not known.
+    pub short_wave_rms_nm: Option<f64>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
     /// Largest |velocity| of [x, y], mm/s.
@@ -209,8 +209,8 @@ pub struct Told {
     pub machine: Option<String>,
     /// How good its plan is known to be.
     pub plan: Plan,
-    /// RMS of what of its residual no dwell time can change, nm, where the tool is known.
-    pub uncorrectable_rms_nm: Option<f64>,
+    /// RMS of the waves of its residual that are shorter than the tool corrects, nm, where the tool is known.
+    pub short_wave_rms_nm: Option<f64>,
     /// Whether its residual keeps a specification, where one was asked.
     pub specification: Option<Judged>,
     /// What else is worth knowing.
@@ -220,7 +220,7 @@ pub struct Told {
 impl Method {
     /// Whether it may be recommended: a motion that keeps the limits.
     pub fn is_candidate(&self) -> bool {
-        self.limits_respected && self.plan.state != State::Ideal
+        self.limits_respected && self.plan.state != State::WithoutMotion
     }
 
     fn candidate(&self) -> Candidate {
@@ -243,7 +243,7 @@ impl Method {
         verdict: &VerdictOutcome,
         told: Told,
     ) -> Result<Self, Invalid> {
-        let Told { wall, machine, plan, uncorrectable_rms_nm, specification, mut remarks } = told;
+        let Told { wall, machine, plan, short_wave_rms_nm, specification, mut remarks } = told;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -258,10 +258,9 @@ impl Method {
         }
         let execution = Execution::of(trajectory, dwell)?;
         let departure_s = execution.dwell_error_worst_s.map_or(0.0, f64::abs);
-        if plan.state == State::Certified && departure_s > SAME_DWELL_S {
+        if plan.state == State::DwellOptimal && departure_s > SAME_DWELL_S {
             remarks.push(format!(
-                "what is certified are the planned dwell times; the motion departs from one of them \
-                 by {} s",
+                "the proof is about the planned dwell times; the motion departs from one of them by {} s",
                 significant(departure_s, 4)
             ));
         }
@@ -272,7 +271,7 @@ impl Method {
             pv_nm: statistics.pv,
             rms_detilted_nm: residual.detilted_rms_nm(),
             slope_rms_nrad: slope_rms_nrad(residual),
-            uncorrectable_rms_nm,
+            short_wave_rms_nm,
             total_time_s,
             max_velocity_mm_per_s: verdict.max_velocity_mm_per_s,
             max_acceleration_mm_per_s2: verdict.max_acceleration_mm_per_s2,
@@ -338,10 +337,10 @@ impl Summary {
             let rank = ORDER.iter().position(|o| *o == base).unwrap_or(ORDER.len());
             (rank, name.clone())
         });
-        let ideal = methods
+        let without_motion = methods
             .iter()
-            .find(|(name, _)| name == IDEAL)
-            .map(|(_, m)| Ideal { rms_nm: m.rms_nm, total_time_s: m.total_time_s });
+            .find(|(name, _)| name == WITHOUT_MOTION)
+            .map(|(_, m)| WithoutMotion { rms_nm: m.rms_nm, total_time_s: m.total_time_s });
         let statistics = desired.statistics();
         let candidates: Vec<(&str, Candidate)> = methods
             .iter()
@@ -356,7 +355,7 @@ impl Summary {
                 rms_nm: statistics.rms,
                 pv_nm: statistics.pv,
                 slope_rms_nrad: slope_rms_nrad(desired),
-                uncorrectable_rms_nm: None,
+                short_wave_rms_nm: None,
                 zone_rms: division.zone_rms(desired),
             },
             slope_base_mm: slope_base(desired).map(|base| base.map(|(_, mm)| mm)),
@@ -364,7 +363,7 @@ impl Summary {
             division: division.report(),
             specification: Around::default(),
             process: None,
-            ideal,
+            without_motion,
             methods,
             left_out,
             remarks,
@@ -374,9 +373,9 @@ impl Summary {
 
     /// The same, with what is known of the tool of the run, and of the specification of the mirror.
     pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
-        let uncorrectable_rms_nm = reach.map(|reach| reach.uncorrectable_rms_nm(desired));
+        let short_wave_rms_nm = reach.map(|reach| reach.short_wave_rms_nm(desired));
         Self {
-            initial: Initial { uncorrectable_rms_nm, ..self.initial },
+            initial: Initial { short_wave_rms_nm, ..self.initial },
             reach: reach.map(Reach::report),
             specification: around,
             ..self
@@ -498,7 +497,7 @@ mod tests {
             wall,
             machine: Some("fast".into()),
             plan: plan(),
-            uncorrectable_rms_nm: None,
+            short_wave_rms_nm: None,
             specification: None,
             remarks: vec![],
         }
@@ -547,7 +546,7 @@ mod tests {
                 "division",
                 "specification",
                 "process",
-                "ideal",
+                "without_motion",
                 "methods",
                 "left_out",
                 "remarks",
@@ -558,10 +557,10 @@ mod tests {
         assert_eq!(keys(&json["methods"]["pvt"]["plan"]), ["state", "word", "text"]);
         assert_eq!(
             keys(&json["initial"]),
-            ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm", "zone_rms"]
+            ["rms_nm", "pv_nm", "slope_rms_nrad", "short_wave_rms_nm", "zone_rms"]
         );
-        assert_eq!(keys(&json["ideal"]), ["rms_nm", "total_time_s"]);
-        assert_eq!(json["ideal"]["total_time_s"], 3.5);
+        assert_eq!(keys(&json["without_motion"]), ["rms_nm", "total_time_s"]);
+        assert_eq!(json["without_motion"]["total_time_s"], 3.5);
         assert_eq!(keys(&json["methods"]), ["position", "pvt", "pvt+refined", "mine"]);
         assert_eq!(
             keys(&json["methods"]["pvt"]),
@@ -570,7 +569,7 @@ mod tests {
                 "pv_nm",
                 "rms_detilted_nm",
                 "slope_rms_nrad",
-                "uncorrectable_rms_nm",
+                "short_wave_rms_nm",
                 "total_time_s",
                 "max_velocity_mm_per_s",
                 "max_acceleration_mm_per_s2",
@@ -597,7 +596,7 @@ mod tests {
         }
         assert_eq!(json["methods"]["pvt"]["schedule_wall_s"], 0.25);
         assert!(json["methods"]["pvt"]["simulate_wall_s"].is_null());
-        assert!(json!(summary_of(vec![]))["ideal"].is_null());
+        assert!(json!(summary_of(vec![]))["without_motion"].is_null());
     }
 
     #[test]
@@ -637,11 +636,11 @@ mod tests {
         assert_eq!(of(false, false).as_deref(), Some("pvt"));
         let none = summary_of(vec![("pvt".into(), with(0.1, false))]);
         assert_eq!((none.best.as_deref(), none.reserves().len()), (None, 1));
-        // The ideal of a path on which it happens to keep the limits is still no plan.
+        // Dwell times without a motion are no plan, also on a path on which they happen to keep the limits.
         let state = |state| Plan { state, ..plan() };
-        let mut ideal = with(0.1, true);
-        ideal.plan = state(State::Ideal);
-        let summary = summary_of(vec![("position".into(), ideal), ("pvt".into(), with(0.3, true))]);
+        let mut still = with(0.1, true);
+        still.plan = state(State::WithoutMotion);
+        let summary = summary_of(vec![("position".into(), still), ("pvt".into(), with(0.3, true))]);
         assert_eq!(summary.best.as_deref(), Some("pvt"));
         let mut stagnated = with(0.1, true);
         stagnated.plan = state(State::Unconverged);

@@ -13,7 +13,7 @@ use crate::{
 const HEADINGS: [[&str; 2]; 15] = [
     ["", "method"],
     ["RMS", "nm"],
-    ["uncorrectable", "nm"],
+    ["short waves", "nm"],
     ["detilted", "nm"],
     ["PV", "nm"],
     ["time", "s"],
@@ -74,8 +74,8 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     }
     if let Some(reach) = runs.iter().find_map(|(_, summary)| summary.reach) {
         text += &format!(
-            "uncorrectable: of the RMS, what the tool lets through by less than {} %; no dwell time can change \
-             it\n",
+            "short waves: the part of the RMS at wavelengths where the transfer function of the tool is below {} %; \
+             ripple of the path is part of it\n",
             significant(100.0 * reach.transfer_threshold, 3)
         );
     }
@@ -114,7 +114,7 @@ fn notes(summary: &Summary) -> Vec<String> {
     notes
 }
 
-/// Two lines: the desired removal, and what the dwell times alone would leave.
+/// The RMS of the desired removal, and the RMS that the dwell times leave without a motion.
 fn heading(name: &str, summary: &Summary) -> String {
     let title: Vec<&str> = [name, &summary.pipeline, &summary.fixture]
         .into_iter()
@@ -129,17 +129,14 @@ fn heading(name: &str, summary: &Summary) -> String {
         fixed(summary.initial.rms_nm, 4),
         fixed(summary.initial.pv_nm, 2)
     );
-    match &summary.ideal {
-        Some(ideal) => {
-            text += &format!(
-                "; ideal (dwell at the dwell points) {} nm RMS in {} s\n",
-                fixed(ideal.rms_nm, 4),
-                fixed(ideal.total_time_s, 2)
-            );
-        }
-        None => text += "; no ideal (no method 'position')\n",
+    if let Some(still) = &summary.without_motion {
+        text += &format!(
+            "; dwell times without a motion leave {} nm RMS in {} s",
+            fixed(still.rms_nm, 4),
+            fixed(still.total_time_s, 2)
+        );
     }
-    text
+    text + "\n"
 }
 
 fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 15] {
@@ -147,7 +144,7 @@ fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 15] {
     [
         visible(scheduler).into_owned(),
         fixed(m.rms_nm, 4),
-        m.uncorrectable_rms_nm.map_or("-".into(), |nm| fixed(nm, 4)),
+        m.short_wave_rms_nm.map_or("-".into(), |nm| fixed(nm, 4)),
         fixed(m.rms_detilted_nm, 4),
         fixed(m.pv_nm, 3),
         fixed(m.total_time_s, 2),
@@ -181,7 +178,7 @@ const EXECUTION_HEADINGS: [[&str; 2]; 8] = [
     ["overshoot x, y", "points"],
     ["largest x, y", "um"],
     ["a step x, y", "mm/s^2"],
-    ["jerk x, y", "mm/s^3"],
+    ["jerk in segments", "mm/s^3"],
     ["limits", "kept"],
 ];
 
@@ -303,7 +300,7 @@ mod tests {
     use super::*;
     use crate::{
         plan::{Plan, State},
-        summary::{Ideal, Initial, LeftOut},
+        summary::{Initial, LeftOut, WithoutMotion},
     };
 
     fn method(rms_nm: f64, limits_respected: bool) -> Method {
@@ -312,7 +309,7 @@ mod tests {
             pv_nm: 1.25,
             rms_detilted_nm: 0.75 * rms_nm,
             slope_rms_nrad: [Some(200.0), None],
-            uncorrectable_rms_nm: Some(0.5 * rms_nm),
+            short_wave_rms_nm: Some(0.5 * rms_nm),
             total_time_s: 90.0,
             max_velocity_mm_per_s: [12.5, 0.0],
             max_acceleration_mm_per_s2: [87.7, 53.2],
@@ -339,7 +336,7 @@ mod tests {
                 rms_nm: 6.3167,
                 pv_nm: 37.0,
                 slope_rms_nrad: [None; 2],
-                uncorrectable_rms_nm: None,
+                short_wave_rms_nm: None,
                 zone_rms: Default::default(),
             },
             slope_base_mm: [Some(1.0); 2],
@@ -351,7 +348,7 @@ mod tests {
                 worst_apart_mm: 0.0,
             },
             specification: Default::default(),
-            ideal: Some(Ideal { rms_nm: 0.1, total_time_s: 88.0 }),
+            without_motion: Some(WithoutMotion { rms_nm: 0.1, total_time_s: 88.0 }),
             methods: vec![
                 ("position".into(), method(0.1, false)),
                 ("pvt".into(), method(0.2, true)),
@@ -366,8 +363,8 @@ mod tests {
     fn one_run() {
         // The words, in the order of the columns; how they are aligned is checked below.
         let expected = "raster, coupon: initial surface 6.3167 nm RMS, 37.00 nm PV; \
-            ideal (dwell at the dwell points) 0.1000 nm RMS in 88.00 s \
-            RMS uncorrectable detilted PV time max v x, y max a x, y v step x, y limits schedule simulate \
+            dwell times without a motion leave 0.1000 nm RMS in 88.00 s \
+            RMS short waves detilted PV time max v x, y max a x, y v step x, y limits schedule simulate \
             method nm nm nm nm s min mm/s mm/s^2 mm/s kept plan s s best \
             position 0.1000 0.0500 0.0750 1.250 90.00 1.500 12.50, 0.00 87.7, 53.2 0.000, 0.000 no \
             certified 0.123 - \
@@ -417,14 +414,18 @@ mod tests {
     #[test]
     fn several_runs_have_their_name_before_the_method() {
         let second = Summary {
-            ideal: None,
+            without_motion: None,
             methods: vec![("pvt".into(), method(0.05, false))],
             best: None,
             ..summary()
         };
         let text = table_of_runs(&[("a", &summary()), ("long-name", &second)]);
         assert!(text.contains("long-name, raster, coupon: initial"));
-        assert!(text.contains("no ideal"));
+        assert!(
+            text.contains(
+                "long-name, raster, coupon: initial surface 6.3167 nm RMS, 37.00 nm PV\n"
+            )
+        );
         let row = |start: &str| {
             let line = text.lines().find(|l| l.starts_with(start)).unwrap();
             line.split_whitespace().map(String::from).collect::<Vec<_>>()

@@ -12,7 +12,7 @@ use std::{ops::RangeInclusive, sync::Arc};
 use planish_types::Invalid;
 use png::{ColorType, Compression, Encoder};
 use resvg::{
-    tiny_skia::{Pixmap, Transform},
+    tiny_skia::{Color, Pixmap, Transform},
     usvg::{self, fontdb::Database},
 };
 use svg2pdf::{ConversionOptions, PageOptions};
@@ -68,6 +68,8 @@ pub fn png(svg: &str, dpi: f64) -> Result<Vec<u8>, Invalid> {
         [tree.size().width(), tree.size().height()].map(|px| (px * scale).round() as u32);
     let size = format!("{width} x {height} pixels");
     let mut pixels = Pixmap::new(width, height).ok_or_else(|| unprintable(&size))?;
+    // The last column and row may reach beyond the drawing by a part of a pixel.
+    pixels.fill(Color::WHITE);
     resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixels.as_mut());
     // Paper is opaque: the colours alone are stored.
     let colours: Vec<u8> =
@@ -141,6 +143,10 @@ mod tests {
             (at(1700, 50), at(400, 50), at(1700, 180)),
             ([0x3a, 0x7d, 0xb8], [255; 3], [255; 3])
         );
+        // The last column is half of a pixel of the drawing at 110 pixels an inch: 952 / 134.34 * 110 = 779.5.
+        let coarse = Pixmap::decode_png(&png(&SVG.replace("TEXT", ""), 110.0).unwrap()).unwrap();
+        let last = coarse.pixel(coarse.width() - 1, coarse.height() - 1).unwrap();
+        assert_eq!([last.red(), last.green(), last.blue()], [255; 3]);
         // Letters are drawn: the same place is dark where there is a text.
         let dark = |svg: &str| {
             let drawn = Pixmap::decode_png(&png(svg, PNG_DPI).unwrap()).unwrap();

@@ -45,7 +45,7 @@ def check_table(browser, report):
                 if abs(float(text) - value) > 0.5000001 * 10**-decimals:
                     wrong.append((key, entry, text, value))
     check("the numbers equal summary.json", not wrong, wrong[:3] or f"{len(shown)} cells")
-    kept = [m for m in wanted if m["limits_respected"] and m["plan"]["state"] != "ideal"] or wanted
+    kept = [m for m in wanted if m["limits_respected"] and m["plan"]["state"] != "without-motion"] or wanted
     best = [(k, e) for k, e, _, _, c in cells if c == "best" and k == "rms_nm"]
     least = min(m["rms_nm"] for m in kept)
     plans = [text for _, text in sorted((entry, text) for key, entry, _, text, _ in cells if key == "plan")]
@@ -63,13 +63,22 @@ def check_table(browser, report):
     check("and why, below it", all(m["plan"]["text"] in notes for m in wanted))
     signed = browser.js("[...document.querySelectorAll('td, p, li, .read, output')].map((e) => e.textContent).filter((t) => /-0(\\.0+)?(?![\\d.e])/.test(t))")
     check("no zero has a sign", signed == [], signed[:3] or "")
+    bands = browser.js("[...document.querySelectorAll('#bands tr')].slice(1).map((r) => [...r.querySelectorAll('td')].map((c) => c.textContent))")
+    added = lambda row: sum(float(v) ** 2 for v in row[:-1] if v != "-") ** 0.5
+    sums = all(row[-1] == "-" or abs(added(row) - float(row[-1])) <= 2e-3 * float(row[-1]) for row in bands)
+    check("the squares of the bands add up to that of the RMS", bands != [] and sums, bands)
+    starred = {(k, e) for k, e, _, _, c in cells if c == "best"}
+    limited = ("max_velocity_mm_per_s", "max_acceleration_mm_per_s2", "overshoot_points", "max_overshoot_mm")
+    check("what is limited and not minimised has no star", not any(k in limited for k, _ in starred), starred)
+    steps = {e for e, m in enumerate(wanted) if max(m["max_acceleration_step_mm_per_s2"]) >= 0.05}
+    check("no star for the jerk where the acceleration steps", not any(k == "max_jerk_mm_per_s3" and e in steps for k, e in starred), steps)
     check("the best of a row is marked", len(wanted) == 1 or all(wanted[e]["rms_nm"] == least for _, e in best) and best != [], best)
 
 
 NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 SENTENCE = re.compile(
     rf"^(?P<name>\S+) runs on (?P<machine>\S+) in {NUMBER} (s|min|h): {NUMBER} to {NUMBER} nm RMS"
-    rf"(?: \(of which {NUMBER} no dwell time can change\))?"
+    rf"(?: \({NUMBER} in waves shorter than the tool corrects\))?"
     rf", worst {NUMBER} nm from the mean at x {NUMBER}, y {NUMBER} mm; the limits of the machine are kept")
 
 
@@ -81,11 +90,11 @@ def runs_of(report):
 def check_answer(browser, report):
     """The answer stands first, and every number in it is that of the summary."""
     shown = browser.js("[...document.querySelectorAll('#answer .run')].map((p) => [p.querySelector('.sentence').textContent, "
-                       "[...p.querySelectorAll('.violation')].map((e) => e.textContent), p.querySelector('.why').textContent, p.querySelector('.ideal')?.textContent ?? null])")
+                       "[...p.querySelectorAll('.violation')].map((e) => e.textContent), p.querySelector('.why').textContent, p.querySelector('.still')?.textContent ?? null])")
     runs = runs_of(report)
-    wanted = [[a["sentence"], a["problems"], a["why"], a["ideal"]] for a in (run["answer"] for run in runs)]
+    wanted = [[a["sentence"], a["problems"], a["why"], a["without_motion"]] for a in (run["answer"] for run in runs)]
     check("the answer of every run is that of summary.json", shown == wanted, shown[0][0])
-    for run, (sentence, _, why, ideal) in zip(runs, shown):
+    for run, (sentence, _, why, still_text) in zip(runs, shown):
         found = SENTENCE.match(sentence)
         check("the answer says plan, machine, time, RMS and worst place", found is not None, sentence)
         if found is None:
@@ -96,17 +105,17 @@ def check_answer(browser, report):
         near = lambda text, v, slack: text is None and v is None or abs(float(text) - v) <= slack
         three = lambda v: 0 if v is None else 0.00501 * abs(v)
         worst = m["places"]["worst"][0]
-        values = [run["initial"]["rms_nm"], m["rms_nm"], m["uncorrectable_rms_nm"], worst["from_mean_nm"]]
+        values = [run["initial"]["rms_nm"], m["rms_nm"], m["short_wave_rms_nm"], worst["from_mean_nm"]]
         time_s = float(value) * {"s": 1, "min": 60, "h": 3600}[unit]
         ok = found["name"] == run["best"] and found["machine"] == m["machine"] and abs(time_s - m["total_time_s"]) <= three(m["total_time_s"])
         ok = ok and all(near(t, v, three(v)) for t, v in zip(numbers, values))
         ok = ok and all(near(t, v, 0.0501) for t, v in zip(numbers[4:], (worst["x_mm"], worst["y_mm"])))
         check("its numbers are those of the plan that is to be run", ok, numbers)
         check("and why this one", run["best"] in why and m["plan"]["text"] in why)
-        ideals = [n for n, o in run["methods"].items() if o["plan"]["state"] == "ideal"]
-        check("the ideal is called no plan", all(ideal.startswith("Not a plan: " + n) for n in ideals))
-        labels = browser.js("planish.ENTRIES.filter((e) => e.run.summary.methods[e.method.name].plan.state === 'ideal').map((e) => e.label)")
-        check("wherever it stands", all(label.endswith("(ideal, not a plan)") for label in labels), labels)
+        still = [n for n, o in run["methods"].items() if o["plan"]["state"] == "without-motion"]
+        check("dwell times without a motion are called no plan", all(still_text.startswith("Not a plan: " + n) for n in still))
+        labels = browser.js("planish.ENTRIES.filter((e) => e.run.summary.methods[e.method.name].plan.state === 'without-motion').map((e) => e.label)")
+        check("wherever it stands", all(label.endswith("(without a motion)") for label in labels), labels)
     tops = browser.js("['#answer', '#bar', '#summary', '#maps'].map((s) => document.querySelector(s).getBoundingClientRect().top)")
     check("the answer comes first", tops == sorted(tops), tops)
     heads = browser.js("[...document.querySelectorAll('#summary thead th')].map((e) => e.textContent)")
@@ -389,7 +398,7 @@ def check_keyboard(browser):
 def check_look(browser, shots):
     """Widths and colour schemes: nothing sticks out, text can be told from the ground."""
     luminance = "(c) => { const v = c.match(/[\\d.]+/g).slice(0, 3).map((u) => u / 255).map((u) => u <= 0.03928 ? u / 12.92 : ((u + 0.055) / 1.055) ** 2.4); return 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]; }"
-    for width in (1280, 390):
+    for width in (1280, 500, 390):
         for dark in (False, True):
             name = f"{width}-{'dark' if dark else 'light'}"
             browser.size(width, 900, dark)
@@ -397,6 +406,10 @@ def check_look(browser, shots):
             browser.settle()
             over = browser.js("document.documentElement.scrollWidth - innerWidth")
             check(f"{name}: nothing is wider than the window", over <= 0, over)
+            cut = browser.js("[...document.querySelectorAll('.scroll')].filter((e) => e.offsetParent).filter((e) => (e.scrollWidth - e.clientWidth > 1) === e.querySelector('.more').hidden).length")
+            check(f"{name}: every table that goes on beyond its place says so", cut == 0, cut)
+            wide = browser.js("(() => { const e = document.getElementById('summary'); return [e.offsetWidth, e.parentNode.clientWidth, e.tHead.rows[0].cells.length]; })()")
+            check(f"{name}: up to six methods are seen at once", width < 1280 or wide[2] > 7 or wide[0] <= wide[1], wide)
             ratios = browser.js(f"(() => {{ const l = {luminance}, ground = l(getComputedStyle(document.body).backgroundColor); return ['body', '.note', '.read', 'td', 'select'].map((s) => document.querySelector(s)).filter(Boolean).map((e) => {{ const t = l(getComputedStyle(e).color); return (Math.max(t, ground) + 0.05) / (Math.min(t, ground) + 0.05); }}); }})()")
             check(f"{name}: contrast of at least 4.5", min(ratios) >= 4.5, f"{min(ratios):.1f}")
             smallest = browser.js("Math.min(...[...document.querySelectorAll('p, td, th, label, .read, li, button')].filter((e) => e.offsetParent).map((e) => parseFloat(getComputedStyle(e).fontSize)))")

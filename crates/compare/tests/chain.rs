@@ -229,14 +229,14 @@ fn row<'a>(table: &'a str, start: &str) -> &'a str {
 }
 
 #[test]
-fn what_belongs_together_is_compared_and_its_plan_is_certified() {
+fn what_belongs_together_is_compared_and_its_dwell_times_are_optimal() {
     let dir = tempfile::tempdir().unwrap();
     let lab = lab(dir.path());
     let made = lab.report();
     assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
     let table = text(&made.stdout);
     assert!(
-        row(&table, "pvt").contains("certified") && row(&table, "pvt").ends_with('*'),
+        row(&table, "pvt").contains("dwell times optimal") && row(&table, "pvt").ends_with('*'),
         "{table}"
     );
     assert!(!table.contains("not checked") && table.contains("proven within 3e-5"), "{table}");
@@ -244,7 +244,14 @@ fn what_belongs_together_is_compared_and_its_plan_is_certified() {
     assert!(table.contains("the motion departs from one of them by 59 s"), "{table}");
     let found = lab.summary();
     assert_eq!((&found["best"], &found["left_out"]), (&json!("pvt"), &json!([])));
-    assert_eq!(found["methods"]["pvt"]["plan"]["state"], "certified");
+    assert_eq!(found["methods"]["pvt"]["plan"]["state"], "dwell-optimal");
+    assert!(!table.contains("certified"), "nothing is proven of a scheduled motion: {table}");
+    // Nor of a trajectory of one's own, beside dwell times that are optimal.
+    fs::remove_file(lab.method("pvt").join("trajectory/manifest.json")).unwrap();
+    let made = lab.report();
+    let table = text(&made.stdout);
+    assert!(row(&table, "pvt ").contains("not known"), "{table}");
+    assert!(table.contains("no manifest says which dwell times its motion follows"), "{table}");
 }
 
 #[test]
@@ -332,7 +339,7 @@ fn a_refinement_of_older_dwell_times_is_out_of_date_and_no_error() {
 #[test]
 fn a_plan_that_is_not_known_to_be_good_is_said_and_decides_the_exit_code() {
     for (report, word, code) in [
-        (json!({ "end": "optimal", "relative_gap": 1e-5 }), "certified", 0),
+        (json!({ "end": "optimal", "relative_gap": 1e-5 }), "dwell times optimal", 0),
         (json!({ "end": "stagnated", "relative_gap": 0.2 }), "stagnated", 1),
         (json!({ "end": "iteration-limit" }), "iteration limit", 1),
         (json!({ "gain": 2.0 }), "no certificate", 0),
@@ -364,7 +371,7 @@ fn a_plan_that_is_not_known_to_be_good_is_said_and_decides_the_exit_code() {
 }
 
 #[test]
-fn the_ideal_is_no_plan_and_no_limits_kept_is_negative() {
+fn dwell_times_without_a_motion_are_no_plan_and_no_limits_kept_is_negative() {
     let dir = tempfile::tempdir().unwrap();
     let lab = Lab::new(dir.path(), "run", 3.0);
     lab.schedule("position", 0.0);
@@ -375,7 +382,7 @@ fn the_ideal_is_no_plan_and_no_limits_kept_is_negative() {
     assert_eq!(made.status.code(), Some(1));
     let out = text(&made.stdout);
     assert!(text(&made.stderr).contains("no method keeps the limits of the machine"));
-    assert!(row(&out, "position ").contains("ideal"), "{out}");
+    assert!(row(&out, "position ").contains("no motion"), "{out}");
     assert!(out.contains("not a plan; no machine can run it"), "{out}");
     assert!(!out.contains('*'), "{out}");
 }
@@ -394,6 +401,36 @@ fn a_script_in_the_place_of_the_dwell_solver_is_compared() {
     fs::remove_file(lab.method("pvt").join("removal/manifest.json")).unwrap();
     let out = text(&lab.report().stdout);
     assert!(out.contains("pvt: not checked") && out.contains(": removal\n"), "{out}");
+}
+
+#[test]
+fn dwell_times_of_ones_own_belong_in_the_directory_of_their_method() {
+    let dir = tempfile::tempdir().unwrap();
+    let lab = lab(dir.path());
+    // As a script leaves them: arrays without a manifest.
+    let own = lab.method("mine").join("dwell");
+    planish_handoff::save(&own, &DwellTime::new(vec![2.0; 2]).unwrap()).unwrap();
+    let _ = fs::remove_file(own.join("manifest.json"));
+    let mut inputs = lab.read(&["tool-path", "machine"]);
+    inputs.read::<DwellTime>("dwell", &own).unwrap();
+    let parts = [("trajectory", Trajectory::KIND)];
+    let mut writer = lab.writer("planish-schedule", &inputs, &lab.method("mine"), parts);
+    writer.write(&motion(0.25), json!({}), &Status::Done).unwrap();
+    lab.judge("mine", 0.125, true);
+    let made = lab.report();
+    let out = text(&made.stdout);
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    assert!(row(&out, "mine ").contains("not known") && row(&out, "mine ").ends_with('*'), "{out}");
+    assert_eq!(lab.summary()["left_out"], json!([]));
+    // Anywhere else they are not known to be the plan of this method: the reason says where they belong.
+    fs::remove_dir_all(&own).unwrap();
+    let made = lab.report();
+    let out = text(&made.stdout);
+    assert!(
+        out.contains("mine: out of date, left out: it is a plan from other dwell times"),
+        "{out}"
+    );
+    assert!(out.contains("if they are its own, put them in dwell/ of its directory"), "{out}");
 }
 
 #[test]
@@ -534,7 +571,7 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
         // reach, before and after), three verdicts by a specification, the process; slopes along y, before and
         // after, and their base, which is as long as the map. Without a tool there is no edge zone (width and
         // fraction, RMS of it and of the inside before and after, time, each of five places), two rows fill two
-        // thirds of three regions, and the answer has no ideal.
+        // thirds of three regions, and the answer has no row without a motion.
         let edge = 2 + 2 + 2 + 1 + 5;
         assert_eq!(
             numbers.matches("null").count(),

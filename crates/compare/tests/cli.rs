@@ -91,8 +91,8 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(found["initial"]["pv_nm"], 4.0);
     assert!(near(&found["methods"]["pvt"]["rms_nm"], 0.25 * rms));
     assert!(near(&found["methods"]["pvt"]["pv_nm"], 1.0));
-    assert!(near(&found["ideal"]["rms_nm"], 0.1 * rms));
-    assert_eq!(found["ideal"]["total_time_s"], 61.0);
+    assert!(near(&found["without_motion"]["rms_nm"], 0.1 * rms));
+    assert_eq!(found["without_motion"]["total_time_s"], 61.0);
     assert_eq!(found["methods"]["pvt"]["max_velocity_step_mm_per_s"], json!([5.0, 6.0]));
     assert_eq!(found["methods"]["pvt"]["schedule_wall_s"], 0.125);
     assert_eq!(found["methods"]["pvt"]["simulate_wall_s"], Value::Null);
@@ -107,13 +107,20 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     let why = answer["why"].as_str().unwrap();
     let next = "the least RMS of the 2 plans that keep the limits; the next is bspline with 0.98 nm in 62 s.";
     assert!(why.starts_with("pvt, because it leaves ") && why.contains(next), "{why}");
-    assert!(answer["ideal"].as_str().unwrap().starts_with("Not a plan: position is the ideal"));
+    assert!(
+        answer["without_motion"]
+            .as_str()
+            .unwrap()
+            .starts_with("Not a plan: position applies the dwell times")
+    );
     assert_eq!(answer["problems"], json!([]));
     let order: Vec<_> = found["methods"].as_object().unwrap().keys().collect();
     assert_eq!(order, ["position", "pvt", "bspline"]);
 
     let table = text(&first.stdout);
-    assert!(table.starts_with("raster, coupon: initial surface 1.9596 nm RMS, 4.00 nm PV; ideal"));
+    assert!(table.starts_with(
+        "raster, coupon: initial surface 1.9596 nm RMS, 4.00 nm PV; dwell times without"
+    ));
     // position has the smallest RMS but not within the limits; pvt is the best of the others.
     assert_eq!(row(&table, "pvt")[1], "0.4899");
     assert_eq!(row(&table, "pvt").last().unwrap(), "*");
@@ -383,7 +390,10 @@ fn several_runs_share_one_table() {
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let found = summary(&dir.path().join("report"));
     assert_eq!(found["runs"][1]["pipeline"], "maze");
-    assert!(found["runs"][0]["methods"]["mine"].is_null() && found["runs"][0]["ideal"].is_null());
+    assert!(
+        found["runs"][0]["methods"]["mine"].is_null()
+            && found["runs"][0]["without_motion"].is_null()
+    );
     let table = text(&run.stdout);
     assert_eq!(row(&table, "raster  pvt")[2], "0.4899");
     assert_eq!(row(&table, "maze    mine").last().unwrap(), "*");

@@ -24,6 +24,9 @@ const MARK_PX: f64 = 5.0;
 /// Least height of a bar of colours, px: its two numbers and its unit stay apart.
 const LEAST_BAR_PX: f64 = 100.0;
 
+/// Height that small print needs below its baseline, px: a fourth of its font of 11 px, and a pixel of paper.
+const NOTE_DESCENT_PX: f64 = 4.0;
+
 /// Distance of a bar of colours from its frame, and its width, px.
 const BAR_PX: [f64; 2] = [14.0, 12.0];
 
@@ -76,9 +79,14 @@ impl Scale {
         }
     }
 
-    /// The round numbers of an axis of this length.
+    /// The round numbers of an axis of this length; at least two where closer ones are round.
     fn numbers(&self, length_px: f64) -> Vec<f64> {
         let most = (length_px / PX_PER_NUMBER).max(2.0);
+        let numbers = self.at_most(most);
+        if numbers.len() < 2 { self.at_most(2.0 * most) } else { numbers }
+    }
+
+    fn at_most(&self, most: f64) -> Vec<f64> {
         match self {
             Self::Linear([low, high]) => round_numbers(*low, *high, most),
             Self::Counts([low, high]) => {
@@ -201,11 +209,12 @@ impl Frame {
         }
     }
 
-    /// Small print at the right, below the title of x.
+    /// Small print at the right, below the title of x; its descenders end above the edge of the picture.
     pub fn note(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             let [_, _, margin_right, margin_below] = self.margin_px;
-            let at = [self.right() + margin_right - 6.0, self.bottom() + margin_below - 1.0];
+            let at =
+                [self.right() + margin_right - 6.0, self.bottom() + margin_below - NOTE_DESCENT_PX];
             svg.text(at, &format!("{END} font-size=\"11\" fill=\"#444444\""), words);
         }
     }
@@ -288,6 +297,20 @@ mod tests {
         // Four decades over 200 px.
         let [x, y] = f.at([5.0, 0.1]);
         assert!((x - 260.0).abs() < 1e-12 && (y - 180.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_axis_has_two_numbers_and_small_print_stays_in_the_picture() {
+        // 140 px have room for two numbers 50 px apart; of the round ones 5e5 apart only 0 is within the ends.
+        let numbers = Scale::linear([-383_000.0, 383_000.0]).numbers(140.0);
+        assert!(numbers.len() >= 2, "{numbers:?}");
+        let f = frame(Scale::linear([0.0, 1.0]), Scale::linear([0.0, 1.0]));
+        let mut svg = Svg::new(14.0);
+        f.note(&mut svg, "gap");
+        let text = svg.finish([550.0, 280.0]);
+        let y: f64 = text.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap();
+        // DejaVu Sans descends by 0.236 of its size, here 11 px.
+        assert!(y + 0.236 * 11.0 <= 280.0, "{text}");
     }
 
     #[test]

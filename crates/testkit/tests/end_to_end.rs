@@ -182,7 +182,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
             "division",
             "specification",
             "process",
-            "ideal",
+            "without_motion",
             "methods",
             "left_out",
             "remarks",
@@ -192,9 +192,9 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
     assert_eq!([&summary["pipeline"], &summary["fixture"]], ["raster", "coupon"]);
     assert_eq!(
         keys(&summary["initial"]),
-        ["rms_nm", "pv_nm", "slope_rms_nrad", "uncorrectable_rms_nm", "zone_rms"]
+        ["rms_nm", "pv_nm", "slope_rms_nrad", "short_wave_rms_nm", "zone_rms"]
     );
-    assert_eq!(keys(&summary["ideal"]), ["rms_nm", "total_time_s"]);
+    assert_eq!(keys(&summary["without_motion"]), ["rms_nm", "total_time_s"]);
     let methods = &summary["methods"];
     assert_eq!(keys(methods), METHODS.map(|(name, _)| name));
     for (name, _) in METHODS {
@@ -205,7 +205,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "pv_nm",
                 "rms_detilted_nm",
                 "slope_rms_nrad",
-                "uncorrectable_rms_nm",
+                "short_wave_rms_nm",
                 "total_time_s",
                 "max_velocity_mm_per_s",
                 "max_acceleration_mm_per_s2",
@@ -236,7 +236,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
         assert!(rms < 0.1 * initial, "{name}: {rms} of {initial} nm");
         assert!(number(&m["rms_detilted_nm"]) <= rms && rms < number(&m["pv_nm"]), "{name}");
     }
-    assert_eq!(summary["ideal"]["rms_nm"], methods["position"]["rms_nm"]);
+    assert_eq!(summary["without_motion"]["rms_nm"], methods["position"]["rms_nm"]);
 
     // The machine can do what PVT plans; it cannot jump.
     for name in ["pvt", "pvt-monotone"] {

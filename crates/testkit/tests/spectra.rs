@@ -34,9 +34,13 @@ fn a_report_has_the_bands_of_the_spectrum_of_a_surface() {
         };
         let of_surface = psd(&surface, &settings).unwrap().report;
         let of_report = spectrum(surface.height_nm().view(), surface.grid()).unwrap();
-        let bands: Vec<f64> = of_surface.bands.iter().map(|band| band.rms_nm).collect();
-        // The same sums of the same bins.
-        assert_eq!(of_report.band_rms_nm.to_vec(), bands, "{name}");
+        // The same sums of the same bins in the short bands, where the report counts what they add to the whole map; the
+        // longest band of the report holds the rest.
+        for band in [1, 2] {
+            let rms_nm = of_surface.bands[band].rms_nm * of_report.fraction_of_valid_pixels.sqrt();
+            let found = of_report.band_rms_nm[band].unwrap();
+            assert!((found / rms_nm - 1.0).abs() < 1e-12, "{name}: {found} {rms_nm}");
+        }
         assert_eq!(
             of_report.fraction_of_valid_pixels, of_surface.fraction_of_valid_pixels,
             "{name}"

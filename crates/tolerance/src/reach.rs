@@ -1,4 +1,4 @@
-//! What the tool can correct of a residual, and what it cannot.
+//! The parts of a residual at wavelengths that the tool corrects, and at shorter ones.
 //!
 //! ```text
 //! f(x, y) = sum over j, k of f_jk cos(pi j (x - x0) / Lx) cos(pi k (y - y0) / Ly)

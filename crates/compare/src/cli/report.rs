@@ -37,7 +37,7 @@ pub struct Report {
     /// artifact; of one run only]
     #[arg(long, value_name = "DIR")]
     measured: Option<PathBuf>,
-    /// Tool of the runs, to tell what of a residual no dwell time can change [tif artifact]
+    /// Tool of the runs, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: Option<PathBuf>,
     /// Small plots under the table; auto: where standard output is a terminal

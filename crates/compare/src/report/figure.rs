@@ -12,12 +12,12 @@ use rayon::prelude::*;
 
 use super::{
     map::ScreenMap,
-    motion::{Envelope, Line, QUANTITIES},
+    motion::{Dwell, Envelope, Line, QUANTITIES},
     pack::base64,
     spectrum::{BAND_PERIOD_MM, Spectrum},
     view::{MethodView, View},
 };
-use crate::{answer::duration, plan::IDEAL};
+use crate::{answer::duration, plan::WITHOUT_MOTION};
 
 /// Colours of the lines and squares of a picture.
 const BINS: usize = 24;
@@ -123,6 +123,13 @@ const NARROW: f64 = 0.4;
 /// Width of the panels that have small print below them, px.
 const NOTED_FROM_PX: f64 = 500.0;
 
+/// Least scale of a residual, over that of the desired removal, at which it is drawn on the latter, too: below, the map
+/// spans less than a colour of the bar to either side and looks empty.
+const LEAST_CONTRAST: f64 = 0.05;
+
+/// Largest difference between planned and executed dwell times that is the rounding of a sum of segments, s.
+const ROUNDING_S: f64 = 1e-6;
+
 /// Width of a figure for papers, px: its texts of 14 px are 7.5 pt high where it is printed 180 mm wide.
 pub const PAPER_PX: f64 = 952.0;
 
@@ -146,8 +153,8 @@ pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
 // ---------------------------------------------------------------------------------------------
 // The figures
 
-/// Of every method: desired removal, predicted removal and residual on one scale, and the residual on its own,
-/// that of 99 % of its pixels.
+/// Maps of every method: desired removal, predicted removal and, where it is visible, residual on one scale; the residual
+/// on its own scale, that of 99 % of its pixels.
 fn maps(views: &[View], layout: &Layout) -> Option<String> {
     methods(views).next()?;
     let shape = aspect(&views.first()?.desired).clamp(0.15, 2.0);
@@ -161,9 +168,11 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
             panels.extend([
                 (&view.desired, common, "desired removal".to_string()),
                 (&m.removal, common, format!("predicted removal, {of}")),
-                (&m.residual, common, format!("residual, {of}")),
-                (&m.residual, own, format!("residual, {of}, own scale (99 %)")),
             ]);
+            if own >= LEAST_CONTRAST * common {
+                panels.push((&m.residual, common, format!("residual, {of}")));
+            }
+            panels.push((&m.residual, own, format!("residual, {of}, own scale (99 %)")));
         }
     }
     let images: Vec<_> = panels.par_iter().map(|(map, scale, _)| png_of(map, *scale)).collect();
@@ -289,7 +298,7 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
     for (view, m) in methods(views) {
         let ends = &m.ranges.end_s;
         let time = [0.0, *ends.last()?];
-        let names = ["velocity (mm/s)", "acceleration (mm/s^2)", "jerk (mm/s^3)"];
+        let names = ["velocity (mm/s)", "acceleration (mm/s²)", "jerk (mm/s³)"];
         let keys = QUANTITIES.map(|(key, _)| key);
         for ((envelopes, name), key) in m.ranges.envelope.iter().zip(names).zip(keys) {
             let values = envelopes.iter().flat_map(|e| e.low.iter().chain(&e.high));
@@ -335,25 +344,33 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
 
 fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
-    let mut sheet = layout.dwell.sheet_of_shape(shape);
+    let errors = |d: &Dwell| -> Vec<f64> {
+        d.executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
+    };
+    let departs = |d: &Dwell| errors(d).iter().any(|e| e.abs() > ROUNDING_S);
+    // Without a difference to show, one panel of a method takes the whole width.
+    let some_depart = methods(views).filter_map(|(_, m)| m.dwell.as_ref()).any(departs);
+    let panels = if some_depart { &layout.dwell } else { &layout.path };
+    let mut sheet = panels.sheet_of_shape(shape);
     for (view, m) in methods(views) {
         let Some(d) = &m.dwell else { continue };
-        let error: Vec<f64> = d.executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect();
+        let error = errors(d);
         let gap = |p: &[[f64; 2]]| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1]);
         let gap_mm = quantile(&d.point_mm.windows(2).map(gap).collect::<Vec<_>>(), 0.5);
         let top = or_one(quantile(&d.planned_s, 0.99));
-        let reach = error.iter().fold(1e-6_f64, |m, e| m.max(e.abs()));
+        let reach = error.iter().fold(ROUNDING_S, |m, e| m.max(e.abs()));
         let of = label(views, view, m);
-        for (values, bands, title) in [
+        let shown = [
             (&d.planned_s, Bands::new(&VIRIDIS_FOR_LINES, BINS, [0.0, top]), "dwell time"),
             (&error, Bands::new(&BLUE_TO_BROWN, BINS, [-reach, reach]), "executed - planned"),
-        ] {
+        ];
+        for (values, bands, title) in shown.into_iter().take(if some_depart { 2 } else { 1 }) {
             let frame = sheet.panel(same_scale(&d.point_mm, shape));
             // A square as large as its fraction of the picture, and no gap to the next one on the
             // path.
             let px_per_mm = frame.at([1.0, 0.0])[0] - frame.at([0.0, 0.0])[0];
             let own_px = (260_000.0 / d.point_mm.len() as f64).sqrt().clamp(1.0, 5.0);
-            let side = own_px.max(1.1 * (px_per_mm * gap_mm).min(10.0));
+            let side = own_px.max((1.1 * px_per_mm * gap_mm).min(frame.width / 25.0));
             let mut squares = vec![String::new(); BINS];
             for (p, v) in d.point_mm.iter().zip(values) {
                 let [px, py] = frame.at(*p);
@@ -366,6 +383,10 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
             }
             frame.axes(svg, ["x (mm)", "y (mm)"]);
             frame.colour_bar(svg, &bands, "s");
+            if !some_depart {
+                let s = significant(ROUNDING_S, 1);
+                note_below(svg, &frame, &format!("executed within {s} s of planned"));
+            }
             frame.title(svg, &format!("{title}, {of}"));
         }
     }
@@ -430,7 +451,7 @@ fn spectra(views: &[View], layout: &Layout) -> Option<String> {
         let percent = fixed(100.0 * first.fraction_of_valid_pixels, 1);
         let of = format!("of {width} x {height} mm, {percent} % of the valid pixels");
         frame.note(svg, &of);
-        frame.axes(svg, ["spatial frequency (1/mm)", "PSD (nm^2 mm^2)"]);
+        frame.axes(svg, ["spatial frequency (1/mm)", "PSD (nm² mm²)"]);
         frame.title(svg, title(views, view));
     }
     sheet.finish_if_any()
@@ -521,8 +542,8 @@ fn methods(views: &[View]) -> impl Iterator<Item = (&View, &MethodView)> {
 fn label(views: &[View], view: &View, m: &MethodView) -> String {
     let run = if views.len() > 1 { format!("{} / ", view.name) } else { String::new() };
     // Nobody is to take it for a plan.
-    let ideal = if m.name == IDEAL { " (ideal, not a plan)" } else { "" };
-    format!("{run}{}{ideal}", m.name)
+    let note = if m.name == WITHOUT_MOTION { " (without a motion)" } else { "" };
+    format!("{run}{}{note}", m.name)
 }
 
 fn title<'a>(views: &[View], view: &'a View) -> &'a str {

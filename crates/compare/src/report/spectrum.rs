@@ -7,12 +7,23 @@
 //!
 //! ```text
 //! PSD(|f|) = mean of S over the ring of |f|             nm^2 mm^2
-//! RMS of a band = sqrt(sum of S df over the band)
+//! mean square of a band  = sum of S df over it, at most what the shorter bands leave of that of the rectangle
+//! contribution of a band = sqrt(mean square of the band * pixels of the rectangle / all pixels)
+//! not in the spectrum    = sqrt(mean square of z - contributions^2)
 //! ```
+//!
+//! where z is the map without the plane of all its valid pixels. So the squares of all contributions add up to the mean
+//! square of z. The sums of S alone do not, and may exceed it: the window gives the middle of the rectangle more weight
+//! than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of the
+//! rectangle, heights at its edges, and its own plane.
+//!
+//! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its bins
+//! (the mean, the corners of the plane of frequencies) count in the next band.
 
-use ndarray::{ArrayView2, s};
-use planish_numerics::spectrum::{
-    Density, MIN_SAMPLES, Ring, hann, largest_rectangle, without_plane,
+use ndarray::{Array2, ArrayView2, s};
+use planish_numerics::{
+    spectrum::{Density, MIN_SAMPLES, Ring, hann, largest_rectangle, without_plane},
+    statistics::{fit_plane, statistics, subtract_plane},
 };
 use planish_types::Grid;
 use serde::Serialize;
@@ -37,8 +48,13 @@ pub struct Spectrum {
     pub frequency_per_mm: Vec<f64>,
     /// Mean of the two-dimensional density over the ring, nm^2 mm^2.
     pub psd_nm2_mm2: Vec<f64>,
-    /// RMS of the periods above 10 mm, between, and of 1 mm and below; nm.
-    pub band_rms_nm: [f64; 3],
+    /// RMS of all valid pixels without their plane, nm.
+    pub rms_detilted_nm: f64,
+    /// Contributions to it of the periods above 10 mm, between, and of 1 mm and below in the rectangle, nm; `null` where
+    /// the map does not resolve them.
+    pub band_rms_nm: [Option<f64>; 3],
+    /// What the bands leave of it, nm: pixels outside of the rectangle, and what the window and its plane hide.
+    pub not_in_spectrum_rms_nm: f64,
 }
 
 /// The spectrum of `map` (ny, nx); `None` where no rectangle of valid pixels is large enough.
@@ -65,22 +81,68 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
         (ring >= 0.0).then_some(ring as usize)
     };
     let rings: Vec<Ring> = density.rings(count, ring_of).into_iter().flatten().collect();
-    let [long, short] = BAND_PERIOD_MM.map(|period| 1.0 / period);
-    let bands = [[0.0, long], [long, short], [short, f64::INFINITY]];
+    // Sums of squares of the map without its plane, in the rectangle and in all.
+    let z = without_mean_of_valid(map, &x, &y);
+    let squares = |z: ArrayView2<f64>| z.iter().filter(|v| !v.is_nan()).map(|v| v * v).sum::<f64>();
+    let all = squares(z.view());
+    let inside = squares(z.slice(s![row..row + ny, column..column + nx])).min(all);
+    let count = valid.iter().filter(|v| **v).count() as f64;
+    let pixels = (nx * ny) as f64;
+    let contributions = bands(&density, size_mm, step_mm, inside / pixels)
+        .map(|band| band.map(|nm2| nm2 * pixels / count));
+    let seen: f64 = contributions.iter().flatten().sum();
     Some(Spectrum {
         size_mm,
-        fraction_of_valid_pixels: (nx * ny) as f64 / valid.iter().filter(|v| **v).count() as f64,
+        fraction_of_valid_pixels: pixels / count,
         frequency_per_mm: rings.iter().map(|ring| ring.frequency).collect(),
         psd_nm2_mm2: rings.iter().map(|ring| ring.density).collect(),
-        band_rms_nm: bands.map(|band| density.mean_square(band).sqrt()),
+        rms_detilted_nm: (all / count).sqrt(),
+        band_rms_nm: contributions.map(|band| band.map(f64::sqrt)),
+        not_in_spectrum_rms_nm: (all / count - seen).max(0.0).sqrt(),
     })
+}
+
+/// `map` without the plane of its valid pixels, and without their mean.
+fn without_mean_of_valid(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f64> {
+    let z = match fit_plane(map, x, y) {
+        Some(plane) => subtract_plane(map, x, y, plane),
+        None => map.to_owned(),
+    };
+    let mean = statistics(z.view()).map_or(0.0, |s| s.mean);
+    z - mean
+}
+
+/// Mean squares of the bands in the rectangle, whose own mean square is `rectangle_nm2`; they do not exceed it together.
+fn bands(
+    density: &Density,
+    size_mm: [f64; 2],
+    step_mm: [f64; 2],
+    rectangle_nm2: f64,
+) -> [Option<f64>; 3] {
+    let [long, short] = BAND_PERIOD_MM.map(|period| 1.0 / period);
+    let has_long = size_mm[0].max(size_mm[1]) > BAND_PERIOD_MM[0];
+    let has_short = 2.0 * step_mm[0].min(step_mm[1]) <= BAND_PERIOD_MM[1];
+    let from = if has_long { long } else { 0.0 };
+    let to = if has_short { short } else { f64::INFINITY };
+    let mut left_nm2 = rectangle_nm2;
+    // The shortest first: the window weights them with the least bias.
+    let mut take = |low: f64, high: f64| {
+        let taken = density.mean_square([low, high]).min(left_nm2);
+        left_nm2 -= taken;
+        taken
+    };
+    let below = has_short.then(|| take(short, f64::INFINITY));
+    let between = take(from, to);
+    let above = has_long.then(|| take(0.0, long));
+    [above, Some(between), below]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::Array2;
-    use planish_types::Axis;
+    use planish_types::{Axis, Surface};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
     use std::f64::consts::PI;
 
     fn grid(nx: usize, ny: usize) -> Grid {
@@ -97,10 +159,12 @@ mod tests {
         });
         let s = spectrum(z.view(), &g).unwrap();
         // Power a^2/2; the window sees 19 and 71 periods, so its leakage is far below 1e-3.
-        assert!((s.band_rms_nm[1] - 3.0 / 2.0_f64.sqrt()).abs() < 1e-3, "{:?}", s.band_rms_nm);
-        assert!((s.band_rms_nm[2] - 0.5 / 2.0_f64.sqrt()).abs() < 1e-3, "{:?}", s.band_rms_nm);
-        // The plane takes a little of a ripple that is cut off: 1 % of it.
-        assert!(s.band_rms_nm[0] < 0.05, "{:?}", s.band_rms_nm);
+        let band = s.band_rms_nm.map(Option::unwrap);
+        // The mean square over cut periods differs from a^2/2 by up to 1 / (2 pi 19) of it, and the plane takes as little.
+        assert!((band[1] / 3.0 * 2.0_f64.sqrt() - 1.0).abs() < 0.01, "{band:?}");
+        assert!((band[2] / 0.5 * 2.0_f64.sqrt() - 1.0).abs() < 0.01, "{band:?}");
+        // What is left of that difference: up to 1 % of 4.5 nm^2.
+        assert!(band[0].powi(2) < 0.045, "{band:?}");
         let peak =
             (0..s.psd_nm2_mm2.len()).max_by(|a, b| s.psd_nm2_mm2[*a].total_cmp(&s.psd_nm2_mm2[*b]));
         let f = s.frequency_per_mm[peak.unwrap()];
@@ -127,7 +191,7 @@ mod tests {
             // Rings of more than 1000 elements, a quarter of them independent under the window: 6 %.
             assert!((s.psd_nm2_mm2[k] / expected - 1.0).abs() < 0.2, "{k} {}", s.psd_nm2_mm2[k]);
         }
-        let total: f64 = s.band_rms_nm.iter().map(|b| b * b).sum();
+        let total: f64 = s.band_rms_nm.iter().flatten().map(|b| b * b).sum();
         assert!((total * 12.0 - 1.0).abs() < 0.05, "{total}");
     }
 
@@ -148,7 +212,12 @@ mod tests {
         let [width, height] = s.size_mm;
         assert!(width.hypot(height) <= 61.0, "{s:?}");
         // 0.1 / sqrt(2) between 1 and 10 mm, and what the window lets through of the low order.
-        assert!((s.band_rms_nm[1] * 2.0_f64.sqrt() / 0.1 - 1.0).abs() < 0.05, "{s:?}");
+        let ripple = s.band_rms_nm[1].unwrap() / s.fraction_of_valid_pixels.sqrt();
+        assert!((ripple * 2.0_f64.sqrt() / 0.1 - 1.0).abs() < 0.05, "{s:?}");
+        // Of the sum of squares of the saddle x y, pi r^6 / 24 over the disc, its square |x|, |y| < a = r / sqrt(2) holds
+        // 4 a^6 / 9: 2/3 of 2/pi. The rest at least is not in the spectrum; the rows of pixels at its edge are 2 % of it.
+        let missing = s.not_in_spectrum_rms_nm.powi(2) / s.rms_detilted_nm.powi(2);
+        assert!(missing > 1.0 - 2.0 / PI * 2.0 / 3.0 - 0.05, "{missing}");
     }
 
     #[test]
@@ -164,13 +233,44 @@ mod tests {
         assert!((s.size_mm[0] - 236.0 * 0.2).abs() < 1e-9, "{s:?}");
         assert!((s.fraction_of_valid_pixels - 236.0 * 200.0 / 47999.0).abs() < 1e-12);
         // 0.01 / sqrt(2), and what the window lets through of 5 nm: 2 % of the ripple.
-        assert!((s.band_rms_nm[2] * 2.0_f64.sqrt() / 0.01 - 1.0).abs() < 0.02, "{s:?}");
+        let ripple = s.band_rms_nm[2].unwrap() / s.fraction_of_valid_pixels.sqrt();
+        assert!((ripple * 2.0_f64.sqrt() / 0.01 - 1.0).abs() < 0.02, "{s:?}");
+    }
+
+    #[test]
+    fn the_squares_of_the_bands_add_up_to_that_of_the_rms() {
+        let mut rng = ChaCha8Rng::seed_from_u64(57);
+        for round in 0..40 {
+            // Steps of 0.1 to 1.2 mm, sides of 2 to 90 mm: each band is resolved in some, and not in others.
+            let [dx, dy] = [(); 2].map(|()| rng.random_range(0.1..1.2));
+            let [nx, ny] = [(); 2].map(|()| rng.random_range(20..75));
+            let axis = |step, n| Axis::new(-4.0, step, n).unwrap();
+            let g = Grid { x: axis(dx, nx), y: axis(dy, ny) };
+            let (centre, radius) = (rng.random_range(0.3..0.7), rng.random_range(0.4..1.2));
+            let mut z = Array2::from_shape_fn(g.shape(), |(r, c)| {
+                let (u, v) = (c as f64 / nx as f64, r as f64 / ny as f64);
+                let noise: f64 = rng.random_range(-1.0..1.0);
+                let inside = (u - centre).hypot(v - 0.5) < radius;
+                if inside { 20.0 * u * v + 3.0 * u - noise } else { f64::NAN }
+            });
+            z[[ny / 2, nx / 2]] = f64::NAN;
+            let s = spectrum(z.view(), &g).unwrap();
+            let surface = Surface::new(g, z).unwrap();
+            let bands = s.band_rms_nm.iter().flatten().chain([&s.not_in_spectrum_rms_nm]);
+            let sum: f64 = bands.map(|b| b * b).sum();
+            // Sums of up to 5000 terms.
+            let ratio = sum / surface.detilted_rms_nm().powi(2);
+            assert!((ratio - 1.0).abs() < 1e-12, "{round}: {ratio} {s:?}");
+            let side = s.size_mm[0].max(s.size_mm[1]);
+            assert_eq!(s.band_rms_nm[0].is_some(), side > 10.0, "{s:?}");
+            assert_eq!(s.band_rms_nm[2].is_some(), 2.0 * dx.min(dy) <= 1.0, "{s:?}");
+        }
     }
 
     #[test]
     fn a_flat_map_has_a_spectrum_and_a_line_has_none() {
         let s = spectrum(Array2::from_elem((9, 8), 1.0).view(), &grid(8, 9)).unwrap();
-        assert!(s.psd_nm2_mm2.iter().all(|p| *p < 1e-25) && s.band_rms_nm[0] < 1e-12);
+        assert!(s.psd_nm2_mm2.iter().all(|p| *p < 1e-25) && s.rms_detilted_nm < 1e-12);
         assert_eq!(spectrum(Array2::zeros((7, 40)).view(), &grid(40, 7)), None);
     }
 }

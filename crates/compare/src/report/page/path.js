@@ -88,7 +88,7 @@ function pathContent(entry) {
 }
 
 function worstPlaces(entry) {
-  if (isIdeal(entry)) return [];
+  if (isStill(entry)) return [];
   const { steps, ...checks } = entry.method.limits;
   const times = [...Object.values(checks).flat().flatMap((check) => check.worst.map((w) => w[0])), ...steps];
   return times.map((t) => toolAt(entry, t)).map((p) => ({ at: [p.x, p.y], colour: alarm(entry) }));

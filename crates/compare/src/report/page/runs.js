@@ -20,7 +20,7 @@ function entryOf(run, method) {
   const frames = method.frames;
   return {
     run, method,
-    label: (DATA.runs.length > 1 ? run.name + " / " : "") + method.name + (run.summary.methods[method.name].plan.state === "ideal" ? " (ideal, not a plan)" : ""),
+    label: (DATA.runs.length > 1 ? run.name + " / " : "") + method.name + (run.summary.methods[method.name].plan.state === "without-motion" ? " (without a motion)" : ""),
     removal: layerOf("predicted removal", method.removal),
     residual: { ...layerOf("residual", method.residual), own: true },
     line: once(() => ({

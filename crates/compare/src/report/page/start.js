@@ -20,6 +20,7 @@ function showMethod(a, b) {
   if (d) byId("dwell-note").textContent = `Time at every dwell point as planned, and what the motion takes there instead; differences add up to ${number(d.total_error_s)} s.`;
   fillBands();
   fillPlaces();
+  hintTables();
   setTime(A().total);
 }
 
@@ -64,6 +65,21 @@ function play(on) {
   if (state.time >= A().total) setTime(0);
   last = performance.now();
   requestAnimationFrame(tick);
+}
+
+/** Says of every table that is wider than its place that it goes on, and shades the edge where it does. */
+function hintTables() {
+  for (const box of document.querySelectorAll(".scroll")) {
+    let hint = box.querySelector(".more");
+    if (!hint) {
+      hint = element("p", "This table goes on to the right: scroll it sideways.", { class: "note more screen" });
+      box.prepend(hint);
+      box.addEventListener("scroll", hintTables);
+    }
+    const beyond = box.scrollWidth - box.clientWidth;
+    hint.hidden = beyond <= 1;
+    box.classList.toggle("cut", beyond - box.scrollLeft > 1);
+  }
 }
 
 function start() {
@@ -119,10 +135,11 @@ function start() {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", themed);
   window.addEventListener("beforeprint", () => { document.documentElement.classList.add("paper"); readTheme(); drawAll(); });
   window.addEventListener("afterprint", () => { document.documentElement.classList.remove("paper"); themed(); });
-  new ResizeObserver(redraw).observe(document.body);
+  new ResizeObserver(() => { redraw(); hintTables(); }).observe(document.body);
   const best = ENTRIES.findIndex((e) => e.method.name === e.run.best);
   showMethod(best < 0 ? ENTRIES.length - 1 : best, -1);
   drawAll();
+  hintTables();
 }
 start();
 

@@ -7,28 +7,30 @@ function element(name, text, attributes = {}) {
   return e;
 }
 
+// Key, decimals, and whether the row is rated: whether less is better, whatever the plan. Velocity and acceleration are
+// limited, not minimised; an overshoot is measured against segments, which differ from plan to plan.
 const ROWS = [
-  ["RMS (nm)", "rms_nm", 4], ["of which no dwell time can change (nm)", "uncorrectable_rms_nm", 4],
-  ["RMS, plane removed (nm)", "rms_detilted_nm", 4], ["PV (nm)", "pv_nm", 3],
-  ["RMS slope x, y (nrad)", "slope_rms_nrad", 1],
-  ["time (s)", "total_time_s", 2],
+  ["RMS (nm)", "rms_nm", 4, true], ["of which short waves (nm)", "short_wave_rms_nm", 4, true],
+  ["RMS, plane removed (nm)", "rms_detilted_nm", 4, true], ["PV (nm)", "pv_nm", 3, true],
+  ["RMS slope x, y (nrad)", "slope_rms_nrad", 1, true],
+  ["time (s)", "total_time_s", 2, true],
   ["largest velocity x, y (mm/s)", "max_velocity_mm_per_s", 2],
   ["largest acceleration x, y (mm/s²)", "max_acceleration_mm_per_s2", 1],
-  ["largest velocity step x, y (mm/s)", "max_velocity_step_mm_per_s", 3],
-  ["largest acceleration step x, y (mm/s²)", "max_acceleration_step_mm_per_s2", 1],
-  ["largest jerk x, y (mm/s³)", "max_jerk_mm_per_s3", 0],
-  ["dwell error, RMS (s)", "dwell_error_rms_s", 6], ["dwell error, worst (s)", "dwell_error_worst_s", 6],
+  ["largest velocity step x, y (mm/s)", "max_velocity_step_mm_per_s", 3, true],
+  ["largest acceleration step x, y (mm/s²)", "max_acceleration_step_mm_per_s2", 1, true],
+  ["largest jerk inside segments x, y (mm/s³)", "max_jerk_mm_per_s3", 0, true],
+  ["dwell error, RMS (s)", "dwell_error_rms_s", 6, true], ["dwell error, worst (s)", "dwell_error_worst_s", 6, true],
   ["points with overshoot x, y", "overshoot_points", 0], ["largest overshoot x, y (mm)", "max_overshoot_mm", 6],
   ["limits of the machine", "limits_respected"],
   ["plan", "plan"],
-  ["schedule (s of computing)", "schedule_wall_s", 3], ["simulate (s of computing)", "simulate_wall_s", 3],
+  ["schedule (s of computing)", "schedule_wall_s", 3, true], ["simulate (s of computing)", "simulate_wall_s", 3, true],
 ];
 
 function fillSummary() {
   const table = byId("summary"), head = element("tr");
   head.append(element("th", "", { scope: "col" }));
-  // The plan that is to be run comes first, the ideal last.
-  const rank = (e) => (e.method.name === e.run.best ? 0 : isIdeal(e) ? 2 : 1);
+  // The plan that is to be run comes first, the dwell times without a motion last.
+  const rank = (e) => (e.method.name === e.run.best ? 0 : isStill(e) ? 2 : 1);
   const order = ENTRIES.map((_, i) => i).sort((i, j) => rank(ENTRIES[i]) - rank(ENTRIES[j]));
   for (const e of order.map((i) => ENTRIES[i])) {
     const th = element("th", e.label, { scope: "col" });
@@ -38,15 +40,18 @@ function fillSummary() {
   table.append(element("thead"), element("tbody"));
   table.tHead.append(head);
   const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]).map((m) => ({ ...m, ...m.execution }));
-  const kept = numbers.map((m) => m.limits_respected && m.plan.state !== "ideal");
+  const kept = numbers.map((m) => m.limits_respected && m.plan.state !== "without-motion");
   const rated = kept.some(Boolean) ? kept : kept.map(() => true);
-  for (const [title, key, decimals] of ROWS) {
+  // Where the acceleration steps, the jerk has no bound: what is inside the segments compares with nothing.
+  const smooth = numbers.map((m) => m.max_acceleration_step_mm_per_s2.every((a) => +a.toFixed(1) === 0));
+  for (const [title, key, decimals, isRated] of ROWS) {
     const row = element("tr"), values = numbers.map((m) => m[key]);
     row.append(element("th", title, { scope: "row" }));
     const inWords = { limits_respected: (v) => (v ? "kept" : "exceeded"), plan: (v) => v.word }[key];
     // Equal where the digits shown are: a step of 1e-13 is none.
     const size = (v) => +Math.max(...[v].flat().map(Math.abs)).toFixed(decimals);
-    const counts = (i) => values[i] !== null && (key.endsWith("wall_s") || rated[i]);
+    const compares = (i) => key !== "max_jerk_mm_per_s3" || smooth[i];
+    const counts = (i) => isRated && values[i] !== null && (key.endsWith("wall_s") || (rated[i] && compares(i)));
     const best = inWords ? null : Math.min(...values.filter((_, i) => counts(i)).map(size));
     for (const i of order) {
       const v = values[i];
@@ -54,7 +59,7 @@ function fillSummary() {
       const text = inWords ? inWords(v) : [v].flat().map(one).join(", ");
       const exact = inWords ? v.text || text : [v].flat().map((u) => (u === null ? "-" : +u.toPrecision(9))).join(", ");
       const cell = element("td", text, { "data-key": key, "data-entry": i, "data-value": JSON.stringify(v), title: exact });
-      const fault = concerns(ENTRIES[i]) && !isIdeal(ENTRIES[i]);
+      const fault = concerns(ENTRIES[i]) && !isStill(ENTRIES[i]);
       if (fault && (key === "limits_respected" ? !v : key === "plan" && v.state === "unconverged")) cell.className = "bad";
       else if (!inWords && ENTRIES.length > 1 && counts(i) && size(v) === best) cell.className = "best";
       row.append(cell);
@@ -87,7 +92,7 @@ function fillSummary() {
   }
   for (const e of ENTRIES)
     for (const text of e.method.violations) {
-      const why = isIdeal(e) ? "; expected of the ideal, which has no motion between the dwell points and is not run" : concerns(e) ? "" : "; it is not to be run";
+      const why = isStill(e) ? "; expected, because it has no motion between the dwell points and is not run" : concerns(e) ? "" : "; it is not to be run";
       byId("violations").append(element("p", `${e.label}: ${text}${why}`, { class: why ? "note" : "violation" }));
     }
 }
@@ -96,8 +101,8 @@ function fillSummary() {
 function fillSpecifications() {
   for (const r of RUNS) {
     const { before, after } = r.summary.specification, known = (c) => c[1];
-    // The plan that is to be run, what it starts from and what was measured after it; then the others, the ideal last.
-    const of = (m) => [m.name, r.summary.methods[m.name].specification, r.summary.methods[m.name].plan.state === "ideal"];
+    // The plan that is to be run, what it starts from and what was measured after it; then the others, those without a motion last.
+    const of = (m) => [m.name, r.summary.methods[m.name].specification, r.summary.methods[m.name].plan.state === "without-motion"];
     const methods = r.methods.map(of).sort((a, b) => a[2] - b[2]), chosen = (c) => c[0] === r.best;
     const columns = [...methods.filter(chosen), ["before", before], ["measured after", after], ...methods.filter((c) => !chosen(c))].filter(known);
     // What fails of the plan that is to run, or after the run, is a fault; before, it is why the run is made.
@@ -106,7 +111,7 @@ function fillSpecifications() {
     const table = element("table", undefined, { class: "specification" }), first = columns[0][1];
     const row = (cells) => { const tr = element("tr"); tr.append(...cells); table.append(tr); };
     const title = (RUNS.length > 1 ? r.name + ": " : "") + "specification " + first.name;
-    row([title, "limit", ...columns.map(([name, , ideal]) => name + (ideal ? " (ideal, not a plan)" : ""))].map((text) => element("th", text, { scope: "col" })));
+    row([title, "limit", ...columns.map(([name, , still]) => name + (still ? " (without a motion)" : ""))].map((text) => element("th", text, { scope: "col" })));
     first.limits.forEach((limit, i) => {
       const one = columns.every(([, judged]) => judged.limits[i].limit === limit.limit);
       const bound = (limit.bound === "at-most" ? "≤ " : "≥ ") + (one ? number(limit.limit) : "line");
@@ -125,14 +130,14 @@ function fillSpecifications() {
   }
 }
 
-/** What the rows on slopes and on what no dwell time can change say. */
+/** The base of the slopes, and the waves that count as short. */
 function fillReach() {
   const s = RUNS.map((r) => r.summary), reach = s.map((o) => o.reach).find(Boolean), notes = [];
   const bases = s[0].slope_base_mm;
   if (bases.some((b) => b !== null)) notes.push(`Slopes are over ${bases.map((b) => (b === null ? "-" : +b.toPrecision(4))).join(", ")} mm along x, y.`);
   if (reach) {
     const periods = reach.period_mm.map((p) => (p === null ? "none" : number(p, 3) + " mm")).join(" along x, ");
-    notes.push(`No dwell time can change what the tool lets through by less than ${+(100 * reach.transfer_threshold).toPrecision(3)} % of what it removes of a plane: periods of ${periods} along y and less, beside lobes of its transfer function.`);
+    notes.push(`Short waves are those at which the transfer function of the tool is below ${+(100 * reach.transfer_threshold).toPrecision(3)} %: periods of ${periods} along y and less, except in its side lobes. Ripple of the path is part of them, and other dwell times change it.`);
   }
   byId("reach").textContent = notes.join(" ");
 }
@@ -141,14 +146,14 @@ function fillBands() {
   const table = byId("bands");
   table.replaceChildren();
   const [long, short_] = DATA.band_period_mm;
-  const head = element("tr"), names = ["RMS by period", `above ${long} mm (nm)`, `${short_} to ${long} mm (nm)`, `below ${short_} mm (nm)`];
+  const head = element("tr"), names = ["RMS by period", `above ${long} mm (nm)`, `${short_} to ${long} mm (nm)`, `below ${short_} mm (nm)`, "not in the spectrum (nm)", "all, plane removed (nm)"];
   names.forEach((n) => head.append(element("th", n)));
   table.append(head);
   const rows = [["before", A().run.spectrum], [A().label, A().method.spectrum]];
   if (B()) rows.push([B().label, B().method.spectrum]);
   for (const [name, s] of rows) {
     const row = element("tr");
-    row.append(element("th", name), ...(s ? s.band_rms_nm.map((v) => number(v)) : ["-", "-", "-"]).map((v) => element("td", v)));
+    row.append(element("th", name), ...(s ? [...s.band_rms_nm, s.not_in_spectrum_rms_nm, s.rms_detilted_nm] : names.slice(1).map(() => null)).map((v) => element("td", v === null ? "-" : number(v))));
     table.append(row);
   }
 }
