@@ -308,7 +308,8 @@ mod tests {
         let mut svg = Svg::new(14.0);
         f.note(&mut svg, "gap");
         let text = svg.finish([550.0, 280.0]);
-        let y: f64 = text.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap();
+        let y: f64 =
+            text.split(" y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap();
         // DejaVu Sans descends by 0.236 of its size, here 11 px.
         assert!(y + 0.236 * 11.0 <= 280.0, "{text}");
     }
