@@ -102,7 +102,7 @@ test-slurm *settings: build snakemake
 [private]
 snakemake:
     @test -d target/snakemake || python3 -m venv "$(mkdir -p target && cd target && pwd -P)/snakemake"
-    @target/snakemake/bin/pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
+    @target/snakemake/bin/python -m pip install --quiet snakemake==9.27.1 snakemake-executor-plugin-slurm==2.8.0
 
 # 500 runs of the virtual machine on the fixture coupon, noise over 1 x 1 and 3 x 3 pixels (docs/campaign.md)
 #
@@ -162,11 +162,13 @@ test-interop: build
 
 # One wheel with every program, the pipelines and the Python module, in target/wheel (python/; for machines like this one)
 [group('2 programs')]
-wheel: build
+wheel:
+    @python/build_programs.sh target/wheel/build
+    @python3 python/notices.py > target/wheel/THIRD-PARTY-NOTICES.txt
     @test -d target/wheel-python || python3 -m venv target/wheel-python
     @rm -f target/wheel/planish-*.whl
-    target/wheel-python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheel ./python
-    @du -ch target/release/planish-* --exclude='*.d' | tail -n 1 | sed 's/total/programs with their symbols/'
+    target/wheel-python/bin/python -m pip wheel --quiet --no-deps --wheel-dir target/wheel ./python
+    @du -ch target/wheel/build/release/planish-* --exclude='*.d' | tail -n 1 | sed 's/total/programs with their symbols/'
     @du -ch target/wheel/programs/planish-* | tail -n 1 | sed 's/total/programs without/'
     @du -h target/wheel/planish-*.whl
 
@@ -207,10 +209,10 @@ test-faults kills="1000" races="200": build
     @which strace > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends strace)
     python3 crates/testkit/tests/faults.py target/release --kills {{ kills }} --races {{ races }}
 
-# Run G-code through the interpreter of LinuxCNC, where `rs274` is installed. The run ends with 1: lines of G-code have steps in velocity
+# Run G-code through the interpreter of LinuxCNC, where `rs274` is installed
 [group('4 slower tests')]
 test-gcode: build
-    just run raster fixture=coupon out=out/gcode export=gcode || [ $? -eq 1 ]
+    just run raster fixture=coupon out=out/gcode export=gcode
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
 # The residual with counts of 0.1 and 1 um, on the mirror in PLANISH_REFERENCE
@@ -401,7 +403,7 @@ printed-numbers: build python
 [private]
 python:
     @test -d target/python || python3 -m venv target/python
-    @target/python/bin/pip install --quiet numpy
+    @target/python/bin/python -m pip install --quiet numpy
 
 # Use the report in headless Chromium (Debian package chromium) as a person would, and check it
 [group('4 slower tests')]
@@ -432,7 +434,7 @@ report-pictures: build browser
 [private]
 browser: python
     @which chromium > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium)
-    @target/python/bin/pip install --quiet websocket-client
+    @target/python/bin/python -m pip install --quiet websocket-client
 
 # Run the benchmarks
 [group('3 development')]
@@ -447,7 +449,7 @@ bench-peers: peers
 [private]
 peers:
     @test -d target/peers || python3 -m venv target/peers
-    @target/peers/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 clarabel==0.11.1
+    @target/peers/bin/python -m pip install --quiet numpy==2.4.6 scipy==1.17.1 clarabel==0.11.1
 
 # Benchmarks, peers and whole processes in one run; writes the tables of docs/performance.md
 [group('3 development')]

@@ -1,7 +1,7 @@
 #!/bin/sh
 # What the errors of a process add to the plans of several pipelines, and which of them bears the errors best:
 # tolerance.sh [reference] [PIPELINE...] [process=FILE] [NAME=VALUE...]. The plans are those of `just run`, with the
-# same settings, each in a run of its own in out/tolerance/PIPELINE, or in OUT/PIPELINE where out=OUT is given.
+# same settings, each in a run of its own in out/tolerance/MIRROR/PIPELINE, or in OUT/PIPELINE where out=OUT is given.
 # `reference` is the mirror in PLANISH_REFERENCE; its residuals are without their planes, as the published ones are,
 # and its process is one of single errors unless another is given.
 set -eu
@@ -9,7 +9,7 @@ root=$(cd "$(dirname "$0")/.." && pwd -P)
 . "$root/pipelines/several-runs.sh"
 
 case $(pwd -P) in "$root") out=out ;; *) out=$root/out ;; esac
-out=$out/tolerance process= pipelines= reference=no own_tif=
+home=$out/tolerance out= process= pipelines= reference=no own_tif= own_surface= fixture=
 settings=$(mktemp) && trap 'rm -f "$settings"' EXIT
 for word in "$@"; do
     case $word in
@@ -17,6 +17,8 @@ for word in "$@"; do
     process=*) process=${word#process=} ;;
     out=*) out=${word#out=} ;;
     tif=*) own_tif=${word#tif=} ;;
+    surface=*) own_surface=${word#surface=} ;;
+    fixture=*) fixture=${word#fixture=} ;;
     *=*) ;;
     *)
         [ -f "$root/pipelines/$word.just" ] || refuse "'$word' is no pipeline and no setting; give raster, maze, NAME=VALUE"
@@ -24,6 +26,16 @@ for word in "$@"; do
         ;;
     esac
 done
+# Another mirror is another run.
+if [ "$reference" = yes ]; then
+    name=reference
+elif [ -n "$own_surface" ]; then
+    name_of_directory "$own_surface"
+else
+    name=${fixture:-default}
+fi
+case $name in */* | .*) name=mirror ;; esac
+[ -n "$out" ] || out=$home/$name
 paths_are_no_flags out
 [ -n "$pipelines" ] || pipelines='raster maze'
 free=piston

@@ -49,6 +49,18 @@ case $profile in */*) ;; *) profile=$root/workflow/profiles/$profile ;; esac
 [ -f "$profile/config.yaml" ] || refuse "$profile has no config.yaml; profile is local, slurm, or a directory with one"
 profile=$(cd "$profile" && pwd -P)
 
+# What a cluster hands a job on to quotes no paths.
+case $profile in
+"$root/workflow/profiles/local") ;;
+*)
+    for path in "$root" "$(pwd -P)" "$out"; do
+        case $path in
+        *[!A-Za-z0-9/._+,@%=:-]*) refuse "the path '$path' holds a blank or a character that a shell reads; on a cluster give a folder of letters and digits" ;;
+        esac
+    done
+    ;;
+esac
+
 # The reference mirror is data that this repository does not have.
 if [ "$name" = reference ] && [ -n "${PLANISH_REFERENCE:-}" ]; then
     just --justfile "$root/justfile" reference-mirror "$root/out/reference-mirror"
@@ -56,8 +68,8 @@ fi
 "$programs/planish-sweep" expand "$sweep" --out "$out"
 at=$(cd "$out" && pwd -P)
 
-config="programs=$programs"
-[ -z "$at_once" ] || config="$config at_once=$at_once"
+config=
+[ -z "$at_once" ] || config="at_once=$at_once"
 [ -z "$plans_per_job" ] || config="$config plans_per_job=$plans_per_job"
 [ -z "$most_jobs" ] || config="$config most_jobs=$most_jobs"
 # Those of the profile are given once more, because the command line replaces them all.
@@ -70,7 +82,8 @@ done
 set -f
 # shellcheck disable=SC2086  # the numbers and the flags are several words
 workflow() {
-    "$root/target/snakemake/bin/snakemake" --snakefile "$root/workflow/Snakefile" --directory "$at" \
+    # By its module: the first line of the program names a path, which a shell takes apart.
+    "$root/target/snakemake/bin/python" -m snakemake --snakefile "$root/workflow/Snakefile" --directory "$at" \
         --profile "$profile" --config $config $flags "$@" || exit 2
 }
 

@@ -30,6 +30,9 @@ import numpy as np
 
 __all__ = ["Artifact", "PlanishError", "load", "programs", "save"]
 
+# Warnings about arrays without a manifest that were printed: every program that reads them gives the same one.
+_SAID = set()
+
 _EXECUTABLE = ".exe" if os.name == "nt" else ""
 
 
@@ -183,8 +186,10 @@ def _function(file, command):
             words += _words(flags[key], value)
         ran = subprocess.run([file, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for line in ran.stderr.splitlines():
-            if ran.returncode != 2:
+            if ran.returncode != 2 and line not in _SAID:
                 print(line)
+            if ": no manifest.json, read as bare arrays" in line:
+                _SAID.add(line)
         if ran.returncode not in (0, 1):
             raise PlanishError(ran.stderr.strip() or f"{name} ended with {ran.returncode}")
         out = given.get("out")

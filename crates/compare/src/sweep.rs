@@ -187,16 +187,20 @@ impl Table {
             self.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
         let mut out = String::from("id,path,method,");
         for key in &keys {
-            out += &format!("{key},");
+            out += &format!("{},", quoted(&text_cell(key)));
         }
         out += "total_time_s,rms_nm,rms_detilted_nm,below_95_percent_nm,limits_kept,keeps_constraints,on_front,\
                 on_front_95_percent,recommended,status,message,again\n";
         let fronts = [Residual::Nominal, Residual::Below95].map(|residual| self.front(residual));
         let recommended = self.recommended();
         for (i, row) in self.plans.iter().enumerate() {
-            let mut cells = vec![row.id.clone(), row.path.clone(), row.method.clone()];
+            let mut cells = [&row.id, &row.path, &row.method].map(|word| text_cell(word)).to_vec();
+            let setting = |value: &Value| match value {
+                Value::String(word) => text_cell(word),
+                other => shown(other),
+            };
             cells.extend(
-                keys.iter().map(|key| row.settings.get(*key).map(shown).unwrap_or_default()),
+                keys.iter().map(|key| row.settings.get(*key).map(setting).unwrap_or_default()),
             );
             let n = row.numbers.as_ref();
             let number = |of: fn(&Numbers) -> Option<f64>| n.and_then(of).map(|x| x.to_string());
@@ -213,11 +217,8 @@ impl Table {
             cells.push(self.point(row, Residual::Nominal).is_some().to_string());
             cells.extend(fronts.iter().map(|front| front.contains(&i).to_string()));
             cells.push((recommended == Some(i)).to_string());
-            cells.extend([
-                row.status.clone(),
-                row.message.clone().unwrap_or_default(),
-                row.again.clone(),
-            ]);
+            let message = row.message.as_deref().unwrap_or_default();
+            cells.extend([row.status.as_str(), message, row.again.as_str()].map(text_cell));
             let cells: Vec<String> = cells.iter().map(|cell| quoted(cell)).collect();
             out += &cells.join(",");
             out.push('\n');
@@ -280,6 +281,15 @@ fn shown(value: &Value) -> String {
         (Some(text), _) => text.into(),
         (None, Some(number)) => number.to_string(),
         (None, None) => value.to_string(),
+    }
+}
+
+/// A word for a cell. A spreadsheet takes what begins with one of these characters for a formula and evaluates it; behind
+/// an apostrophe it is a text, of which a spreadsheet does not show the apostrophe.
+fn text_cell(word: &str) -> String {
+    match word.starts_with(['=', '+', '-', '@', '\t', '\r']) {
+        true => format!("'{word}"),
+        false => word.into(),
     }
 }
 
@@ -361,6 +371,21 @@ mod tests {
                 .starts_with("plan-0,raster,feed,0,lift,2,1,1,,true,true,true,false,true,done,")
         );
         assert!(lines[2].contains(",,,,,,false,false,false,false,done,\"a, \"\"b\"\"\","), "{csv}");
+    }
+
+    #[test]
+    fn no_word_of_a_cell_is_a_formula() {
+        let mut table = table(&[(2.0, 1.0, true)], None);
+        let row = &mut table.plans[0];
+        row.settings.insert("tool".into(), json!("=HYPERLINK(\"http://x\")"));
+        row.settings.insert("pitch_mm".into(), json!(-1.5));
+        row.message = Some("@SUM(1)".into());
+        row.again = "+1".into();
+        let csv = table.csv();
+        let cells = ",\"'=HYPERLINK(\"\"http://x\"\")\",";
+        assert!(csv.contains(cells) && csv.ends_with(",done,'@SUM(1),'+1\n"), "{csv}");
+        // A number is none.
+        assert!(csv.contains(",-1.5,"), "{csv}");
     }
 
     #[test]

@@ -142,7 +142,7 @@ fn solve<S: Serialize, R: Serialize>(
     let mut inputs = Inputs::new();
     let resolved = Resolved {
         columns: given.columns,
-        min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+        min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm)?,
         solver: settings,
     };
     let task = task!(method, &resolved);

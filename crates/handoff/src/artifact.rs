@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use crate::{
     HandoffError,
-    kind::{ArrayDef, Dtype, Kind, MANIFEST},
+    kind::{self, ArrayDef, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
     place::{is_absent, parent_of},
     publish,
@@ -101,12 +101,32 @@ pub struct Manifest {
 }
 
 impl Manifest {
+    /// BLAKE3 of the content that the manifest describes: what a stage records as its input when it reads the artifact.
+    /// `None` for a kind that this version does not know.
+    pub fn content(&self) -> Option<String> {
+        let kind = kind::ALL.iter().find(|kind| kind.name == self.kind)?;
+        if kind.arrays.is_empty() {
+            return Some(content_of_outcome(self));
+        }
+        let stored = kind.arrays.iter().filter_map(|def| Some((def, self.arrays.get(def.name)?)));
+        let mut hasher = blake3::Hasher::new();
+        for (def, record) in stored {
+            hasher.update(def.name.as_bytes()).update(record.blake3.as_bytes());
+        }
+        Some(hasher.finalize().to_string())
+    }
+
     /// The text of the file: JSON, whose last key is the BLAKE3 of everything before it.
     pub(crate) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("a manifest serialises");
         let body = text.strip_suffix("\n}").expect("a manifest has keys");
         format!("{body}{SEAL}{}\"\n}}\n", blake3::hash(body.as_bytes()))
     }
+}
+
+/// The content of an artifact whose kind keeps everything in its outcome.
+pub(crate) fn content_of_outcome(manifest: &Manifest) -> String {
+    blake3::hash(manifest.outcome.to_string().as_bytes()).to_string()
 }
 
 /// What stands between the body of a manifest and its hash.

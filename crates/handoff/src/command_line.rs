@@ -4,13 +4,17 @@
 //! `--describe` prints the flags as JSON. All are made from the same definition as `--help`, so they cannot drift from
 //! it. Every program also has `--memory-gib`, the memory that it may take ([`planish_types::budget`]).
 
-use std::{ffi::OsString, io::Write, process::exit};
+use std::{borrow::Cow, ffi::OsString, io::Write, process::exit};
 
 use clap::{Arg, CommandFactory, Parser, ValueEnum, error::ErrorKind, value_parser};
 use clap_complete::Shell;
 use planish_types::budget;
 
-use crate::{describe, words};
+use crate::{
+    describe,
+    shell::{complain, shortened},
+    words,
+};
 
 /// Id and name of the flag that every program has.
 const MEMORY: &str = "memory-gib";
@@ -31,18 +35,29 @@ pub(crate) fn parse<C: Parser>() -> C {
                 exit(0)
             }
             Err(message) => {
-                let _ = writeln!(std::io::stderr(), "error: {message}");
+                complain(&format!("error: {message}"));
                 exit(2)
             }
         }
     }
-    let matches = command::<C>().get_matches_from(arguments);
+    let matches = command::<C>().try_get_matches_from(arguments).unwrap_or_else(|e| end(&e));
     let gib = matches.get_one::<f64>(MEMORY).copied().unwrap_or(budget::DEFAULT_MEMORY_GIB);
     if let Err(invalid) = budget::set_memory_gib(gib) {
         let message = format!("--{MEMORY} {}; {}", invalid.problem, invalid.remedy);
-        command::<C>().error(ErrorKind::ValueValidation, message).exit()
+        end(&command::<C>().error(ErrorKind::ValueValidation, message))
     }
-    C::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut command::<C>()).exit())
+    C::from_arg_matches(&matches).unwrap_or_else(|e| end(&e.format(&mut command::<C>())))
+}
+
+/// Ends the program with the help that was asked for, or with a message about wrong usage, which may hold a damaged
+/// value of any length.
+fn end(error: &clap::Error) -> ! {
+    let text = error.render().to_string();
+    if error.use_stderr() && matches!(shortened(&text), Cow::Owned(_)) {
+        complain(text.trim_end());
+        exit(error.exit_code())
+    }
+    error.exit()
 }
 
 /// The definition of the program, with what every program has.

@@ -199,15 +199,28 @@ pub struct FloorArgs {
     /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T")]
     min_dwell_s_per_mm: Option<f64>,
+    /// Least dwell time per length that the faster axis of this machine needs, 1 / its largest velocity [JSON]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["min_dwell_s", "min_dwell_s_per_mm"])]
+    min_dwell_of_machine: Option<PathBuf>,
 }
 
 impl FloorArgs {
     /// The bound that was given, per dwell point or per length; 0 s where none was.
-    pub fn bound<B>(&self, seconds: fn(f64) -> B, seconds_per_mm: fn(f64) -> B) -> B {
-        match (self.min_dwell_s, self.min_dwell_s_per_mm) {
+    pub fn bound<B>(
+        &self,
+        seconds: fn(f64) -> B,
+        seconds_per_mm: fn(f64) -> B,
+    ) -> Result<B, HandoffError> {
+        if let Some(file) = &self.min_dwell_of_machine {
+            // Of no further use: what follows from it is a setting, with its number.
+            let limits = Inputs::new().read_machine(file)?.limits_on_part();
+            let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
+            return Ok(seconds_per_mm(fastest.recip()));
+        }
+        Ok(match (self.min_dwell_s, self.min_dwell_s_per_mm) {
             (_, Some(rate)) => seconds_per_mm(rate),
             (time, None) => seconds(time.unwrap_or(0.0)),
-        }
+        })
     }
 }
 

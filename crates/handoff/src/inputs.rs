@@ -88,7 +88,7 @@ impl Inputs {
             let problem = "has no seal: an older Planish wrote it; make it again";
             return Err(HandoffError::new(&dir.join(MANIFEST), problem));
         }
-        let digest = blake3::hash(manifest.outcome.to_string().as_bytes()).to_string();
+        let digest = artifact::content_of_outcome(&manifest);
         self.lineage.extend(manifest.lineage.iter().cloned());
         self.record(role, dir, kind.name, digest);
         Ok(manifest)

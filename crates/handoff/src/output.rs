@@ -23,7 +23,7 @@ use crate::{
     inputs::{Inputs, LARGEST_JSON_BYTES, is_same, is_within},
     kind::{Kind, MANIFEST},
     npy::ArrayData,
-    place::{parent_of, refuse_foreign_files},
+    place::{obstacle, parent_of, plain, refuse_foreign_files},
     publish::{self, Staged},
     shell::{Failure, Status, say},
 };
@@ -124,13 +124,13 @@ impl Output {
     pub fn and_directory(mut self, flag: &'static str, path: &Path, kind: &'static Kind) -> Self {
         let is_new = self.directories.iter().all(|d| d.kind.name != kind.name);
         assert!(is_new, "a run writes one {} at most: its kind says where it goes", kind.name);
-        self.directories.push(Directory { flag, path: path.into(), kind });
+        self.directories.push(Directory { flag, path: plain(path), kind });
         self
     }
 
     /// One more file, given by `flag`: a picture of the artifact, say.
     pub fn and_file(mut self, flag: &'static str, path: &Path) -> Self {
-        self.files.push((flag, path.into()));
+        self.files.push((flag, plain(path)));
         self
     }
 
@@ -453,7 +453,7 @@ impl OutputFile {
         inputs: &Inputs,
     ) -> Result<Self, HandoffError> {
         check_file(flag, path, force, inputs)?;
-        Ok(Self { path: path.into(), force })
+        Ok(Self { path: plain(path), force })
     }
 
     /// Writes the file.
@@ -482,9 +482,14 @@ impl OutputFile {
 }
 
 fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(), HandoffError> {
+    let path = &*plain(path);
     inputs.refuse_overlap(flag, path)?;
     if path.is_dir() || path.file_name().is_none() {
         return Err(HandoffError::new(path, format!("is a directory; give a file as {flag}")));
+    }
+    if let Some(above) = obstacle(path) {
+        let problem = format!("cannot be made: {} is not a directory", above.display());
+        return Err(HandoffError::new(path, format!("{problem}; choose another {flag}")));
     }
     if fs::symlink_metadata(path).is_ok() && !force {
         let problem = format!("exists; give --force to replace it, or another {flag}");
@@ -525,6 +530,8 @@ fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
                 "is a link to nothing".into()
             } else if dir.file_name().is_none() {
                 "is not the name of a directory".into()
+            } else if let Some(above) = obstacle(dir) {
+                format!("cannot be made: {} is not a directory", above.display())
             } else {
                 return Ok(false);
             }

@@ -11,6 +11,20 @@ use crate::{
     kind::{Kind, MANIFEST},
 };
 
+/// The path without what changes nothing: a `.` within or at its end, and slashes at its end. The system accepts such an
+/// end for a directory that exists, and for nothing that is still to be made.
+pub(crate) fn plain(path: &Path) -> PathBuf {
+    path.components().collect()
+}
+
+/// The first part of `path`, from its root, that exists and is no directory, although the rest is to be made in it: a
+/// file, or a link that leads nowhere or to itself.
+pub(crate) fn obstacle(path: &Path) -> Option<PathBuf> {
+    let mut above = path.ancestors().skip(1).filter(|p| !p.as_os_str().is_empty());
+    let there = above.find(|p| fs::symlink_metadata(p).is_ok())?;
+    (!there.is_dir()).then(|| there.to_path_buf())
+}
+
 /// The directory in which `path` stands.
 pub(crate) fn parent_of(path: &Path) -> PathBuf {
     match path.parent() {

@@ -32,7 +32,7 @@ use std::{
 use crate::{
     HandoffError,
     kind::Kind,
-    place::{absolute, create_directories, parent_of, refuse_foreign_files, sync_directory},
+    place::{absolute, create_directories, parent_of, plain, refuse_foreign_files, sync_directory},
 };
 use rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames};
 use sibling::inode;
@@ -43,6 +43,10 @@ pub(crate) use self::{
     signals::{clean_up_on_signals, wait_for_signal_under_way},
 };
 pub use sibling::is_temporary;
+
+/// Most attempts to let one artifact appear while other runs put something into its place or take it away. A run holds the
+/// directory meanwhile, so that more than a few mean a place that takes no name at all. Larger: later message.
+const MOST_ATTEMPTS_TO_APPEAR: usize = 100;
 
 /// A directory or file that is written and not shown yet; removed when it is dropped before that.
 #[derive(Debug)]
@@ -87,7 +91,8 @@ impl Staged {
     ) -> Result<Self, HandoffError> {
         let place = match place.exists() {
             true => place.canonicalize().map_err(|e| HandoffError::io(place, "resolve", &e))?,
-            false => place.to_path_buf(),
+            // A name that ends with a dot or a slash cannot be given to what is renamed into it.
+            false => plain(place),
         };
         let parent = parent_of(&place);
         create_directories(&parent).map_err(|e| HandoffError::io(&parent, "create", &e))?;
@@ -162,14 +167,17 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     let mut renamed = Ok(());
     for s in &staged {
         let mut exchanged = None;
+        let mut attempts = 0;
         while renamed.is_ok() && exchanged.is_none() {
             match put_in_place(&s.sibling, &s.place) {
                 Ok(done) => exchanged = Some(done),
                 // Another run put something there or took it away a moment ago.
                 Err(e) if matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {
-                    renamed = s.check_place().and_then(|()| match inode(&s.sibling) {
-                        None => Err(HandoffError::io(&s.place, "write", &e)),
-                        Some(_) => Ok(()),
+                    attempts += 1;
+                    let again = attempts < MOST_ATTEMPTS_TO_APPEAR && inode(&s.sibling).is_some();
+                    renamed = s.check_place().and_then(|()| match again {
+                        false => Err(HandoffError::io(&s.place, "write", &e)),
+                        true => Ok(()),
                     });
                 }
                 // Without an exchange there is a moment in which only the journal knows the place.

@@ -492,17 +492,46 @@ fn an_input_is_not_an_output() {
     assert_eq!(snapshot(dir.path()), before);
 }
 
+/// A name that ends with a dot or a slash cannot be given to what is renamed into it: the rename was tried for ever.
+#[test]
+fn an_output_that_does_not_exist_may_end_with_a_dot_or_a_slash() {
+    for (out, made) in [
+        ("new/.", "new"),
+        ("new/", "new"),
+        ("new//./", "new"),
+        ("above/./new/.", "above/new"),
+        ("gone/../new/.", "new"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let run = || Run::new(dir.path()).out(format!("{}/{out}", dir.path().display()));
+        assert_eq!(run().run().unwrap(), None, "{out}");
+        assert_eq!(value_in(&dir.path().join(made)), 1.0, "{out}");
+        assert_eq!(run().run().unwrap(), Some(Status::Done), "{out}");
+        let file = format!("{}/picture.svg/.", dir.path().display());
+        let inputs = Inputs::new();
+        let begun = OutputFile::begin("--picture", Path::new(&file), false, &inputs).unwrap();
+        begun.write(b"svg").unwrap();
+        assert_eq!(fs::read(dir.path().join("picture.svg")).unwrap(), b"svg");
+        assert!(OutputFile::begin("--picture", Path::new(&file), false, &inputs).is_err());
+    }
+}
+
 #[test]
 fn an_output_that_cannot_be_is_refused_before_the_work() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("file"), "mine").unwrap();
     symlink("nowhere", dir.path().join("link")).unwrap();
+    symlink("loop", dir.path().join("loop")).unwrap();
     Run::new(dir.path());
     let before = snapshot(dir.path());
     for (out, expected) in [
         ("file", "file: is a file; choose another --out"),
         ("file/below", "cannot be written: Not a directory"),
         ("link", "link: is a link to nothing; choose another --out"),
+        ("link/below", "link is not a directory; choose another --out"),
+        ("loop", "cannot be written: Too many levels of symbolic links"),
+        ("loop/below/.", "cannot be written: Too many levels of symbolic links"),
+        ("file/../new/.", "cannot be written: Not a directory"),
         (&"n".repeat(256), "cannot be written: File name too long"),
         (".", "contains the input --input"),
         ("new/..", "is not the name of a directory"),

@@ -313,6 +313,80 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
 }
 
+/// A run with other settings that is killed leaves its own artifacts beside older ones; whatever stage it had reached, the
+/// verdict on the plan was that of another plan.
+#[test]
+fn a_run_that_was_ended_between_its_stages_has_no_verdict() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    // Each artifact has its content in its outcome, and names what it was made of by place and content.
+    let content =
+        |name: &str, version: u32| json!({"status": "done", "of": name, "version": version});
+    let made = |name: &str, version: u32, machine: u32, from: &[(&str, u32)]| {
+        let at = run.join(name);
+        fs::create_dir_all(&at).unwrap();
+        let mut inputs: Vec<_> = from
+            .iter()
+            .map(|(from, version)| {
+                let hash = blake3::hash(content(from, *version).to_string().as_bytes());
+                json!({"role": "r", "path": format!("elsewhere/{from}"), "kind": "verdict", "blake3": hash.to_string()})
+            })
+            .collect();
+        inputs.push(json!({
+            "role": "machine", "path": "m.json", "kind": "file", "blake3": machine.to_string(),
+        }));
+        let manifest = json!({
+            "kind": "verdict", "version": 1, "tool": "planish-stage", "tool_version": "0", "method": "m",
+            "command": format!("planish-stage --out elsewhere/{name} --force"), "key": "", "frame": "",
+            "settings": {}, "inputs": inputs, "outcome": content(name, version), "arrays": {},
+        });
+        fs::write(at.join("manifest.json"), manifest.to_string()).unwrap();
+    };
+    let stages: [(&str, &[&str]); 7] = [
+        ("surface", &[]),
+        ("tool_path", &["surface"]),
+        ("dwell", &["tool_path"]),
+        ("methods/pvt/trajectory", &["tool_path", "dwell"]),
+        ("methods/pvt/removal", &["methods/pvt/trajectory", "surface"]),
+        ("methods/pvt/verdict", &["methods/pvt/trajectory"]),
+        ("report", &["methods/pvt/removal", "methods/pvt/verdict"]),
+    ];
+    let make = |stages: &[(&str, &[&str])], version: u32, machine: u32| {
+        for (name, from) in stages {
+            let from: Vec<_> = from.iter().map(|from| (*from, version)).collect();
+            made(name, version, machine, &from);
+        }
+    };
+    let verdict = || {
+        let mut command = Command::new(PROGRAM);
+        command.current_dir(dir.path()).args(["verdict", "--run", "run", "--plan=methods/pvt"]);
+        command.output().unwrap()
+    };
+    make(&stages, 1, 1);
+    assert_eq!(verdict().status.code(), Some(0), "{}", message(&verdict()));
+    // A second run is ended after each of its stages; what another run leaves beside the plan is none of it.
+    for done in 1..stages.len() {
+        make(&stages, 1, 1);
+        made("methods/old/trajectory", 0, 0, &[("dwell", 0)]);
+        made("tolerance", 0, 0, &[("methods/old/trajectory", 7)]);
+        make(&stages[..done], 2, 1);
+        refused(&verdict(), &["run: ", "was made from another", "run the pipeline again"]);
+    }
+    make(&stages, 2, 1);
+    assert_eq!(verdict().status.code(), Some(0), "{}", message(&verdict()));
+    // The same arrays, judged by another machine.
+    make(&stages[..5], 2, 2);
+    refused(&verdict(), &["were made with different machine files"]);
+    make(&stages, 2, 2);
+    fs::remove_dir_all(run.join("methods/pvt/verdict")).unwrap();
+    refused(&verdict(), &["report was made from methods/pvt/verdict, which is not there"]);
+    fs::remove_dir_all(run.join("report")).unwrap();
+    refused(&verdict(), &["methods/pvt has no verdict"]);
+    make(&stages, 2, 2);
+    fs::remove_dir_all(run.join("dwell")).unwrap();
+    refused(&verdict(), &["methods/pvt/trajectory was made from dwell, which is not there"]);
+}
+
 #[test]
 fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     let dir = tempfile::tempdir().unwrap();

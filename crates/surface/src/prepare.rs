@@ -28,7 +28,7 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::statistics::{Plane, fit_plane, statistics, subtract_plane};
-use planish_types::{ClearAperture, Grid, Surface, progress};
+use planish_types::{ClearAperture, Grid, Surface, doubts, progress};
 use serde::{Serialize, Serializer};
 use serde_json::json;
 
@@ -103,6 +103,9 @@ pub struct PrepareReport {
     pub filled: Option<FillReport>,
     /// What was added beyond the clear aperture.
     pub extended: Option<ExtensionReport>,
+    /// What is probably a mistake in the map, with its remedy.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub doubts: Vec<String>,
 }
 
 /// Statistics of the valid pixels of a map.
@@ -143,6 +146,11 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
         None => (cropped.clone(), None),
     };
     let (mut surface, removed_plane, removed_low_order) = level(&masked, settings.level)?;
+    // What is no height decides everything else.
+    let levelled = map_statistics(&surface);
+    let MapStatistics { pv_nm, rms_nm, rms_detilted_nm, .. } = levelled;
+    let of_removal = || doubts::of_removal(pv_nm, rms_nm, rms_detilted_nm);
+    let doubts = doubts::of_heights(&masked).or_else(of_removal).into_iter().collect();
     let mut filled = None;
     if settings.fill {
         let inside = inside.unwrap_or_else(|| enclosed(&surface));
@@ -157,12 +165,16 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
     let report = PrepareReport {
         before: map_statistics(measured),
         in_aperture: map_statistics(&cropped),
-        after: map_statistics(&surface),
+        after: match (&filled, &extended) {
+            (None, None) => levelled,
+            _ => map_statistics(&surface),
+        },
         outliers: found,
         removed_plane,
         removed_low_order,
         filled,
         extended,
+        doubts,
     };
     Ok(Prepared { surface, report })
 }

@@ -43,7 +43,7 @@ fn too_many() -> String {
 
 /// A plan with these settings, and its names.
 pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
-    let settings = with_defaults(path, method, given);
+    let settings = with_defaults(path, given);
     let part = |of_paths: bool| -> Vec<&(String, Given)> {
         let belongs =
             |key: &str| SETTINGS.iter().any(|s| s.key == key && s.is_of_paths() == of_paths);
@@ -54,18 +54,17 @@ pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Grou
     let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash);
     let path_id = name(path, &json!(["path", path, ground.surface, tif, part(true)]));
     let floor: Vec<_> = settings.iter().filter(|(key, _)| key.starts_with("min_dwell_s")).collect();
-    let dwell_id = (method == "pvt+refined").then(|| name(path, &json!(["dwell", path_id, floor])));
+    // Without one it is that of the machine.
+    let of_machine = floor.is_empty().then_some(&ground.machine);
+    let dwell_id = (method == "pvt+refined")
+        .then(|| name(path, &json!(["dwell", path_id, floor, of_machine])));
     let whole = json!(["plan", path_id, method, ground.machine, ground.process, part(false)]);
     let id = name(&format!("{path}-{method}"), &whole);
     Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
 }
 
 /// What `just run` takes where nothing is given and a stage must be told.
-fn with_defaults(
-    path: &str,
-    method: &str,
-    mut settings: Vec<(String, Given)>,
-) -> Vec<(String, Given)> {
+fn with_defaults(path: &str, mut settings: Vec<(String, Given)>) -> Vec<(String, Given)> {
     let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
     if !has(&settings, "pitch_mm") {
         let pitch_mm = if path == "spiral" { 1.3 } else { 1.0 };
@@ -76,10 +75,6 @@ fn with_defaults(
             settings.iter().find(|(key, _)| key == "pitch_mm").map(|(_, given)| given.clone());
         let step = if path == "raster" { None } else { pitch };
         settings.push(("step_mm".into(), step.unwrap_or(Given::Number(1.0))));
-    }
-    let has_floor = has(&settings, "min_dwell_s") || has(&settings, "min_dwell_s_per_mm");
-    if method == "pvt+refined" && !has_floor {
-        settings.push(("min_dwell_s".into(), Given::Number(0.1)));
     }
     settings.sort_by_key(|(key, _)| SETTINGS.iter().position(|s| s.key == *key));
     settings

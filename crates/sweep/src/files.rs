@@ -46,6 +46,9 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
         let problem = format!("the tool of {} is not in it; expand the sweep again", plan.id);
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
+    sweep.check().map_err(|problem| {
+        Failure::new(format!("{}: {problem}; expand the sweep again", path.display()))
+    })?;
     Ok(sweep)
 }
 

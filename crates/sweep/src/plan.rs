@@ -8,7 +8,8 @@ use serde_json::json;
 
 use crate::{
     description::Constraints,
-    setting::{Given, SETTINGS, Setting},
+    expand,
+    setting::{Given, METHODS, PATHS, SETTINGS, Setting},
 };
 
 /// A sweep that is ready to run: its plans, and where what they are made of stands. All paths are relative to the
@@ -148,7 +149,66 @@ pub fn hash(content: &serde_json::Value) -> String {
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
 }
 
+/// Settings that bound the dwell times from below.
+const FLOORS: [&str; 2] = ["min_dwell_s", "min_dwell_s_per_mm"];
+
+/// Programs that make a mirror.
+const MIRROR_PROGRAMS: [&str; 3] = ["planish-fixture", "planish-import", "planish-surface"];
+
+/// Whether this is the name of something directly in a directory, which no shell takes apart.
+fn is_name(text: &str) -> bool {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '+' | '.');
+    !text.is_empty() && !text.starts_with(['.', '-']) && text.chars().all(is_plain)
+}
+
+/// Whether this is the path of something in the directory of the sweep.
+fn is_inside(path: &str) -> bool {
+    path.split('/').all(is_name)
+}
+
 impl Sweep {
+    /// Refuses what no expansion writes: its steps run no other programs than those of a mirror, everything is written in
+    /// the directory of the sweep, and every name is that of its content.
+    pub fn check(&self) -> Result<(), String> {
+        for step in &self.mirror_steps {
+            let program = &step.program;
+            if !MIRROR_PROGRAMS.contains(&program.as_str()) {
+                return Err(format!(
+                    "a step of the mirror runs '{program}', which makes no mirror"
+                ));
+            }
+            let mut places = step.arguments.iter().zip(step.arguments.iter().skip(1));
+            let outs = places.by_ref().filter(|(flag, _)| *flag == "--out");
+            let outs: Vec<&str> = outs.map(|(_, out)| out.as_str()).collect();
+            let is_written_elsewhere = |argument: &&String| {
+                let writes = ["--out=", "--picture", "--wall-time"];
+                writes.iter().any(|flag| argument.starts_with(flag))
+            };
+            if let Some(flag) = step.arguments.iter().find(is_written_elsewhere) {
+                return Err(format!("a step of the mirror has the flag '{flag}'"));
+            }
+            if outs.len() != 1 || !outs.iter().all(|out| is_inside(out)) {
+                return Err(format!("{program} writes '{}', not in the sweep", outs.join("', '")));
+            }
+        }
+        if !is_inside(&self.surface) || !is_name(&self.ground.surface) {
+            return Err(format!("the surface is '{}', not in the sweep", self.surface));
+        }
+        if let Some(round) = self.rounds.iter().find(|round| !is_name(&round.id)) {
+            return Err(format!("a round is named '{}'", round.id));
+        }
+        let named = |plan: &Plan| {
+            let (path, method) = (plan.path.as_str(), plan.method.as_str());
+            PATHS.contains(&path)
+                && METHODS.contains(&method)
+                && *plan == expand::plan(path, method, plan.settings.clone(), &self.ground)
+        };
+        match self.plans().find(|plan| !named(plan)) {
+            Some(plan) => Err(format!("the name '{}' is not that of its plan", plan.id)),
+            None => Ok(()),
+        }
+    }
+
     /// Where the size of the mirror stands when it is made.
     pub fn mirror_file(&self) -> String {
         format!("done/mirror-{}.json", self.ground.surface)
@@ -209,9 +269,18 @@ impl Sweep {
         let out = format!("dwell/{}", plan.dwell_id.as_ref()?);
         let mut arguments = vec!["bounded-least-squares".to_string()];
         arguments.extend(self.mirror_and_path(plan));
-        arguments.extend(plan.flags(&["min_dwell_s", "min_dwell_s_per_mm"]));
+        arguments.extend(self.floor(plan));
         arguments.extend(["--out".into(), out, "--force".into()]);
         Some(Step::new("planish-dwell", arguments))
+    }
+
+    /// The least dwell times of a plan: those of its settings, else what the velocity of the machine needs.
+    fn floor(&self, plan: &Plan) -> Vec<String> {
+        let given: Vec<String> = plan.flags(&FLOORS).collect();
+        match given.is_empty() {
+            true => vec![format!("--min-dwell-of-machine={}", self.machine)],
+            false => given,
+        }
     }
 
     /// Stages of the plan itself.
@@ -230,6 +299,9 @@ impl Sweep {
         };
         let of_method = plan.of_method();
         own.extend(of_method.map(|(setting, given)| setting.flag(given)));
+        if plan.dwell_id.is_some() && plan.flags(&FLOORS).next().is_none() {
+            own.extend(self.floor(plan));
+        }
         own.extend(["--out".into(), at.clone(), "--force".into()]);
         let tif = self.tif(plan);
         let (removal, verdict) = (format!("{at}/removal"), format!("{at}/verdict"));
@@ -402,10 +474,11 @@ mod tests {
                 "planish-tolerance"
             ]
         );
-        assert!(refined[0].contains(" --min-dwell-s=0.1 "), "{}", refined[0]);
+        let floor = " --min-dwell-of-machine=inputs/i/machine.json ";
+        assert!(refined[0].contains(floor), "{}", refined[0]);
         assert!(!refined[0].contains("weight"), "{}", refined[0]);
         assert!(
-            refined[1].contains(" --min-dwell-s=0.1 --time-weight-nm2-per-s=0.0001 "),
+            refined[1].contains(&format!(" --time-weight-nm2-per-s=0.0001{floor}")),
             "{}",
             refined[1]
         );

@@ -227,3 +227,44 @@ fn a_directory_that_is_somebody_elses_is_left_alone() {
     let said = ended(2, &["run", &mine, "--layer", "mirror"]);
     assert!(said.contains("sweep.json: cannot read"), "{said}");
 }
+
+/// The file of a sweep may come from anywhere; it named any program, and its plans were written anywhere.
+#[test]
+fn a_sweep_that_no_expansion_wrote_runs_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = expanded(dir.path(), "sweep");
+    let file = Path::new(&out).join("sweep.json");
+    let whole: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    let shell = serde_json::json!({"program": "/bin/sh", "arguments": ["-c", "touch EXECUTED"]});
+    let elsewhere = serde_json::json!("../../ESCAPED");
+    type Change = dyn Fn(&mut Value);
+    let cases: [(&Change, &str); 9] = [
+        (&|s| s["mirror_steps"][0] = shell.clone(), "runs '/bin/sh', which makes no mirror"),
+        (&|s| s["mirror_steps"][0]["program"] = "../planish-fixture".into(), "makes no mirror"),
+        (&|s| s["mirror_steps"][0]["arguments"][2] = elsewhere.clone(), "not in the sweep"),
+        (&|s| s["mirror_steps"][0]["arguments"][3] = "--wall-time=/x".into(), "'--wall-time=/x'"),
+        (&|s| s["surface"] = elsewhere.clone(), "'../../ESCAPED', not in the sweep"),
+        (&|s| s["rounds"][0]["id"] = "$(touch EXECUTED)".into(), "a round is named"),
+        (&|s| s["rounds"][0]["plans"][0]["id"] = elsewhere.clone(), "is not that of its plan"),
+        (&|s| s["rounds"][0]["plans"][0]["path_id"] = elsewhere.clone(), "is not that of its plan"),
+        (&|s| s["rounds"][0]["plans"][0]["method"] = elsewhere.clone(), "is not that of its plan"),
+    ];
+    for (change, said) in cases {
+        let mut sweep = whole.clone();
+        change(&mut sweep);
+        fs::write(&file, sweep.to_string()).unwrap();
+        for layer in ["mirror", "paths", "plans"] {
+            let message = ended(2, &["run", &out, "--layer", layer]);
+            assert!(
+                message.contains(said) && message.contains("expand the sweep again"),
+                "{message}"
+            );
+        }
+        let left: Vec<_> = fs::read_dir(&out)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        assert!(left.iter().all(|name| ["sweep.json", "inputs"].contains(&&**name)), "{left:?}");
+    }
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "the sweep and its file");
+}

@@ -311,7 +311,7 @@ fn expand<'a>(rest: &mut &'a str, prefix: &[&'a str], paths: &mut Vec<Vec<&'a st
 // ---------------------------------------------------------------------------------------------
 // Facts
 
-/// Packages of the workspace by folder.
+/// Crates of the workspace by folder; what stands for a crate of others has nothing of ours.
 fn packages() -> BTreeMap<String, Package> {
     let metadata = MetadataCommand::new()
         .manifest_path(workspace().join("Cargo.toml"))
@@ -319,7 +319,8 @@ fn packages() -> BTreeMap<String, Package> {
         .other_options(["--offline".to_string()])
         .exec()
         .expect("cargo metadata of the workspace");
-    metadata.packages.into_iter().map(|p| (folder_of(&p), p)).collect()
+    let ours = |p: &Package| p.manifest_path.starts_with(workspace().join("crates"));
+    metadata.packages.into_iter().filter(ours).map(|p| (folder_of(&p), p)).collect()
 }
 
 fn folder_of(package: &Package) -> String {

@@ -17,7 +17,7 @@ use planish_handoff::{
     with_flags,
 };
 use planish_toolpath::{PathReport, travel_warnings, usual_overscan_mm};
-use planish_types::{Machine, Surface, Tif, ToolPath, plausible};
+use planish_types::{Machine, Surface, Tif, ToolPath, doubts, plausible};
 use serde::Serialize;
 
 #[derive(Debug, Subcommand)]
@@ -67,7 +67,8 @@ struct RegionArgs {
     /// Distance between neighbouring lines, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: f64,
-    /// How far the path goes beyond the aperture, mm [default: half the TIF's size]
+    /// How far the path goes beyond the aperture, mm [default: half the size of the square around
+    /// the centroid of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
     /// Machine: a warning says where the path leaves the travel of its axes [JSON]
@@ -86,8 +87,10 @@ struct Region {
     tif: Option<Tif>,
     off_centre_mm: [f64; 2],
     overscan_mm: f64,
-    /// Where its travel is limited: only then the report depends on it.
+    /// Where its travel is limited or its limits are in doubt: only then the report depends on it.
     machine: Option<Machine>,
+    /// What is probably a mistake in the inputs.
+    doubts: Vec<String>,
 }
 
 impl Region {
@@ -100,21 +103,33 @@ impl Region {
             plausible::check_pitch(tif, args.pitch_mm)?;
         }
         let off_centre_mm = tif.as_ref().map_or([0.0; 2], |tif| tif.off_centre_mm(surface.grid()));
+        let mut doubts = Vec::new();
+        if let Some(tif) = &tif {
+            doubts.extend(doubts::of_tif(tif));
+            doubts.extend(doubts::of_rates(&surface, tif));
+        }
+        let of_limits = |machine: &Machine| {
+            doubts::of_limits(&surface, tif.as_ref()?, &machine.limits_on_part(), args.pitch_mm)
+        };
+        let mut machine = None;
+        if let Some(file) = &args.machine {
+            let found = Inputs::new().read_machine(file)?;
+            let doubt = of_limits(&found);
+            if doubt.is_some() || found.travel_mm().iter().any(Option::is_some) {
+                machine = Some(inputs.read_machine(file)?);
+            }
+            doubts.extend(doubt);
+        }
         let surface = match off_centre_mm {
             [0.0, 0.0] => surface,
             _ => surface.seen_by_tool(off_centre_mm)?,
         };
         let usual_mm = tif.as_ref().map(|tif| usual_overscan_mm(tif, off_centre_mm));
         let overscan_mm = args.overscan_mm.or(usual_mm).ok_or_else(|| {
-            Failure::new("overscan: unknown; give --overscan-mm, or --tif for half its size")
+            Failure::new(
+                "overscan: unknown; give --overscan-mm, or --tif for half the size of the tool",
+            )
         })?;
-        let mut machine = None;
-        if let Some(file) = &args.machine {
-            let found = Inputs::new().read_machine(file)?;
-            if found.travel_mm().iter().any(Option::is_some) {
-                machine = Some(inputs.read_machine(file)?);
-            }
-        }
         Ok(Self {
             inputs,
             output: args.output.clone(),
@@ -123,6 +138,7 @@ impl Region {
             off_centre_mm,
             overscan_mm,
             machine,
+            doubts,
         })
     }
 
@@ -141,6 +157,7 @@ impl Region {
     ) -> Result<Status, Failure> {
         let tif = self.tif.as_ref();
         let mut report = PathReport::new(path, &self.surface, tif, largest_pitch_mm, own, warnings);
+        report.warnings.extend(self.doubts.iter().cloned());
         if self.off_centre_mm != [0.0; 2] {
             let [x, y] = self.off_centre_mm;
             report.warnings.push(format!(

@@ -7,8 +7,11 @@
 //!
 //! ```text
 //! stands at  p - c
-//! overscan   max over both axes of (last - c, c - first),   first, last = offsets of the first and the last sample
+//! overscan   o = the least |r - c|_max of a sample r so that the samples beyond it hold at most 5e-4 of sum R
 //! ```
+//!
+//! A TIF is often stored with a margin in which it removes nothing. The overscan follows what removes: the samples and
+//! not their array.
 
 use ndarray::ArrayView2;
 use planish_types::{Axis, Invalid, Tif};
@@ -16,12 +19,31 @@ use planish_types::{Axis, Invalid, Tif};
 /// Lengths that agree to this fraction of a pitch or a step are equal: rounding of coordinates.
 pub(crate) const SLACK: f64 = 1e-9;
 
-/// The usual overscan: half the TIF's larger size around `off_centre_mm`, where it removes, which keeps the removal at
-/// the edge equal to that inside, mm.
+/// Part of the volume of a TIF that may lie beyond its support. What is missing at an edge of the part is half of it.
+/// Larger: the edge is left higher. Smaller: noise in the margin of a measured TIF counts, and the path spends time beyond
+/// the part.
+const BEYOND_SUPPORT: f64 = 5e-4;
+
+/// The usual overscan: half the size of the square around `off_centre_mm`, where the TIF removes, that holds its volume
+/// but for [`BEYOND_SUPPORT`]. It keeps the removal at the edge equal to that inside, mm.
 pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
-    let half = |axis: &Axis, c: f64| (axis.end_mm() - c).max(c - axis.start_mm());
-    let [x, y] = off_centre_mm;
-    half(&tif.grid().x, x).max(half(&tif.grid().y, y))
+    let [cx, cy] = off_centre_mm;
+    let (grid, rate) = (tif.grid(), tif.rate_nm_per_s());
+    let distance = |r: usize, c: usize| (grid.x.at(c) - cx).abs().max((grid.y.at(r) - cy).abs());
+    let mut samples: Vec<(f64, f64)> =
+        rate.indexed_iter().map(|((r, c), v)| (distance(r, c), *v)).collect();
+    samples.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1)));
+    let most = BEYOND_SUPPORT * rate.sum();
+    // From the outermost square of samples inwards, until those beyond would be too much.
+    let (mut beyond, mut support) = (0.0, samples[0].0);
+    for square in samples.chunk_by(|a, b| a.0 - b.0 <= SLACK * a.0) {
+        support = square[0].0;
+        beyond += square.iter().map(|(_, v)| v).sum::<f64>();
+        if beyond.abs() > most {
+            break;
+        }
+    }
+    support
 }
 
 /// The clear aperture as runs of valid pixels, in coordinates along and across the lines.
@@ -124,4 +146,38 @@ pub(crate) fn check_length(name: &'static str, mm: f64, zero: bool) -> Result<()
     let remedy =
         if zero { "give a length of at least 0 mm" } else { "give a positive length in mm" };
     Err(Invalid::whole(name, format!("is {mm}"), remedy))
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+    use planish_types::Grid;
+
+    use super::*;
+
+    /// Rates in `half` mm around 0, in samples of 0.25 mm.
+    fn tif(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {
+        let n = (8.0 * half) as usize + 1;
+        let axis = Axis::new(-half, 0.25, n).unwrap();
+        let rates = Array2::from_shape_fn((n, n), |(r, c)| rate(axis.at(c), axis.at(r)));
+        Tif::new(Grid { x: axis, y: axis }, rates).unwrap()
+    }
+
+    #[test]
+    fn the_overscan_is_that_of_the_tool_and_not_of_its_array() {
+        let flat = |x: f64, y: f64| if x.abs().max(y.abs()) <= 2.0 { 5.0 } else { 0.0 };
+        for half in [2.0, 4.0, 12.0] {
+            assert_eq!(usual_overscan_mm(&tif(half, flat), [0.0; 2]), 2.0, "{half}");
+        }
+        // Around the place where it removes.
+        let beside = tif(6.0, |x, y| flat(x - 1.0, y));
+        assert_eq!(usual_overscan_mm(&beside, [1.0, 0.0]), 2.0);
+        assert_eq!(usual_overscan_mm(&beside, [0.0; 2]), 3.0);
+        // A tool that its samples cut off goes to their end.
+        let gaussian = |x: f64, y: f64| (-0.5 * (x * x + y * y)).exp();
+        assert_eq!(usual_overscan_mm(&tif(3.0, gaussian), [0.0; 2]), 3.0);
+        // Beyond o a fraction of 4 Q(o) of a Gaussian of 1 mm is left, with the samples half a pitch wide: 7e-4 beyond
+        // 3.625 mm, 2e-4 beyond 3.875 mm.
+        assert_eq!(usual_overscan_mm(&tif(12.0, gaussian), [0.0; 2]), 3.75);
+    }
 }

@@ -18,6 +18,7 @@
 
 mod aperture;
 pub mod budget;
+pub mod doubts;
 mod dwell_density;
 mod dwell_time;
 mod end;

@@ -36,7 +36,7 @@ pub struct BoundedLeastSquares {
     #[arg(long, value_name = "T")]
     max_dwell_s_per_mm: Option<f64>,
     /// Least dwell times point by point [dwell artifact]
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["min_dwell_s", "min_dwell_s_per_mm"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["min_dwell_s", "min_dwell_s_per_mm", "min_dwell_of_machine"])]
     min_dwell: Option<PathBuf>,
     /// Largest dwell times point by point [dwell artifact]
     #[arg(long, value_name = "DIR", conflicts_with_all = ["max_dwell_s", "max_dwell_s_per_mm"])]
@@ -72,7 +72,7 @@ impl BoundedLeastSquares {
         let defaults = Settings::default();
         let settings = Settings {
             columns: self.columns,
-            min_dwell: self.floor.bound(Bound::Seconds, Bound::SecondsPerMm),
+            min_dwell: self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?,
             max_dwell: self
                 .max_dwell_s
                 .map(Bound::Seconds)

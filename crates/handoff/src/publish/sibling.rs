@@ -16,6 +16,10 @@ const PREFIX: &str = ".planish-";
 const TEMPORARY: &str = ".tmp";
 pub(super) const JOURNAL: &str = ".journal";
 
+/// Most names that are tried for a sibling: other runs, and what they left, have taken one each, or have taken a new one
+/// for abandoned. In a directory that has been removed while it is the current one no name can be taken.
+const MOST_NAMES: u32 = 10_000;
+
 /// Temporary siblings of this process, for the handler of signals.
 static SIBLINGS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
@@ -65,7 +69,7 @@ pub(super) fn create(
             // Not found: removed by another run, see above.
             Err(e) => {
                 let again = matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound);
-                if !again || !parent.is_dir() {
+                if !again || !parent.is_dir() || count > MOST_NAMES {
                     return Err(e);
                 }
             }

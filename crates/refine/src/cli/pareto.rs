@@ -49,7 +49,7 @@ impl Pareto {
     /// The plans, their table and their picture.
     pub fn run(&self) -> Result<Status, Failure> {
         let mut settings = Settings { max_rounds: self.max_rounds, ..Settings::default() };
-        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
+        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
@@ -67,7 +67,7 @@ impl Pareto {
         let of_loop = || trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings);
         let mut points = progress::part(0, 2, of_loop).map_err(Failure::with_flags)?;
         // A floor per dwell point says nothing of a motion without points.
-        let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm);
+        let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm)?;
         let of_feed = || trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
         points.extend(progress::part(1, 2, of_feed).map_err(Failure::with_flags)?);
         let least_time_s = trade_off::least_time_s(&surface, &tif);

@@ -88,7 +88,7 @@ impl Refine {
         settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
         settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
         settings.dwell.noise_rms_nm = self.noise_rms_nm;
-        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm);
+        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         settings.dwell.tikhonov = self.tikhonov;
         settings.dwell.smoothness = self.smoothness;
         let method = match self.scheduler {

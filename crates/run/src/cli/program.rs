@@ -70,6 +70,12 @@ impl Program {
             "program: {} is of the plan {of}; {read_back} is that program, read back and judged",
             program.display()
         ));
+        if controller == "gcode" {
+            say(
+                "program: the lines of G-code have steps in velocity at their ends, which are not judged: the planner \
+                 of the controller rounds them within its limits, and may take longer for it",
+            );
+        }
         match answer.method.as_deref() {
             Some(best) if plan_of(best) == of => {
                 say(format!(

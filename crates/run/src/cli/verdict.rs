@@ -1,13 +1,14 @@
 //! `planish-run verdict`: which stages of a run gave a negative verdict: their manifests say so.
 
 use std::{
+    collections::{BTreeMap, BTreeSet},
     fs,
     io::ErrorKind,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST};
+use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST, words};
 
 #[derive(Args)]
 pub struct Verdict {
@@ -20,6 +21,15 @@ pub struct Verdict {
     plan: Vec<PathBuf>,
 }
 
+/// What stands behind the verdict on a plan: its artifacts of these names, where they are there.
+const JUDGED: [&str; 4] = ["trajectory", "removal", "verdict", "specification"];
+
+/// What a trajectory needs beside it before it is a plan.
+const NEEDED: [&str; 2] = ["removal", "verdict"];
+
+/// Files that all stages of a run share.
+const SHARED: [&str; 3] = ["machine", "process", "specification"];
+
 impl Verdict {
     pub fn run(&self) -> Result<Status, Failure> {
         verdict(&self.run, &self.plan)
@@ -30,11 +40,24 @@ impl Verdict {
 /// that gave them.
 fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     let mut negative = Vec::new();
-    for dir in std::iter::once(run.to_path_buf()).chain(plans.iter().map(|p| run.join(p))) {
-        for (artifact, manifest) in manifests(&dir)? {
+    let mut whole = Whole { run, seen: BTreeSet::new(), shared: BTreeMap::new() };
+    for plan in std::iter::once(Path::new("")).chain(plans.iter().map(PathBuf::as_path)) {
+        let found = manifests(run, plan)?;
+        let is_there = |name: &str| found.iter().any(|(at, _)| *at == plan.join(name));
+        if is_there("trajectory")
+            && let Some(lacking) = NEEDED.iter().find(|name| !is_there(name))
+        {
+            return Err(whole.mixed(&format!("{} has no {lacking}", plan.display())));
+        }
+        for (at, manifest) in &found {
+            let name = at.file_name().unwrap_or_default();
+            if *at == Path::new("report") || JUDGED.iter().any(|judged| *judged == name) {
+                whole.check(at, manifest)?;
+            }
             if manifest.outcome["status"] == "negative" {
                 let reason = manifest.outcome["reason"].as_str().unwrap_or("no reason given");
-                negative.push(format!("{} ({}): {reason}", artifact.display(), manifest.tool));
+                let at = run.join(at);
+                negative.push(format!("{} ({}): {reason}", at.display(), manifest.tool));
             }
         }
     }
@@ -44,24 +67,107 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     })
 }
 
-/// The directories in `dir` that have a manifest, by name.
-fn manifests(dir: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failure> {
+/// Whether the artifacts of a run were made from each other: a run with other settings that was ended leaves some of its
+/// own beside older ones.
+struct Whole<'a> {
+    run: &'a Path,
+    /// Artifacts that were checked.
+    seen: BTreeSet<PathBuf>,
+    /// Hashes of the files that all stages share, by their roles, and the artifact that was made with it.
+    shared: BTreeMap<String, (String, PathBuf)>,
+}
+
+impl Whole<'_> {
+    /// Refuses an artifact, at a place in the run, that was made from other artifacts of the run than those that are there.
+    fn check(&mut self, at: &Path, manifest: &Manifest) -> Result<(), Failure> {
+        if !self.seen.insert(at.into()) {
+            return Ok(());
+        }
+        let run_as_given = run_as_given(at, manifest);
+        for input in &manifest.inputs {
+            if input.kind == "file" {
+                self.check_shared(at, &input.role, &input.blake3)?;
+                continue;
+            }
+            let inside = run_as_given.as_ref().map(|run| Path::new(&input.path).strip_prefix(run));
+            let Some(Ok(from)) = inside else { continue };
+            let Some(made_from) = manifest_in(&self.run.join(from))? else {
+                let (at, from) = (at.display(), from.display());
+                return Err(self.mixed(&format!("{at} was made from {from}, which is not there")));
+            };
+            if made_from.content().is_some_and(|content| content != input.blake3) {
+                let (at, from) = (at.display(), from.display());
+                return Err(self.mixed(&format!("{at} was made from another {from}")));
+            }
+            self.check(from, &made_from)?;
+        }
+        Ok(())
+    }
+
+    fn check_shared(&mut self, at: &Path, role: &str, hash: &str) -> Result<(), Failure> {
+        if !SHARED.contains(&role) {
+            return Ok(());
+        }
+        let first = self.shared.entry(role.into()).or_insert_with(|| (hash.into(), at.into()));
+        if first.0 == hash {
+            return Ok(());
+        }
+        let problem = format!(
+            "{} and {} were made with different {role} files",
+            first.1.display(),
+            at.display()
+        );
+        Err(self.mixed(&problem))
+    }
+
+    fn mixed(&self, problem: &str) -> Failure {
+        Failure::new(format!(
+            "{}: {problem}: a run was ended before its last stage; run the pipeline again",
+            self.run.display()
+        ))
+    }
+}
+
+/// The directory of the run as it was called when the artifact at a place in it was made: a run may be moved, and looked
+/// at from elsewhere.
+fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
+    let words = words::split(&manifest.command).ok()?;
+    let mut values = words.iter().skip_while(|word| *word != "--out").skip(1);
+    let out: PathBuf = Path::new(values.next()?).components().collect();
+    // A stage with several artifacts is given the directory above them.
+    let inside = at.ancestors().find(|part| out.ends_with(part))?;
+    let mut run = out.as_path();
+    for _ in inside.components() {
+        run = run.parent()?;
+    }
+    Some(run.into())
+}
+
+/// The directories in `plan` of the run that have a manifest, by name: their places in the run.
+fn manifests(run: &Path, plan: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failure> {
+    let dir = run.join(plan);
     let unreadable = |path: &Path, e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot read: {e}", path.display()))
     };
     let mut found = Vec::new();
-    for entry in fs::read_dir(dir).map_err(|e| unreadable(dir, &e))? {
-        let artifact = entry.map_err(|e| unreadable(dir, &e))?.path();
-        let file = artifact.join(MANIFEST);
-        let text = match fs::read(&file) {
-            Ok(text) => text,
-            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-                continue;
-            }
-            Err(e) => return Err(unreadable(&file, &e)),
-        };
-        found.push((artifact, serde_json::from_slice(&text).map_err(|e| unreadable(&file, &e))?));
+    for entry in fs::read_dir(&dir).map_err(|e| unreadable(&dir, &e))? {
+        let entry = entry.map_err(|e| unreadable(&dir, &e))?;
+        if let Some(manifest) = manifest_in(&entry.path())? {
+            found.push((plan.join(entry.file_name()), manifest));
+        }
     }
     found.sort_by(|a, b| a.0.cmp(&b.0));
     Ok(found)
+}
+
+/// The manifest in a directory, where there is one.
+fn manifest_in(dir: &Path) -> Result<Option<Manifest>, Failure> {
+    let file = dir.join(MANIFEST);
+    let unreadable =
+        |e: &dyn std::fmt::Display| Failure::new(format!("{}: cannot read: {e}", file.display()));
+    match fs::read(&file) {
+        Ok(text) => serde_json::from_slice(&text).map(Some).map_err(|e| unreadable(&e)),
+        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        Err(e) => Err(unreadable(&e)),
+    }
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
 };
 use planish_surface::{
     Family, Level, LowOrderSettings, OutlierSettings, PrepareSettings,
@@ -181,6 +181,7 @@ impl PrepareArgs {
             report.filled.as_ref().and_then(|r| r.note.as_ref()),
         ];
         notes.into_iter().flatten().for_each(|note| say(format!("planish-surface: note: {note}")));
+        report.doubts.iter().for_each(warn);
         Ok(Status::Done)
     }
 

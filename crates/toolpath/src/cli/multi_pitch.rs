@@ -35,7 +35,8 @@ pub struct MultiPitchArgs {
     /// Longest segment, mm
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     step_mm: f64,
-    /// How far the path goes beyond the aperture, mm [default: half the TIF's size]
+    /// How far the path goes beyond the aperture, mm [default: half the size of the square around
+    /// the centroid of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
     /// Machine: a warning says where the path leaves the travel of its axes [JSON]

@@ -1,0 +1,321 @@
+//! What is probably a mistake in inputs of which each is possible, in one sentence with its remedy, before anything is
+//! planned: a plan for a tilt that nobody wants, or for a pixel that is no height, takes hours of machine time.
+//!
+//! What is certainly a mistake is refused by [`crate::plausible`]. Each bound here is beyond what the fixtures and
+//! measured mirrors have, and below what the mistake makes of them; a doubt is never more than a sentence.
+
+use ndarray::Array2;
+use planish_numerics::statistics;
+
+use crate::{Limits, Surface, Tif, text::significant};
+
+/// Part of the mean square of a map that is a plane, from which on the plane is taken for a tilt of the measurement. A
+/// part whose desired removal is a wedge has more of it, and is rare. Larger: a tilt that triples the time goes unsaid.
+const MOST_PLANE: f64 = 0.9;
+
+/// Smallest PV of a map that is taken for heights in nm, nm. An interferometer repeats to some 0.1 nm RMS; heights in um
+/// are a thousand times smaller than they are.
+const LEAST_PV_NM: f64 = 0.5;
+
+/// Most pixels of a map that are looked at for repeated heights and quantiles: what concerns 0.2 % of the map is 200 of
+/// them.
+const MOST_SAMPLES: usize = 100_000;
+
+/// Least part of the pixels that have one height, exactly, before it is taken for no height; and least ratio of their
+/// number to that of the next most frequent height. In a map of counts neighbouring heights are about as frequent.
+const LEAST_REPEATED: f64 = 2e-3;
+const LEAST_REPEATED_RATIO: usize = 10;
+
+/// Part of the pixels, the lowest and the highest ones, that do not decide the range of the others; and how many times
+/// that range a pixel may lie beyond it. The pits of the fixtures, which a tool leaves as they are, lie within one.
+const EXTREMES: f64 = 2e-3;
+const MOST_RANGES: f64 = 3.0;
+
+/// Times that a tool needs at one place for the mean depth, s: below the first the machine would never stand still, above
+/// the second a part takes days. The fixtures and the reference mirror are between 1.6 and 11 s; rates in nm/min are 60
+/// times too fast, rates in um/s 1000 times too slow.
+const MEAN_DEPTH_S: [f64; 2] = [0.1, 300.0];
+
+/// Most times that the machine may take for the path at its largest velocities, of the time that the removal takes. At
+/// most 0.7 for the fixtures and the reference mirror on every machine; limits in m/s are 1000 times too small.
+const MOST_TRAVEL: f64 = 5.0;
+
+/// A baseline is what 9 of 10 samples on the border of a TIF exceed, over the peak: of a Gaussian that ends at 3 standard
+/// deviations that is 2e-4. It counts from the first of these on, up to the second, where 8 of 10 samples differ by less
+/// than so many times their median: the border of a cropped spot falls off towards its corners.
+const LEAST_BASELINE: f64 = 0.01;
+const MOST_BASELINE: f64 = 0.3;
+const MOST_SPREAD: f64 = 0.8;
+
+/// Largest rate on the border over the peak from which on the samples are taken for a part of the spot: a Gaussian that
+/// ends at 2.4 standard deviations. Noise of 1 % of the peak stays below.
+const MOST_BORDER: f64 = 0.06;
+
+/// What a map in the clear aperture, before it is levelled, says against its heights.
+pub fn of_heights(measured: &Surface) -> Option<String> {
+    let map = measured.height_nm();
+    let mut some = sampled(map);
+    some.sort_unstable_by(f64::total_cmp);
+    no_height(map, &some).or_else(|| spikes(map, &some))
+}
+
+/// What the desired removal says, whose RMS is given with and without its best plane.
+pub fn of_removal(pv_nm: f64, rms_nm: f64, detilted_nm: f64) -> Option<String> {
+    if pv_nm > 0.0 && pv_nm < LEAST_PV_NM {
+        return Some(format!(
+            "the heights span {} nm in all, less than an interferometer resolves: heights in um? give nm, or \
+             surface_settings=\"--unit um\" for the file of an instrument",
+            significant(pv_nm, 2)
+        ));
+    }
+    let plane = 1.0 - (detilted_nm / rms_nm).powi(2);
+    (plane > MOST_PLANE).then(|| {
+        format!(
+            "{:.0} % of the RMS is a plane ({} nm RMS with it, {} nm without): a tilt of the measurement? \
+             prepare=\"--level plane\" takes it off; as it is, the run removes it",
+            100.0 * (1.0 - detilted_nm / rms_nm),
+            significant(rms_nm, 3),
+            significant(detilted_nm, 3)
+        )
+    })
+}
+
+/// What the samples of a TIF say against it.
+pub fn of_tif(tif: &Tif) -> Option<String> {
+    let (ny, nx) = tif.grid().shape();
+    let rate = tif.rate_nm_per_s();
+    let border = rate
+        .indexed_iter()
+        .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
+    let mut border: Vec<f64> = border.map(|(_, v)| v / tif.peak_nm_per_s()).collect();
+    border.sort_unstable_by(f64::total_cmp);
+    let [baseline, median, high] =
+        [0.1, 0.5, 0.9].map(|part| border[(part * border.len() as f64) as usize]);
+    let largest = border[border.len() - 1];
+    let is_level = high - baseline < MOST_SPREAD * median;
+    if baseline > LEAST_BASELINE && largest < MOST_BASELINE && is_level {
+        // Part of the volume that is a block of this height.
+        let part = baseline * tif.peak_nm_per_s() * rate.len() as f64 / rate.sum();
+        return Some(format!(
+            "the TIF has {:.1} % of its peak all along its border, which is {:.0} % of its volume: a baseline? \
+             planish-surface tif --subtract-border takes it off",
+            100.0 * baseline,
+            100.0 * part
+        ));
+    }
+    (largest > MOST_BORDER).then(|| {
+        format!(
+            "the TIF ends at {:.0} % of its peak, so that its volume is too small and a raster prints the step onto \
+             the part: a spot that was cropped? measure a wider field",
+            100.0 * largest
+        )
+    })
+}
+
+/// What the map and the tool say against each other's units.
+pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
+    let s = desired.statistics();
+    let depth_nm = s.mean - s.min;
+    let at_one_place_s = depth_nm / tif.peak_nm_per_s();
+    let [least, most] = MEAN_DEPTH_S;
+    let said = |units: &str| {
+        format!(
+            "the tool removes the mean depth of {} nm in {} s at one place (its peak is {} nm/s): {units}",
+            significant(depth_nm, 3),
+            significant(at_one_place_s, 2),
+            significant(tif.peak_nm_per_s(), 3)
+        )
+    };
+    if at_one_place_s > most {
+        return Some(said("rates in um/s? give nm/s"));
+    }
+    (at_one_place_s > 0.0 && at_one_place_s < least)
+        .then(|| said("rates in nm/min, or heights in um? give nm/s and nm"))
+}
+
+/// What the limits of the machine say, for lines of this pitch: the path is some A / pitch long.
+pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
+    let s = desired.statistics();
+    let area_mm2 = s.valid_count as f64 * desired.grid().pixel_mm2();
+    let removal_s = (s.mean - s.min) * area_mm2 / tif.vrr_nm_mm2_per_s();
+    let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
+    let travel_s = area_mm2 / pitch_mm / fastest;
+    (removal_s > 0.0 && travel_s > MOST_TRAVEL * removal_s).then(|| {
+        format!(
+            "the machine takes {} s for the path at its largest velocity of {} mm/s, and the removal {} s: limits in \
+             m/s? give mm/s and mm/s^2",
+            significant(travel_s, 3),
+            significant(fastest, 3),
+            significant(removal_s, 3)
+        )
+    })
+}
+
+/// Valid heights, at most [`MOST_SAMPLES`] of them, at equal distances in the array.
+fn sampled(map: &Array2<f64>) -> Vec<f64> {
+    let valid = statistics::valid_count(map.view());
+    map.iter().filter(|z| !z.is_nan()).step_by(valid.div_ceil(MOST_SAMPLES)).copied().collect()
+}
+
+/// A height that so many pixels have exactly, as they have no other; `some` are sorted.
+fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
+    let runs = some.chunk_by(|a, b| a == b);
+    let (mut first, mut second) = ((0, 0.0), 0);
+    for run in runs {
+        if run.len() > first.0 {
+            (second, first) = (first.0, (run.len(), run[0]));
+        } else {
+            second = second.max(run.len());
+        }
+    }
+    let (repeated, height) = first;
+    // Where it is not the only height.
+    let many = repeated as f64 > LEAST_REPEATED * some.len() as f64;
+    if !many || second == 0 || repeated < LEAST_REPEATED_RATIO * second {
+        return None;
+    }
+    let [count] = statistics::counts(map.view(), [height]);
+    Some(format!(
+        "{count} pixels have exactly the height {height} nm, and no other height is so frequent: pixels without data? \
+         mark them by NaN, or give the clear aperture (prepare=\"--aperture-rectangle-mm X0 X1 Y0 Y1\")"
+    ))
+}
+
+/// Pixels far beyond the range of all others; `some` are sorted.
+fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
+    // At least the two outermost samples on each side.
+    let out = ((EXTREMES * some.len() as f64) as usize).max(2);
+    let (low, high) = (*some.get(out)?, *some.get(some.len().checked_sub(out + 1)?)?);
+    let beyond = MOST_RANGES * (high - low);
+    let is_beyond = |z: &&f64| **z < low - beyond || **z > high + beyond;
+    let count = map.iter().filter(is_beyond).count();
+    if beyond <= 0.0 || count == 0 {
+        return None;
+    }
+    let (lowest, highest) = statistics::range(map.view());
+    let farthest = if low - lowest > highest - high { lowest } else { highest };
+    let (are, them) = if count == 1 { ("pixel lies", "it") } else { ("pixels lie", "them") };
+    Some(format!(
+        "{count} {are} up to {} nm beyond all others, which are from {} to {} nm: spikes, or pixels without data ({})? \
+         prepare=\"--mask-outliers --feature-mm W\" leaves {them} out, where W is the width of the tool",
+        significant((low - lowest).max(highest - high), 3),
+        significant(low, 3),
+        significant(high, 3),
+        significant(farthest, 5)
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Axis, Grid, MachineFile, MachineFileAxis};
+
+    fn axis(start: f64, end: f64, n: usize) -> Axis {
+        Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
+    }
+
+    /// 40 x 24 mm, PV some 40 nm, with what `change` makes of the heights.
+    fn map(change: impl Fn(f64, (usize, usize)) -> f64) -> Surface {
+        let grid = Grid { x: axis(0.0, 40.0, 81), y: axis(0.0, 24.0, 49) };
+        let z = Array2::from_shape_fn((49, 81), |(r, c)| {
+            let (x, y) = (c as f64 - 40.0, r as f64 - 20.0);
+            change(0.01 * x * x + 0.03 * y * y + 0.3 * (0.7 * x).sin(), (r, c))
+        });
+        Surface::new(grid, z).unwrap()
+    }
+
+    /// Gaussian of sigma 1.5 mm and 10 nm/s out to `half` mm, with what `change` makes of the rates.
+    fn tool(half: f64, change: impl Fn(f64) -> f64) -> Tif {
+        let a = axis(-half, half, 49);
+        let rate = Array2::from_shape_fn((49, 49), |(r, c)| {
+            change(10.0 * (-0.5 * (a.at(r).powi(2) + a.at(c).powi(2)) / 2.25).exp())
+        });
+        Tif::new(Grid { x: a, y: a }, rate).unwrap()
+    }
+
+    fn limits(velocity: f64) -> Limits {
+        let axis = |name: &str| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: velocity,
+            max_acceleration_mm_per_s2: 2000.0,
+            ..MachineFileAxis::default()
+        };
+        let axes = ["x", "y"].map(axis).to_vec();
+        MachineFile { name: "m".into(), axes, ..MachineFile::default() }.checked().unwrap()
+    }
+
+    fn of_map(surface: &Surface) -> Option<String> {
+        let s = surface.statistics();
+        of_heights(surface).or_else(|| of_removal(s.pv, s.rms, surface.detilted_rms_nm()))
+    }
+
+    #[track_caller]
+    fn said(doubt: Option<String>, parts: &[&str]) {
+        let doubt = doubt.expect("a doubt");
+        assert!(!doubt.contains('\n'), "{doubt}");
+        for part in parts {
+            assert!(doubt.contains(part), "no {part:?} in: {doubt}");
+        }
+    }
+
+    #[test]
+    fn an_ordinary_map_with_its_tool_and_machine_is_in_no_doubt() {
+        let (surface, tif) = (map(|z, _| z), tool(5.0, |rate| rate));
+        assert_eq!(of_map(&surface), None);
+        // Counts of 0.1 nm, a pit of the depth of the map, and a dead corner.
+        assert_eq!(of_map(&map(|z, _| (10.0 * z).round() / 10.0)), None);
+        assert_eq!(of_map(&map(|z, at| if at == (7, 9) { -30.0 } else { z })), None);
+        assert_eq!(of_map(&map(|z, (r, c)| if r < 9 && c < 9 { f64::NAN } else { z })), None);
+        // Some wedge, and a map that is flat.
+        assert_eq!(of_map(&map(|z, (_, c)| z + 0.1 * c as f64)), None);
+        assert_eq!(of_map(&map(|_, _| 5.0)), None);
+        assert_eq!(of_tif(&tif), None);
+        // A Gaussian that ends at 2.9 standard deviations, as that of the reference mirror does.
+        assert_eq!(of_tif(&tool(4.4, |rate| rate)), None);
+        assert_eq!(of_rates(&surface, &tif), None);
+        for velocity in [1000.0, 250.0, 10.0] {
+            assert_eq!(of_limits(&surface, &tif, &limits(velocity), 1.0), None);
+        }
+    }
+
+    #[test]
+    fn heights_that_are_none_are_named() {
+        let hole = |v: f64| move |z, (r, c): (usize, usize)| if r < 9 && c < 20 { v } else { z };
+        said(of_map(&map(hole(9999.0))), &["180 pixels have exactly the height 9999 nm"]);
+        said(of_map(&map(hole(0.0))), &["the height 0 nm", "mark them by NaN", "prepare="]);
+        let few = |z, at| if at == (3, 3) || at == (3, 4) { 9999.0 } else { z };
+        said(of_map(&map(few)), &["2 pixels lie", "9999", "--mask-outliers --feature-mm W"]);
+        let spikes = |z, at| match at {
+            (10, 10) => 3000.0,
+            (20, 30) => -3000.0,
+            _ => z,
+        };
+        said(of_map(&map(spikes)), &["2 pixels lie", "spikes"]);
+    }
+
+    #[test]
+    fn a_tilt_and_heights_in_um_are_named() {
+        let tilted = of_map(&map(|z, (_, c)| z + 20.0 * c as f64));
+        said(tilted, &["98 % of the RMS is a plane", "prepare=\"--level plane\""]);
+        said(of_map(&map(|z, _| 1e-3 * z)), &["span 0.0", "heights in um"]);
+    }
+
+    #[test]
+    fn a_tool_with_a_baseline_or_cropped_or_in_other_units_is_named() {
+        let surface = map(|z, _| z);
+        // 5 % of the peak on 10 x 10 mm beside 2 pi sigma^2: 5 / (5 + 14.1).
+        let baseline = of_tif(&tool(5.0, |rate| rate + 0.5));
+        said(baseline, &["5.0 % of its peak", "is 27 % of its volume", "--subtract-border"]);
+        // exp(-1.317^2 / 2) = 0.42
+        let cropped = of_tif(&tool(1.317 * 1.5, |rate| rate));
+        said(cropped, &["ends at 42 % of its peak", "measure a wider field"]);
+        said(of_rates(&surface, &tool(5.0, |rate| 60.0 * rate)), &["600 nm/s", "nm/min"]);
+        said(of_rates(&surface, &tool(5.0, |rate| 1e-3 * rate)), &["0.01 nm/s", "um/s"]);
+    }
+
+    #[test]
+    fn limits_in_metres_per_second_are_named() {
+        let doubt = of_limits(&map(|z, _| z), &tool(5.0, |rate| rate), &limits(0.25), 1.0);
+        said(doubt, &["largest velocity of 0.25 mm/s", "limits in m/s"]);
+    }
+}
