@@ -44,10 +44,11 @@ pub struct Feed {
     /// Weight of the second differences of the control values along a pass, likewise
     #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
     smoothness: f64,
-    /// End when a sweep over the lines lowers the objective by less than this part
+    /// Largest proven distance of the objective from its minimum, over the objective; with knot removal,
+    /// the fall of the objective in a sweep at which it ends
     #[arg(long, value_name = "R", default_value_t = Settings::default().tolerance)]
     tolerance: f64,
-    /// Most sweeps over the lines
+    /// Most steps of the interior point method; with knot removal, most sweeps over the lines
     #[arg(long, value_name = "N", default_value_t = Settings::default().max_sweeps)]
     max_sweeps: usize,
     /// Largest distance of the motion from the feed profile at equal times, mm
@@ -101,9 +102,15 @@ impl Feed {
         let rms = r
             .model_rms_nm
             .map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
+        let gap = r.gap.map_or(String::new(), |gap| {
+            format!(
+                "; no feed within the limits, linearised at this one, lowers the objective by more than {:.2} %",
+                100.0 * gap
+            )
+        });
         say(format!(
-            "{method}: {} passes, {} control values, {:.3} s{rms}; {:.1} % of the feed and {:.1} % of the \
-             acceleration limit used; {} turn-arounds and {} lifts as links of {:.3} s; {} sweeps -> {}",
+            "{method}: {} passes, {} control values, {:.3} s{rms}{gap}; {:.1} % of the feed and {:.1} % of the \
+             acceleration limit used; {} turn-arounds and {} lifts as links of {:.3} s; {} steps -> {}",
             r.passes,
             r.control_values,
             total_time_s,

@@ -30,6 +30,12 @@ pub struct Column {
 }
 
 impl Column {
+    /// First and last row, first and last column; none where it is empty.
+    pub fn pixels(&self) -> Option<[usize; 4]> {
+        let ((r, k), (ny, nx)) = (self.origin, self.removal.dim());
+        (!self.removal.is_empty()).then(|| [r, r + ny - 1, k, k + nx - 1])
+    }
+
     /// Scalar product with a map (ny, nx).
     pub fn dot(&self, map: &Array2<f64>) -> f64 {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());

@@ -8,8 +8,9 @@
 //! ```
 //!
 //! over the valid pixels; K is the largest diagonal element of the `G_m'G_m`. A TIF wider than the pitch
-//! couples the lines: what one removes its neighbours need not. So (1) is solved by block
-//! Gauss-Seidel sweeps: with the residual r of all lines,
+//! couples the lines: what one removes its neighbours need not. The convex-concave procedure solves (1) for all
+//! lines at once and proves how good it is ([`crate::joint`]). Knot removal, a procedure for one line, goes by
+//! block Gauss-Seidel sweeps: with the residual r of all lines,
 //!
 //! ```text
 //! P_m = G_m'G_m + alpha K I + beta K (second differences)'(second differences)
@@ -17,12 +18,8 @@
 //! d_m <- the solution for line m (crate::limited),   r <- r - G_m (change of d_m)           (2)
 //! ```
 //!
-//! Each step of the convex-concave procedure lowers (1); one of knot removal may raise it, because it
-//! starts from all knots again. A sweep that raises (1) is given up, and ends the sweeps.
-//!
-//! What a sweep leaves is what several lines together could do and none alone:
-//! it fades by a factor of about 1 - lambda, lambda being an eigenvalue of the scaled normal
-//! matrix, so the parts of the map that the tool can correct come first. Lines that do not see each other's
+//! Its steps may raise (1), because each starts from all knots again. A sweep that raises (1) is given up, and ends the
+//! sweeps. Nothing is proven of its result. Lines that do not see each other's
 //! pixels are solved at the same time; the result does not depend on the number of threads.
 //!
 //! Source: the B-spline deconvolution of feed profiles, Eqs 8-10 for one line; the coupling, the
@@ -72,9 +69,9 @@ pub struct Settings {
     pub tikhonov: f64,
     /// beta: weight of the second differences of the control values; >= 0.
     pub smoothness: f64,
-    /// The sweeps end when the objective falls by less than this part.
+    /// Largest gap, or fall of the objective in the last sweep, over the objective.
     pub tolerance: f64,
-    /// Most sweeps.
+    /// Most sweeps, or steps of the interior point method.
     pub max_sweeps: usize,
 }
 
@@ -107,9 +104,6 @@ pub struct Start {
     pub d: Vec<Vec<f64>>,
     /// c, nm.
     pub piston_nm: f64,
-    /// Whether they keep the limits. One that does not may leave less than is possible, so that the first sweep may
-    /// raise the objective.
-    pub is_within: bool,
 }
 
 /// Control values, and what they leave.
@@ -121,17 +115,21 @@ pub struct State {
     pub piston_nm: f64,
     /// r, zero where the map is invalid (ny, nx), nm.
     pub residual_nm: Array2<f64>,
-    /// Objective (1) after every sweep, nm^2; the first is that of the start.
+    /// Objective (1) after every sweep or step, nm^2; the first is that of the start.
     pub objective: Vec<f64>,
-    /// Whether the objective fell by less than the tolerance in the last sweep.
+    /// Sweeps, or steps of the interior point method.
+    pub steps: usize,
+    /// Whether the gap is within the tolerance, or the objective fell by less than that in the last sweep.
     pub converged: bool,
+    /// Part of the objective that no feed within the tangents of the limits saves ([`crate::joint`]); none of sweeps.
+    pub gap: Option<f64>,
     /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
     pub given_up_nm2: Option<f64>,
     /// Knots that are left by knot removal.
     pub kept: Vec<Knots>,
     /// Lines on which knot removal ended without an interior knot, and the procedure took over.
     pub fallbacks: usize,
-    rows_mm: Vec<Vec<f64>>,
+    pub(crate) rows_mm: Vec<Vec<f64>>,
 }
 
 impl Problem {
@@ -173,16 +171,16 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Sweeps from a start; `other_nm` (ny, nx) is what is removed beside the passes. What is returned is no worse
-    /// than a start within the limits.
-    pub fn solve(
+    /// Sweeps of knot removal from a start within the limits; `other_nm` (ny, nx) is what is removed beside the passes.
+    /// What is returned is no worse than the start.
+    pub fn sweeps(
         &self,
         surface: &Surface,
         other_nm: &Array2<f64>,
         start: Start,
         settings: &Settings,
     ) -> Result<State, FeedError> {
-        let (mut may_rise, mut first_fall) = (!start.is_within, None);
+        let mut first_fall = None;
         let mut state = self.start(surface, other_nm, start);
         let mut before = self.objective(&state, settings);
         state.objective.push(before);
@@ -193,41 +191,65 @@ impl Problem {
                 free_piston(surface, &mut state);
             }
             let now = self.objective(&state, settings);
-            let fall = (before - now).abs() / before;
+            if now > before {
+                // Knot removal promises nothing.
+                state = State { given_up_nm2: Some(now), ..last };
+                break;
+            }
+            let fall = (before - now) / before;
             let first = *first_fall.get_or_insert(fall);
             progress::done(progress::of_convergence(first, fall, settings.tolerance));
-            let stands = (before - now).abs() <= settings.tolerance * before;
-            if now > before && !may_rise {
-                state = last;
-                // The procedure asks for a little less than the limit, so that at its end a sweep may raise the
-                // objective by a trace: within the tolerance it stands still. Knot removal promises nothing.
-                state.converged = stands && settings.refinement == Refinement::ConvexConcave;
-                state.given_up_nm2 = (!state.converged).then_some(now);
-                break;
-            }
             state.objective.push(now);
-            if stands && !may_rise {
-                state.converged = true;
+            state.steps += 1;
+            state.converged = fall <= settings.tolerance;
+            if state.converged {
                 break;
             }
-            (before, may_rise) = (now, false);
+            before = now;
         }
         Ok(state)
     }
 
-    /// Objective (1) of a start, nm^2.
-    pub fn value(
-        &self,
-        surface: &Surface,
-        other_nm: &Array2<f64>,
-        start: Start,
-        settings: &Settings,
-    ) -> f64 {
-        self.objective(&self.start(surface, other_nm, start), settings)
+    /// alpha K and beta K.
+    pub(crate) fn weights(&self, settings: &Settings) -> [f64; 2] {
+        // A trace of the identity makes the program definite where the tool reaches nothing.
+        [settings.tikhonov.max(1e-12), settings.smoothness].map(|w| w * self.strongest)
+    }
+
+    /// The basis of line `m`.
+    pub(crate) fn columns(&self, m: usize) -> &[Column] {
+        &self.lines[m].columns
+    }
+
+    /// The bases of all lines, in their order.
+    pub(crate) fn all_columns(&self) -> impl Iterator<Item = &Column> {
+        self.lines.iter().flat_map(|line| &line.columns)
+    }
+
+    /// First and last row, first and last column that line `m` reaches.
+    pub(crate) fn pixels(&self, m: usize) -> Option<[usize; 4]> {
+        bounding_box(&self.lines[m])
+    }
+
+    /// A state of which nothing is known yet, with all knots.
+    pub(crate) fn untouched(&self) -> State {
+        State {
+            d: Vec::new(),
+            piston_nm: 0.0,
+            residual_nm: Array2::zeros((0, 0)),
+            objective: Vec::new(),
+            steps: 0,
+            converged: false,
+            gap: None,
+            given_up_nm2: None,
+            kept: self.lines.iter().map(|l| l.knots.clone()).collect(),
+            fallbacks: 0,
+            rows_mm: vec![Vec::new(); self.lines.len()],
+        }
     }
 
     fn start(&self, surface: &Surface, other_nm: &Array2<f64>, start: Start) -> State {
-        let Start { d, piston_nm, .. } = start;
+        let Start { d, piston_nm } = start;
         // r = z + c - other - G d on the valid pixels
         let mut residual_nm = surface.height_nm() - other_nm + piston_nm;
         residual_nm.mapv_inplace(|r| if r.is_nan() { 0.0 } else { r });
@@ -236,17 +258,7 @@ impl Problem {
                 column.add_to(&mut residual_nm, -d);
             }
         }
-        State {
-            d,
-            piston_nm,
-            residual_nm,
-            objective: Vec::new(),
-            converged: false,
-            given_up_nm2: None,
-            kept: self.lines.iter().map(|l| l.knots.clone()).collect(),
-            fallbacks: 0,
-            rows_mm: vec![Vec::new(); self.lines.len()],
-        }
+        State { d, piston_nm, residual_nm, ..self.untouched() }
     }
 
     /// (2) for every line.
@@ -280,14 +292,12 @@ impl Problem {
             kept: state.kept[m].clone(),
             fallback: false,
         };
-        if settings.refinement == Refinement::KnotRemoval {
-            let removed = limited::knot_removal(&objective, &line.knots, line.limits)?;
-            if let Some((d, kept)) = removed {
-                (solved.d, solved.kept) = (d, kept);
-                return Ok(solved);
-            }
-            solved.fallback = true;
+        let removed = limited::knot_removal(&objective, &line.knots, line.limits)?;
+        if let Some((d, kept)) = removed {
+            (solved.d, solved.kept) = (d, kept);
+            return Ok(solved);
         }
+        solved.fallback = true;
         solved.d = limited::convex_concave_step(
             &objective,
             &line.knots,
@@ -302,9 +312,7 @@ impl Problem {
     fn line_objective(&self, m: usize, state: &State, settings: &Settings) -> Quadratic {
         let (line, current) = (&self.lines[m], &state.d[m]);
         let n = current.len();
-        // A trace of the identity makes the program definite where the tool reaches nothing.
-        let alpha = settings.tikhonov.max(1e-12) * self.strongest;
-        let beta = settings.smoothness * self.strongest;
+        let [alpha, beta] = self.weights(settings);
         let mut p = line.gram.clone();
         let mut q: Vec<f64> = line.columns.iter().map(|c| c.dot(&state.residual_nm)).collect();
         for i in 0..n {
@@ -325,8 +333,7 @@ impl Problem {
 
     /// (1).
     fn objective(&self, state: &State, settings: &Settings) -> f64 {
-        let alpha = settings.tikhonov.max(1e-12) * self.strongest;
-        let beta = settings.smoothness * self.strongest;
+        let [alpha, beta] = self.weights(settings);
         let mut sum = state.residual_nm.iter().map(|r| r * r).sum::<f64>();
         for (line, d) in self.lines.iter().zip(&state.d) {
             let least = line.limits.min_density_s_per_mm;
@@ -400,9 +407,6 @@ fn groups(lines: &[Line]) -> Vec<Vec<usize>> {
 
 /// First and last row, first and last column that a line reaches.
 fn bounding_box(line: &Line) -> Option<[usize; 4]> {
-    let boxes = line.columns.iter().filter(|c| !c.removal.is_empty()).map(|c| {
-        let ((r, k), (ny, nx)) = (c.origin, c.removal.dim());
-        [r, r + ny - 1, k, k + nx - 1]
-    });
+    let boxes = line.columns.iter().filter_map(Column::pixels);
     boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])
 }

@@ -14,13 +14,15 @@
 //! | [`passes`] | the straight passes of a path, what joins them, and what a machine can do on them |
 //! | [`columns`] | the material-removal basis G |
 //! | [`limited`] | a quadratic objective within the feed and acceleration limits of one pass |
-//! | [`deconvolution`] | the control values of all passes for a map, line by line |
+//! | [`deconvolution`] | the control values of all passes for a map: the problem, and the sweeps of knot removal |
+//! | `joint` | all control values at once, by the convex-concave procedure, with a proof of how good they are |
 //! | [`vrr`] | the baseline: feed = VRR / (desired removal x pitch) |
 //! | [`motion`] | the splines as one trajectory, passes joined by links |
 //! | [`mod@plan`] | all of it |
 
 pub mod columns;
 pub mod deconvolution;
+mod joint;
 pub mod limited;
 pub mod motion;
 pub mod passes;

@@ -77,8 +77,8 @@ const SAMPLES: u32 = 40;
 /// Part of the limit that rows (2) ask for, and part up to which a solution is accepted. The gap is
 /// for the tolerance of the solver and of the search for the extrema, and the rest for the cubic
 /// pieces that are fitted to the motion.
-const ASKED: f64 = 0.998;
-const ACCEPTED: f64 = 0.9995;
+pub(crate) const ASKED: f64 = 0.998;
+pub(crate) const ACCEPTED: f64 = 0.9995;
 
 /// Rounds of adding rows before what is left of the excess is mended by a slower feed.
 const MAX_ROUNDS: usize = 60;
@@ -93,7 +93,7 @@ pub struct Peak {
 }
 
 /// Local extrema of |a| above `threshold`, in order.
-fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
+pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
     let mut at: Vec<f64> = Vec::new();
     for span in knots.breaks().windows(2) {
         at.extend(
@@ -244,14 +244,14 @@ pub fn knot_removal(
 }
 
 /// `sum_j coefficient_j d_(first + j) <= bound`.
-struct Row {
-    first: usize,
-    coefficient: [[f64; 4]; 2],
-    bound: f64,
+pub(crate) struct Row {
+    pub(crate) first: usize,
+    pub(crate) coefficient: [[f64; 4]; 2],
+    pub(crate) bound: f64,
 }
 
 /// (2) at `s`, over 3 A D_k^2:  +-D'/(3 A D_k^2) - D <= -2/3 D_k.
-fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> Row {
+pub(crate) fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> Row {
     let (first, b) = knots.basis(s);
     let (_, slope) = knots.basis_derivative(s);
     let now = knots.value(current, s);

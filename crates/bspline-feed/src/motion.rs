@@ -28,6 +28,13 @@ use crate::{
 /// the velocities at their ends are within those of a link.
 const MARGIN: f64 = 0.5e-6;
 
+/// Shortest piece of a link, in roundings of the time of the motion: a shorter one vanishes when times are added.
+const LEAST_ROUNDINGS: f64 = 4.0;
+
+/// Largest change of the velocity in the time of the shortest piece, mm/s: a tenth of the step that `planish-verify`
+/// takes for rounding. Links use no larger acceleration, whatever the machine allows.
+const LARGEST_STEP_MM_PER_S: f64 = 1e-7;
+
 /// What joins the passes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Links {
@@ -79,6 +86,17 @@ pub fn motion(
     let mut links_on = Vec::new();
     let mut fit = FitReport { pieces: 0, largest_error_mm: 0.0 };
     let mut before: Option<[[f64; 2]; 2]> = None;
+    let time_s: f64 = (passes.iter().zip(knots).zip(d))
+        .map(|((pass, knots), d)| knots.integral(d).value(pass.length_mm()))
+        .sum();
+    let least_s = LEAST_ROUNDINGS * f64::EPSILON * time_s;
+    let linked = LinkLimits {
+        velocity: limits.max_velocity_mm_per_s().map(|v| (1.0 - MARGIN) * v),
+        acceleration: limits
+            .max_acceleration_mm_per_s2()
+            .map(|a| ((1.0 - MARGIN) * a).min(LARGEST_STEP_MM_PER_S / least_s)),
+        least_s,
+    };
     for (m, pass) in passes.iter().enumerate() {
         let (knots, d) = (&knots[m], &d[m]);
         let velocity = |s: f64| pass.direction.map(|t| t / knots.value(d, s));
@@ -90,7 +108,7 @@ pub fn motion(
             before.unwrap_or([pass.start_mm, [0.0; 2]]),
             start,
             tool_on,
-            limits,
+            &linked,
         );
         if m > 0 && tool_on {
             links.turn_arounds += 1;
@@ -107,7 +125,15 @@ pub fn motion(
         before = Some([pass.at(end_mm), velocity(end_mm)]);
     }
     if let Some(end) = before {
-        links.total_time_s += add_link(&mut draft, end, [end[0], [0.0; 2]], false, limits);
+        links.total_time_s += add_link(&mut draft, end, [end[0], [0.0; 2]], false, &linked);
+    }
+    if let Some((short_s, time_s)) = draft.vanishing_duration_s() {
+        let problem = format!(
+            "allow a motion with a piece of {short_s:.6e} s, which vanishes in the rounding of its time of \
+             {time_s:.6e} s"
+        );
+        let remedy = "give the velocity and the acceleration that the machine has, in mm and s";
+        return Err(Invalid::whole("axes", problem, remedy));
     }
     Ok(Motion { trajectory: draft.build()?, links, fit, links_on })
 }
@@ -141,22 +167,29 @@ impl Motion {
     }
 }
 
+/// What a link may do.
+struct LinkLimits {
+    velocity: [f64; 2],
+    acceleration: [f64; 2],
+    least_s: f64,
+}
+
 /// From one [position, velocity] to another; returns how long it takes, s.
 fn add_link(
     draft: &mut TrajectoryBuilder,
     from: [[f64; 2]; 2],
     to: [[f64; 2]; 2],
     tool_on: bool,
-    limits: &Limits,
+    limits: &LinkLimits,
 ) -> f64 {
-    let (v, a) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
     let axes = [0, 1].map(|k| AxisLink {
         from: [from[0][k], from[1][k]],
         to: [to[0][k], to[1][k]],
-        max_velocity: (1.0 - MARGIN) * v[k],
-        max_acceleration: (1.0 - MARGIN) * a[k],
+        max_velocity: limits.velocity[k],
+        max_acceleration: limits.acceleration[k],
     });
-    let pieces = link(&axes);
+    let mut pieces = link(&axes);
+    pieces.retain(|piece| piece.duration > limits.least_s);
     for piece in &pieces {
         draft.push(piece.duration, piece.coefficient, tool_on, None);
     }
@@ -212,8 +245,8 @@ fn enters(draft: &TrajectoryBuilder, begin: usize, surface: &Surface) -> bool {
 fn breaks(pass: &Pass, knots: &Knots) -> Vec<f64> {
     let mut breaks: Vec<f64> = pass.node_mm.iter().chain(knots.breaks()).copied().collect();
     breaks.sort_by(f64::total_cmp);
-    // Nearer than a picometre they are the same place; the ends stay.
-    breaks.dedup_by(|b, a| *b - *a < 1e-9);
+    // Nearer than 0.1 nm they are the same place, or a piece might vanish in the rounding of times; the ends stay.
+    breaks.dedup_by(|b, a| *b - *a < 1e-7);
     *breaks.last_mut().expect("a pass has two ends") = pass.length_mm();
     breaks
 }

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! passes -> knots of every pass -> first guess: the VRR feed
-//!   deconvolution:  sweeps over the lines; links; what the links remove is taken from the desired
-//!                   removal, and the sweeps go on until it changes no more
+//!   deconvolution:  all lines at once; links; what the links remove is taken from the desired
+//!                   removal, and the lines are solved again until it changes no more
 //!   vrr:            the spline closest to the VRR feed
 //! -> motion
 //! ```
@@ -23,6 +23,7 @@ use serde::Serialize;
 use crate::{
     FeedError,
     deconvolution::{self, Problem, Refinement, Start},
+    joint::Joint,
     limited,
     motion::{FitReport, Links, Motion, motion},
     passes::{Pass, passes},
@@ -78,9 +79,10 @@ pub struct Settings {
     pub tikhonov: f64,
     /// Weight of the second differences of the control values along a pass, likewise; >= 0.
     pub smoothness: f64,
-    /// The sweeps end when the objective falls by less than this part.
+    /// Largest gap between the objective and its proven lower bound, over the objective; of knot removal, fall of the
+    /// objective in the last sweep.
     pub tolerance: f64,
-    /// Most sweeps.
+    /// Most steps of the interior point method, or sweeps of knot removal.
     pub max_sweeps: usize,
     /// Largest distance of the motion from t(s), mm.
     pub fit_tolerance_mm: f64,
@@ -119,14 +121,18 @@ pub struct Report {
     pub fallbacks: usize,
     /// Uniform removal beside the desired one, nm.
     pub piston_nm: f64,
-    /// Gauss-Seidel sweeps of all rounds.
+    /// Steps of the interior point method, or sweeps of knot removal, of all rounds.
     pub sweeps: usize,
-    /// How it ended: `converged` (the last sweep lowered the objective by less than the tolerance),
-    /// `sweep-limit`, `stopped` (the next sweep would have raised the objective), `link-limit` (what the
-    /// links remove still changes), or `direct` for the VRR feed, which is not iterated.
+    /// How it ended: `converged` (the gap is within the tolerance), `settled` (the last sweep of knot removal, of which
+    /// nothing is proven, lowered the objective by less than the tolerance), `sweep-limit`, `stopped` (the next sweep
+    /// would have raised the objective), `link-limit` (the removal by the links still changes), or `direct` for the VRR
+    /// feed, which is not iterated.
     pub end: End,
-    /// Objective at the start and after every sweep of the last round, nm^2. It never rises, but from a start that
-    /// breaks the limits.
+    /// Part of the objective that no feed within the tangents of the acceleration limit at this feed can save. Absent
+    /// where nothing is proven.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gap: Option<f64>,
+    /// Objective at the start and after every step or sweep of the last round, nm^2.
     pub objective_nm2: Vec<f64>,
     /// Objective after the sweep that would have raised it and was given up, nm^2.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -141,12 +147,25 @@ pub struct Report {
     pub acceleration_use: f64,
     /// Largest feed over its limit, from the splines.
     pub feed_use: f64,
+    /// How the motion exceeds the machine's limit on jerk, which the method does not know; absent where the machine has
+    /// none, or the motion keeps it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jerk: Option<Jerk>,
     /// What joins the passes.
     pub links: Links,
     /// Largest removal by links with the tool on, nm; it is taken into account by the deconvolution.
     pub link_removal_nm: f64,
     /// How closely the motion follows the splines.
     pub fit: FitReport,
+}
+
+/// How a motion exceeds a limit on jerk.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Jerk {
+    /// Largest jerk inside pieces over its limit, the worse axis.
+    pub inside: f64,
+    /// Largest step of the acceleration between pieces, which no limit on jerk allows, mm/s^2.
+    pub largest_acceleration_step_mm_per_s2: f64,
 }
 
 /// Dwell-time density, motion, and what was done.
@@ -161,18 +180,33 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Why the plan for the desired removal `surface`, made with `settings`, is not to be executed as it is, where it is not: the
-    /// method did not converge, the surface becomes worse, or the run takes too long.
+    /// Why the plan for the desired removal `surface`, made with `settings`, is not to be executed as it is, where it is not: a
+    /// limit on jerk is exceeded, the method did not converge, the surface becomes worse, or the run takes too long.
     pub fn drawback(&self, surface: &Surface, settings: &Settings) -> Option<String> {
         let r = &self.report;
+        if let Some(jerk) = r.jerk {
+            return Some(format!(
+                "the limit on jerk of the machine is exceeded: by a factor of {:.3} inside pieces, and the \
+                 acceleration steps by up to {:.4} mm/s^2; a B-spline feed keeps no limit on jerk: plan with \
+                 `planish-feed`, or `planish-dwell` and `planish-schedule pvt`, which keep it",
+                jerk.inside, jerk.largest_acceleration_step_mm_per_s2
+            ));
+        }
         let total_time_s = self.trajectory.total_time_s();
         match r.end {
-            End::SweepLimit => Some(format!(
-                "not converged: after {} sweeps the objective still falls by more than {} of itself; \
-                 raise `max_sweeps` or `tolerance`",
-                r.sweeps, settings.tolerance
-            )),
-            End::Stopped => Some(self.stopped(settings)),
+            End::SweepLimit => Some(match settings.refinement {
+                Refinement::ConvexConcave => format!(
+                    "not converged: after {} steps no proof that the objective is within {} of its minimum; \
+                     raise `max_sweeps` or `tolerance`",
+                    r.sweeps, settings.tolerance
+                ),
+                Refinement::KnotRemoval => format!(
+                    "not converged: after {} sweeps the objective still falls by more than {} of itself; \
+                     raise `max_sweeps` or `tolerance`",
+                    r.sweeps, settings.tolerance
+                ),
+            }),
+            End::Stopped => Some(self.stopped()),
             End::LinkLimit => Some(
                 "not converged: what the turn-arounds remove still changes from round to round; give the \
                  path more overscan, so that they lie off the part"
@@ -189,7 +223,7 @@ impl Plan {
     }
 
     /// What is to be said of a sweep that was given up.
-    fn stopped(&self, settings: &Settings) -> String {
+    fn stopped(&self) -> String {
         let r = &self.report;
         let (done, last) = (r.objective_nm2.len() - 1, r.objective_nm2[r.objective_nm2.len() - 1]);
         let raised = r.given_up_nm2.unwrap_or(last);
@@ -198,13 +232,9 @@ impl Plan {
         } else {
             format!("the plan is that of sweep {done}")
         };
-        let remedy = match settings.refinement {
-            Refinement::KnotRemoval => "take `refinement` convex-concave, which keeps all knots",
-            Refinement::ConvexConcave => "raise `tolerance`",
-        };
         format!(
             "not converged: sweep {} raised the objective from {last:.6e} to {raised:.6e} nm^2 and was given \
-             up, so {kept}; {remedy}",
+             up, so {kept}; take `refinement` convex-concave, which keeps all knots",
             done + 1
         )
     }
@@ -257,8 +287,13 @@ pub fn plan(
         }
         Method::Deconvolution => {
             let problem = Problem::new(&passes, knots.clone(), tif, surface)?;
+            let how = deconvolution_settings(settings);
+            let joint = match settings.refinement {
+                Refinement::ConvexConcave => Some(Joint::new(&problem, surface, &how)?),
+                Refinement::KnotRemoval => None,
+            };
             let mut start = guess.start(&passes, &knots);
-            if settings.refinement == Refinement::KnotRemoval {
+            if joint.is_none() {
                 start = within(start, &passes, &knots)?;
             }
             let mut other_nm = Array2::zeros(surface.grid().shape());
@@ -266,20 +301,14 @@ pub fn plan(
             let mut rounds = 0;
             loop {
                 rounds += 1;
-                let how = deconvolution_settings(settings);
-                let mut state = problem.solve(surface, &other_nm, start.clone(), &how)?;
-                // Worse than its start, which the limits may excuse: then not worse than the start within them.
-                if !start.is_within && state.objective.last() > state.objective.first() {
-                    let near = within(start, &passes, &knots)?;
-                    let value = problem.value(surface, &other_nm, near.clone(), &how);
-                    if state.objective.last() > Some(&value) {
-                        state = problem.solve(surface, &other_nm, near, &how)?;
-                    }
-                }
+                let state = match &joint {
+                    Some(joint) => joint.solve(&other_nm, start)?,
+                    None => problem.sweeps(surface, &other_nm, start, &how)?,
+                };
                 let motion = run(&state.d)?;
                 let now_nm = motion.link_removal_nm(tif, surface);
                 let change = largest(&(&now_nm - &other_nm), surface);
-                sweeps += state.objective.len() - 1;
+                sweeps += state.steps;
                 let settled = change <= LINK_TOLERANCE * rms_nm(&state.residual_nm, surface);
                 if settled || rounds == MAX_ROUNDS {
                     let link_removal_nm = largest(&now_nm, surface);
@@ -287,12 +316,12 @@ pub fn plan(
                     let state = Some(state);
                     break Solved { d, motion, link_removal_nm, piston_nm, sweeps, settled, state };
                 }
-                start = Start { d: state.d, piston_nm: state.piston_nm, is_within: true };
+                start = Start { d: state.d, piston_nm: state.piston_nm };
                 other_nm = now_nm;
             }
         }
     };
-    let report = report(&passes, &knots, spacing, &solved, surface);
+    let report = report(&passes, &knots, spacing, &solved, surface, limits);
     let density = density(&passes, &knots, &solved.d)?;
     Ok(Plan { density, trajectory: solved.motion.trajectory, report })
 }
@@ -429,7 +458,7 @@ fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedE
                 .map_err(|status| FeedError::Solver { pass: m, status })
         },
     );
-    Ok(Start { d: near.collect::<Result<_, _>>()?, is_within: true, ..start })
+    Ok(Start { d: near.collect::<Result<_, _>>()?, ..start })
 }
 
 /// What the VRR feed needs.
@@ -461,7 +490,7 @@ impl Guess<'_> {
             };
             seen[m].iter().map(density).collect()
         });
-        Start { d: d.collect(), piston_nm, is_within: false }
+        Start { d: d.collect(), piston_nm }
     }
 
     /// The splines closest to the VRR feed within the limits, and the piston with which the lowest pixel
@@ -545,6 +574,7 @@ fn report(
     spacing: f64,
     solved: &Solved,
     surface: &Surface,
+    limits: &Limits,
 ) -> Report {
     let (mut acceleration_use, mut feed_use) = (0.0_f64, 0.0_f64);
     for ((pass, knots), d) in passes.iter().zip(knots).zip(&solved.d) {
@@ -570,18 +600,45 @@ fn report(
             Some(state) if state.given_up_nm2.is_some() => End::Stopped,
             Some(state) if !state.converged => End::SweepLimit,
             Some(_) if !solved.settled => End::LinkLimit,
+            Some(state) if state.gap.is_none() => End::Settled,
             Some(_) => End::Converged,
         },
+        gap: solved.state.as_ref().and_then(|s| s.gap),
         objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
         given_up_nm2: solved.state.as_ref().and_then(|s| s.given_up_nm2),
         model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),
         model_rms_detilted_nm: residual.map(|r| r.detilted_nm),
         acceleration_use,
         feed_use,
+        jerk: jerk(&solved.motion.trajectory, limits),
         links: solved.motion.links,
         link_removal_nm: solved.link_removal_nm,
         fit: solved.motion.fit,
     }
+}
+
+/// Steps of the acceleration up to this part of its limit are rounding.
+const STEP_ROUNDING: f64 = 1e-6;
+
+/// How the motion exceeds the limit on jerk, where there is one.
+fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
+    let mut found = Jerk { inside: 0.0, largest_acceleration_step_mm_per_s2: 0.0 };
+    let mut exceeded = false;
+    for (k, axis) in limits.axes().iter().enumerate() {
+        let Some(limit) = axis.max_jerk_mm_per_s3() else { continue };
+        let (mut before, mut largest_step) = (0.0, 0.0_f64);
+        for segment in trajectory.segments() {
+            let [_, _, c2, c3] = segment.coefficient_mm[k];
+            found.inside = found.inside.max(6.0 * c3.abs() / limit);
+            largest_step = largest_step.max((2.0 * c2 - before).abs());
+            before = 2.0 * c2 + 6.0 * c3 * segment.duration_s;
+        }
+        largest_step = largest_step.max(before.abs());
+        exceeded |= largest_step > STEP_ROUNDING * axis.max_acceleration_mm_per_s2();
+        found.largest_acceleration_step_mm_per_s2 =
+            found.largest_acceleration_step_mm_per_s2.max(largest_step);
+    }
+    (exceeded || found.inside > 1.0).then_some(found)
 }
 
 fn density(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Result<DwellDensity, Invalid> {

@@ -86,12 +86,71 @@ fn writes_trajectory_and_feed_and_then_nothing() {
 }
 
 #[test]
-fn too_few_sweeps_are_a_negative_verdict() {
+fn too_few_steps_are_a_negative_verdict() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
     let output = run(tmp.path(), &["--max-sweeps=1"]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(text(&output.stderr).contains("raise --max-sweeps"));
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("after 1 steps no proof"), "{message}");
+    assert!(message.contains("raise --max-sweeps"), "{message}");
+    let outcome = &manifest(tmp.path(), "trajectory")["outcome"];
+    assert!(outcome["end"] == "sweep-limit" && outcome["report"]["gap"].is_null(), "{outcome}");
+}
+
+#[test]
+fn converged_is_proven_by_a_gap_and_knot_removal_proves_nothing() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let output = run(tmp.path(), &[]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let outcome = manifest(tmp.path(), "trajectory")["outcome"].clone();
+    assert_eq!(outcome["end"], "converged");
+    let gap = outcome["report"]["gap"].as_f64().unwrap();
+    assert!((0.0..=1e-3).contains(&gap), "{gap}");
+    let said = format!("lowers the objective by more than {:.2} %", 100.0 * gap);
+    assert!(text(&output.stdout).contains(&said), "{}", text(&output.stdout));
+    run(tmp.path(), &["--refinement=knot-removal", "--force"]);
+    let outcome = manifest(tmp.path(), "trajectory")["outcome"].clone();
+    assert!(outcome["end"] != "converged" && outcome["report"]["gap"].is_null(), "{outcome}");
+}
+
+#[test]
+fn a_limit_on_jerk_is_not_kept_and_the_verdict_says_so() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let mut machine: Value =
+        serde_json::from_str(&machine(&[("x", 20.0, 200.0), ("y", 20.0, 100.0)])).unwrap();
+    machine["axes"][0]["max_jerk_mm_per_s3"] = json!(500.0);
+    fs::write(tmp.path().join("machine.json"), machine.to_string()).unwrap();
+    let output = run(tmp.path(), &[]);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("the limit on jerk of the machine is exceeded"), "{message}");
+    let jerk = &manifest(tmp.path(), "trajectory")["outcome"]["report"]["jerk"];
+    // The motion starts with all of the acceleration of an axis.
+    let step = jerk["largest_acceleration_step_mm_per_s2"].as_f64().unwrap();
+    assert!(step >= 0.99 * 200.0, "{jerk}");
+}
+
+#[test]
+fn a_machine_without_an_effective_limit_is_planned_for() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    for acceleration in [1e6, 1e9, 1e15] {
+        let axes = [("x", 20.0, acceleration), ("y", 20.0, acceleration)];
+        fs::write(tmp.path().join("machine.json"), machine(&axes)).unwrap();
+        let output = run(tmp.path(), &["--force"]);
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{acceleration}: {message}");
+    }
+    // At the velocity of light passes vanish in the rounding of times.
+    let axes = [("x", 1e12, 1e15), ("y", 1e12, 1e15)];
+    fs::write(tmp.path().join("machine.json"), machine(&axes)).unwrap();
+    let output = run(tmp.path(), &["--force"]);
+    let message = text(&output.stderr);
+    assert!(matches!(output.status.code(), Some(0..=2)), "{message}");
+    assert!(!message.contains("internal error") && !message.contains("ascend"), "{message}");
 }
 
 #[test]
@@ -126,6 +185,7 @@ fn bad_inputs_are_refused_by_one_message() {
     for (axes, said) in [
         (&[("x", 20.0, 200.0)][..], "give exactly two axes"),
         (&[("x", 20.0, 200.0), ("y", 20.0, 0.0)][..], "max_acceleration_mm_per_s2 is 0"),
+        (&[("x", 20.0, 200.0), ("y", 20.0, 5e-324)][..], "max_acceleration_mm_per_s2 is 5e-324"),
         (&[("x", -1.0, 200.0), ("y", 20.0, 1.0)][..], "max_velocity_mm_per_s is -1"),
     ] {
         fs::write(dir.join("machine.json"), machine(axes)).unwrap();

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::{
     ScheduleError, check_lengths,
-    pvt::{Stretched, least_time},
+    pvt::{Stretched, durations_s},
 };
 
 /// What was done.
@@ -55,8 +55,8 @@ pub fn schedule(
     let mut report = Report::default();
     let mut motion = TrajectoryBuilder::default();
     let mut before = [0.0; 2];
-    for (i, &dwell_s) in dwell.dwell_s().iter().enumerate() {
-        let h = dwell_s.max(least_time(path, limits, i));
+    let durations_s = durations_s(path, dwell, limits);
+    for (i, (&dwell_s, &h)) in dwell.dwell_s().iter().zip(&durations_s).enumerate() {
         if h == 0.0 {
             report.dropped.push(i);
             continue;

@@ -31,8 +31,8 @@ pub enum Command {
     PvtAsPublished(pvt_as_published::PvtAsPublished),
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ///
-    /// Each axis by itself, as in the source: it goes too far where the path changes direction, and comes
-    /// back.
+    /// Each axis keeps its velocity and acceleration limits by itself. It goes too far where the path changes
+    /// direction, and comes back; where a limit needs more time, the segment takes longer.
     ConstantAcceleration(constant_acceleration::ConstantAcceleration),
     /// Constant acceleration along the path with look-ahead, at rest in every corner
     ///

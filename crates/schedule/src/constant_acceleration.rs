@@ -15,14 +15,24 @@
 //! v = sign(s) sqrt(v0^2 + 2 a s),   d' = (v - v0) / a > d                                         (2)
 //! ```
 //!
-//! and so does the other axis. If it cannot brake in time it goes too far, by
-//! `|r| - a_max d^2 / 2`, and the next segment starts from there. There is no look-ahead, and no
-//! limit on the velocity: `verify` says what the machine thinks of it. Lifts (tool off) are links
+//! Where `|v|` of (1) or (2) is above the limit `v_max`, the axis accelerates to it and keeps it until it is there:
+//!
+//! ```text
+//! v = sign(a) v_max,   tau = (v - v0) / a,   d' = tau + (s - (v0 + v) tau / 2) / v > d            (3)
+//! ```
+//!
+//! Both axes take the longer of their times. If an axis cannot brake in time it goes too far, by
+//! `|r| - a_max d^2 / 2`, and the next segment starts from there. There is no look-ahead. So velocity and acceleration
+//! are within the limits, and the path and the times give way. Lifts (tool off) are links
 //! within all limits that end at rest, and the motion ends with a brake to rest, tool off.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 3-7,
-//! with signed accelerations, the sign of the displacement on the root of Eq. 7, and without the
-//! early arrival of Eq. 7 when braking (a motion cannot stop on the spot to wait).
+//! with signed accelerations and the sign of the displacement on the root of Eq. 7. Two things are built otherwise:
+//!
+//! * The source sets v to v_max where it is above. (3) adds the time that the axis then needs to its control point.
+//! * By Eq. 7 an axis that brakes too late arrives early. One axis alone could then begin its next segment
+//!   early; two axes share the time of a segment, so here the axis keeps braking until the other one
+//!   is there, and goes too far.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -97,7 +107,7 @@ pub fn schedule(
     limits: &Limits,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
-    let a_max = limits.max_acceleration_mm_per_s2();
+    let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
     let mut report = Report::default();
     let mut motion = TrajectoryBuilder::default();
     let mut position = path.point_mm()[0];
@@ -126,7 +136,7 @@ pub fn schedule(
             report.dropped.push(i);
             continue;
         }
-        let phases = coupled(s, velocity, dwell_s, a_max);
+        let phases = coupled(s, velocity, dwell_s, v_max, a_max);
         let duration_s = phases[0].duration_s;
         let start = State { position_mm: position, velocity_mm_per_s: velocity };
         add(&mut motion, start, phases, duration_s, path.tool_on()[i], Some(i));
@@ -185,10 +195,16 @@ pub const OVERSHOOT_MM: f64 = 1e-6;
 pub const VISIBLE_OVERSHOOT_MM: f64 = 1e-3;
 
 /// Both axes in the same time: the later one decides.
-fn coupled(s: [f64; 2], v0: [f64; 2], dwell_s: f64, a_max: [f64; 2]) -> [Phase; 2] {
+fn coupled(
+    s: [f64; 2],
+    v0: [f64; 2],
+    dwell_s: f64,
+    v_max: [f64; 2],
+    a_max: [f64; 2],
+) -> [Phase; 2] {
     let mut duration_s = dwell_s;
     loop {
-        let phases = [0, 1].map(|a| phase(s[a], v0[a], duration_s, a_max[a]));
+        let phases = [0, 1].map(|a| phase(s[a], v0[a], duration_s, v_max[a], a_max[a]));
         let later = phases[0].duration_s.max(phases[1].duration_s);
         if later <= duration_s {
             return phases;
@@ -197,8 +213,20 @@ fn coupled(s: [f64; 2], v0: [f64; 2], dwell_s: f64, a_max: [f64; 2]) -> [Phase; 
     }
 }
 
+/// (1), or (2) when the time is too short, or (3) where either is too fast.
+fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
+    let free = unlimited(s, v0, d, a_max);
+    if free.velocity.abs() <= v_max {
+        return free;
+    }
+    let v = v_max.copysign(free.velocity);
+    let tau_s = ((v - v0) / free.acceleration).max(0.0);
+    let duration_s = (tau_s + (s - 0.5 * (v0 + v) * tau_s) / v).max(d);
+    Phase { tau_s, duration_s, velocity: v, ..free }
+}
+
 /// (1), or (2) when the time is too short.
-fn phase(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
+fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
     let r = s - v0 * d;
     if r.abs() <= 1e-15 * s.abs().max(1.0) {
         return Phase { acceleration: 0.0, tau_s: 0.0, duration_s: d, velocity: v0 };
@@ -292,37 +320,61 @@ fn add(
 mod tests {
     use super::*;
 
+    /// A limit on the velocity that no case reaches.
+    const FREE: f64 = 1e3;
+
     #[test]
     fn one_segment_from_rest_by_hand() {
         // v0 = 0, a = 2, d = 1, s = 1/2: v = 2 - sqrt(4 - 2)
-        let p = phase(0.5, 0.0, 1.0, 2.0);
+        let p = phase(0.5, 0.0, 1.0, FREE, 2.0);
         assert!((p.velocity - (2.0 - 2.0_f64.sqrt())).abs() < 1e-15);
         assert!((p.travel(0.0, 1.0) - 0.5).abs() < 1e-15);
         assert!((p.tau_s - (1.0 - 0.5_f64.sqrt())).abs() < 1e-15);
         // The mirror image.
-        assert_eq!(phase(-0.5, 0.0, 1.0, 2.0).velocity, -p.velocity);
+        assert_eq!(phase(-0.5, 0.0, 1.0, FREE, 2.0).velocity, -p.velocity);
         // Constant velocity.
-        assert_eq!(phase(3.0, 1.5, 2.0, 9.0).velocity, 1.5);
+        assert_eq!(phase(3.0, 1.5, 2.0, FREE, 9.0).velocity, 1.5);
     }
 
     #[test]
     fn too_late_takes_longer_in_both_directions() {
         // 1 mm from rest at 2 mm/s^2 takes 1 s.
         for sign in [1.0, -1.0] {
-            let p = phase(sign, 0.0, 0.4, 2.0);
+            let p = phase(sign, 0.0, 0.4, FREE, 2.0);
             assert!((p.duration_s - 1.0).abs() < 1e-15 && (p.velocity - 2.0 * sign).abs() < 1e-15);
             assert!((p.travel(0.0, p.duration_s) - sign).abs() < 1e-15);
         }
         // Moving the wrong way first: v0 = -1, s = 1: v = sqrt(1 + 4), d = (v + 1) / 2.
-        let p = phase(1.0, -1.0, 0.1, 2.0);
+        let p = phase(1.0, -1.0, 0.1, FREE, 2.0);
         assert!((p.velocity - 5.0_f64.sqrt()).abs() < 1e-15);
         assert!((p.travel(-1.0, p.duration_s) - 1.0).abs() < 1e-14);
     }
 
     #[test]
+    fn an_axis_that_would_be_too_fast_keeps_its_limit_and_comes_later() {
+        // From rest to 2 mm/s at 4 mm/s^2: 0.5 s and 0.5 mm; the other 5.5 mm of 6 take 2.75 s.
+        for sign in [1.0, -1.0] {
+            for d in [0.4, 1.0, 2.0, 3.0] {
+                let p = phase(6.0 * sign, 0.0, d, 2.0, 4.0);
+                assert_eq!((p.velocity, p.tau_s, p.duration_s), (2.0 * sign, 0.5, 3.25), "{d}");
+                assert!((p.travel(0.0, p.duration_s) - 6.0 * sign).abs() < 1e-15);
+            }
+            // In the time that it needs, and in more, it is as without a limit.
+            let p = phase(6.0 * sign, 0.0, 4.0, 2.0, 4.0);
+            assert_eq!(p, phase(6.0 * sign, 0.0, 4.0, FREE, 4.0));
+            // At the limit already: no acceleration is left.
+            let p = phase(6.0 * sign, 2.0 * sign, 1.0, 2.0, 4.0);
+            assert_eq!((p.velocity, p.tau_s, p.duration_s), (2.0 * sign, 0.0, 3.0));
+        }
+        // 1 mm ahead at 2 mm/s and asked for 7 mm back: turns round in 0.5 s and 0.5 mm, is at -2 mm/s after 1 s.
+        let p = phase(-7.0, 2.0, 1.5, 2.0, 4.0);
+        assert_eq!((p.velocity, p.tau_s, p.duration_s), (-2.0, 1.0, 4.5));
+    }
+
+    #[test]
     fn too_fast_to_brake_goes_too_far() {
         // v0 = 10, d = 1, a = 2: 9 mm at least, asked for 5.
-        let p = phase(5.0, 10.0, 1.0, 2.0);
+        let p = phase(5.0, 10.0, 1.0, FREE, 2.0);
         assert_eq!((p.travel(10.0, 1.0), p.velocity, p.duration_s), (9.0, 8.0, 1.0));
     }
 

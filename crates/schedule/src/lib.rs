@@ -69,6 +69,18 @@ pub enum ScheduleError {
     },
 }
 
+/// Least length of a segment, mm: a picometre. A corner beside a shorter one would be passed at a density that no proof
+/// can follow.
+const LEAST_LENGTH_MM: f64 = 1e-9;
+
+/// Length below which a segment is none, mm: [`LEAST_LENGTH_MM`], or four roundings of its largest coordinate. A closed
+/// path that was computed ends with one.
+fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
+    let ends = [path.point_mm()[segment], path.point_mm()[segment + 1]];
+    let largest = ends.as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    (4.0 * f64::EPSILON * largest).max(LEAST_LENGTH_MM)
+}
+
 /// Refuses a dwell time that belongs to another path.
 fn check_lengths(path: &ToolPath, dwell: &DwellTime) -> Result<(), Invalid> {
     let (segments, times) = (path.len(), dwell.dwell_s().len());

@@ -11,11 +11,15 @@ use planish_types::{DwellTime, Invalid, ToolPath, Trajectory, TrajectoryBuilder}
 
 use crate::{ScheduleError, check_lengths};
 
-/// Stands at the dwell points of `path`; segments without dwell time are left out.
+/// Part of the total time below which a dwell time vanishes in the rounding of the break times.
+const ROUNDING: f64 = 4.0 * f64::EPSILON;
+
+/// Stands at the dwell points of `path`; segments without dwell time, but for rounding, are left out.
 pub fn schedule(path: &ToolPath, dwell: &DwellTime) -> Result<Trajectory, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut motion = TrajectoryBuilder::default();
-    for (i, &dwell_s) in dwell.dwell_s().iter().enumerate().filter(|(_, dwell_s)| **dwell_s > 0.0) {
+    let least_s = ROUNDING * dwell.total_s();
+    for (i, &dwell_s) in dwell.dwell_s().iter().enumerate().filter(|(_, t)| **t > least_s) {
         let at = path.dwell_point_mm()[i].map(|p| [p, 0.0, 0.0, 0.0]);
         motion.push(dwell_s, at, path.tool_on()[i], Some(i));
     }

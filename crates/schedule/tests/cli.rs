@@ -296,13 +296,21 @@ fn constant_acceleration_is_its_closed_form() {
     let end = state(&t.coefficient_mm()[1][0], t.segment(1).duration_s);
     assert!((end[0] - 6.0).abs() < 1e-13 && (end[1] - v).abs() < 1e-11, "{end:?}");
 
-    // Too late: 60 mm from rest at full acceleration take sqrt(2 s / a).
-    prepare(tmp.path(), &[[0.0, 0.0], [-60.0, 0.0]], &[0.1]);
+    // Too late: 10 mm from rest at full acceleration take sqrt(2 s / a).
+    prepare(tmp.path(), &[[0.0, 0.0], [-10.0, 0.0]], &[0.05]);
     let (_, outcome) = scheduled(tmp.path(), "constant-acceleration", &["--force"]);
     let report = &outcome["report"];
     assert_eq!(report["late_segments"], 1);
-    let late = (2.0_f64 * 60.0 / 2000.0).sqrt() - 0.1;
+    let late = (2.0_f64 * 10.0 / 2000.0).sqrt() - 0.05;
     assert!((number(&report["added_s"]) - late).abs() < 1e-14, "{report}");
+
+    // Too fast: 60 mm in 0.25 s. 250 mm/s are reached after 0.125 s and 15.625 mm; the other 44.375 mm take 0.1775 s.
+    prepare(tmp.path(), &[[0.0, 0.0], [-60.0, 0.0]], &[0.25]);
+    let (t, outcome) = scheduled(tmp.path(), "constant-acceleration", &["--force"]);
+    let added_s = number(&outcome["report"]["added_s"]);
+    assert!((added_s - 0.0525).abs() < 1e-14, "{added_s}");
+    assert_eq!(t.coefficient_mm()[1][0][1], -250.0);
+    assert_eq!(outcome["claim"]["limits_respected"], true);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use planish_testkit::hostile::{FLOATS, every_value, inputs, npy, survives};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 const BINARY: &str = env!("CARGO_BIN_EXE_planish-schedule");
 
@@ -45,6 +45,88 @@ fn no_path_and_no_dwell_time_ends_in_a_panic() {
             let arguments = [scheduler, &[path.as_str(), dwell], &GIVEN[1..]].concat();
             survives(BINARY, tmp.path(), &arguments, "out");
         }
+    }
+}
+
+/// A closed line there and back whose last segment is the rounding of its closure, without a dwell time or with one
+/// that vanishes beside the others.
+#[test]
+fn the_rounding_of_a_closed_path_is_no_obstacle() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let (left, right, y) = (16.004_534_120_337_25, 43.642_998_834_2, 97.688_954_38);
+    let n = 39;
+    let mut points: Vec<[f64; 2]> =
+        (0..n).map(|i| [if i % 2 == 0 { left } else { right }, y]).collect();
+    for (off, last_s) in [(0.0, 0.0), (4e-15, 0.0), (4e-15, 1.3e-17), (-4e-15, 1e-300)] {
+        points.truncate(n);
+        points.push([left + off, y]);
+        let centres = points.windows(2).map(|w| 0.5 * (w[0][0] + w[1][0]));
+        let centres: Vec<f64> = centres.flat_map(|x| [x, y]).collect();
+        let path = tmp.path().join("closed");
+        npy(&path, "point_mm", &[n + 1, 2], points.as_flattened());
+        npy(&path, "dwell_point_mm", &[n, 2], &centres);
+        let mut times = vec![0.098_489_96; n];
+        times[n - 1] = last_s;
+        npy(&tmp.path().join("closed-dwell"), "dwell_s", &[n], &times);
+        for scheduler in SCHEDULERS {
+            let given = ["--tool-path=closed", "--dwell=closed-dwell", "--force"];
+            let arguments = [scheduler, &given, &GIVEN[1..]].concat();
+            let (code, said) = survives(BINARY, tmp.path(), &arguments, "out");
+            // The published method stretches nothing: 27 mm in 0.1 s are beyond its limits. The ideals always are.
+            let promised =
+                !["pvt-as-published", "average-velocity", "position"].contains(&scheduler[0]);
+            assert!(code == 0 || (code == 1 && !promised), "{scheduler:?} {off} {last_s}: {said}");
+            assert!(manifest(tmp.path())["outcome"]["total_time_s"].as_f64().unwrap() < 600.0);
+        }
+    }
+}
+
+/// Limits at the ends of what a machine file may state, and beyond.
+#[test]
+fn no_limit_ends_in_a_panic() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let limits = [1e-9, 1.0, 1e12];
+    for (velocity, acceleration) in limits.into_iter().flat_map(|v| limits.map(|a| (v, a))) {
+        for jerk in [None, Some(1e-9), Some(1e18)] {
+            for turn_deg in [0.0, 1e-300, 45.0] {
+                let axis = |name: &str| {
+                    let mut axis = json!({
+                        "name": name,
+                        "max_velocity_mm_per_s": velocity,
+                        "max_acceleration_mm_per_s2": acceleration,
+                    });
+                    if let Some(jerk) = jerk {
+                        axis["max_jerk_mm_per_s3"] = json!(jerk);
+                    }
+                    axis
+                };
+                let axes = [axis("x"), axis("y")];
+                let machine =
+                    json!({"name": "m", "part_rotation_deg": turn_deg, "axes": axes}).to_string();
+                fs::write(tmp.path().join("machine.json"), machine).unwrap();
+                let schedulers = if turn_deg == 0.0 { &SCHEDULERS[..] } else { &SCHEDULERS[1..2] };
+                for scheduler in schedulers {
+                    let given = ["--dwell=dwell", "--force"];
+                    survives(BINARY, tmp.path(), &[scheduler, &GIVEN[..], &given].concat(), "out");
+                }
+            }
+        }
+    }
+    for limit in ["5e-324", "1e-308", "1e-10", "1e300"] {
+        let axis = |name: &str| {
+            format!(
+                r#"{{"name":"{name}","max_velocity_mm_per_s":{limit},"max_acceleration_mm_per_s2":1}}"#
+            )
+        };
+        let machine = format!(r#"{{"name":"m","axes":[{},{}]}}"#, axis("x"), axis("y"));
+        fs::write(tmp.path().join("machine.json"), machine).unwrap();
+        let arguments = [&["pvt", "--dwell=dwell", "--force"], &GIVEN[..]].concat();
+        let (code, said) = survives(BINARY, tmp.path(), &arguments, "out");
+        assert_eq!(code, 2);
+        let problem = format!("machine.json: axes[0]: max_velocity_mm_per_s is {limit}; give mm/s");
+        assert!(said.contains(&problem), "{said}");
     }
 }
 

@@ -614,8 +614,10 @@ fn promise(scheduler: &str) -> Promise {
         }
         "pvt-as-published" => Promise { smooth: true, ..none },
         // A phase may be shorter than the controller's least segment.
-        "stop-at-corners" | "trig-spline offset" | "trig-spline local" => axes,
-        "constant-acceleration" => Promise { smooth: true, acceleration: true, ..none },
+        "constant-acceleration"
+        | "stop-at-corners"
+        | "trig-spline offset"
+        | "trig-spline local" => axes,
         "average-velocity" => Promise { velocity: true, min_segment: true, ..none },
         _ => Promise { velocity: true, acceleration: true, ..none },
     }
@@ -1500,8 +1502,8 @@ fn constant_acceleration_is_continuous_and_uses_the_whole_acceleration() {
                 format!("segment {i}, axis {axis}: acceleration {a}, jerk {}", c[3])
             })?;
         }
-        // Steps at the breaks, the start and the end included. It knows no limit on the velocity.
-        let free = machine([FREE; 2], a_max.map(|a| 2.0 * a));
+        // Steps at the breaks, the start and the end included, and the limit on the velocity.
+        let free = machine(case.limits.max_velocity_mm_per_s(), a_max.map(|a| 2.0 * a));
         let verdict = judge(&t, &free);
         ensure(verdict.limits_respected, || format!("{:?}", verdict.violations))
     });

@@ -1,8 +1,8 @@
 //! What the axes of a machine can do.
 //!
 //! [`MachineFile`] is what a machine file says, unchecked; [`Limits`] is what a stage works with, made
-//! from it by [`MachineFile::checked`], so that no stage ever divides by a limit of zero. Where the axes
-//! travel and how a part lies on them is [`crate::Machine`].
+//! from it by [`MachineFile::checked`], so that no stage ever divides by a limit of zero, or by one so small that
+//! durations overflow. Where the axes travel and how a part lies on them is [`crate::Machine`].
 
 use serde::{Deserialize, Serialize};
 
@@ -10,6 +10,17 @@ use crate::Invalid;
 
 /// Names of the axes, in their order.
 pub(crate) const AXES: [&str; 2] = ["x", "y"];
+
+/// Smallest plausible limit of an axis, mm/s, mm/s^2 or mm/s^3: 1e-9 mm/s is a millimetre in 30 years. Below it
+/// durations, and their cubes in a polynomial, leave the range of doubles.
+const LEAST_LIMIT: f64 = 1e-9;
+
+/// Largest plausible velocity, mm/s, three times the velocity of light. A machine file may state a limit that nothing
+/// reaches; each derivative may be a thousand times larger.
+const LARGEST_VELOCITY_MM_PER_S: f64 = 1e12;
+
+/// Longest plausible `min_segment_s`, s, as of any time. Controllers ask for milliseconds.
+const LARGEST_MIN_SEGMENT_S: f64 = 1e9;
 
 /// The limits of a machine: two axes, every limit positive and finite.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,7 +82,7 @@ pub struct MachineFileAxis {
 
 impl MachineFile {
     /// The limits of the axes; checks what the JSON types do not: two axes named x and y, every limit positive
-    /// and finite.
+    /// and of a plausible size.
     pub fn checked(self) -> Result<Limits, Invalid> {
         let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
         if names != AXES {
@@ -82,11 +93,11 @@ impl MachineFile {
             ));
         }
         let axes = [self.axes[0].checked(0)?, self.axes[1].checked(1)?];
-        if !(self.min_segment_s.is_finite() && self.min_segment_s >= 0.0) {
+        if !(0.0..=LARGEST_MIN_SEGMENT_S).contains(&self.min_segment_s) {
             return Err(Invalid::whole(
                 "min_segment_s",
-                format!("is {}", self.min_segment_s),
-                "give a time in seconds, or leave it out",
+                format!("is {:?}", self.min_segment_s),
+                format!("give seconds, at most {LARGEST_MIN_SEGMENT_S:e}, or leave it out"),
             ));
         }
         Ok(Limits { name: self.name, axes, min_segment_s: self.min_segment_s })
@@ -95,15 +106,26 @@ impl MachineFile {
 
 impl MachineFileAxis {
     fn checked(&self, index: usize) -> Result<AxisLimits, Invalid> {
+        let largest = LARGEST_VELOCITY_MM_PER_S;
         let limits = [
-            ("max_velocity_mm_per_s", Some(self.max_velocity_mm_per_s)),
-            ("max_acceleration_mm_per_s2", Some(self.max_acceleration_mm_per_s2)),
-            ("max_jerk_mm_per_s3", self.max_jerk_mm_per_s3),
+            ("max_velocity_mm_per_s", Some(self.max_velocity_mm_per_s), largest, "mm/s"),
+            (
+                "max_acceleration_mm_per_s2",
+                Some(self.max_acceleration_mm_per_s2),
+                1e3 * largest,
+                "mm/s^2",
+            ),
+            ("max_jerk_mm_per_s3", self.max_jerk_mm_per_s3, 1e6 * largest, "mm/s^3"),
         ];
-        for (name, value) in limits {
-            if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
-                let problem = format!("{name} is {v}");
+        for (name, value, most, unit) in limits {
+            let Some(v) = value else { continue };
+            let problem = format!("{name} is {v:?}");
+            if !(v.is_finite() && v > 0.0) {
                 return Err(Invalid::at("axes", index, problem, "a limit is positive and finite"));
+            }
+            if !(LEAST_LIMIT..=most).contains(&v) {
+                let remedy = format!("give {unit}, from {LEAST_LIMIT:e} to {most:e}");
+                return Err(Invalid::at("axes", index, problem, remedy));
             }
         }
         Ok(AxisLimits {
@@ -148,6 +170,22 @@ impl Limits {
     /// Shortest segment that the controller accepts, s; 0 when it does not matter.
     pub fn min_segment_s(&self) -> f64 {
         self.min_segment_s
+    }
+
+    /// The same machine with other limits of (x, y): velocity, acceleration and jerk, all positive and finite.
+    pub(crate) fn with_axes(
+        &self,
+        velocity: [f64; 2],
+        acceleration: [f64; 2],
+        jerk: [Option<f64>; 2],
+    ) -> Self {
+        let axes = [0, 1].map(|i| AxisLimits {
+            name: AXES[i],
+            max_velocity_mm_per_s: velocity[i],
+            max_acceleration_mm_per_s2: acceleration[i],
+            max_jerk_mm_per_s3: jerk[i],
+        });
+        Self { axes, ..self.clone() }
     }
 
     /// Largest velocity of (x, y), mm/s.
@@ -213,9 +251,19 @@ mod tests {
             let message = slow.checked().unwrap_err().to_string();
             assert!(message.contains("axes[1]: max_jerk_mm_per_s3 is"), "{message}");
         }
-        for v in [-1.0, f64::NAN, f64::INFINITY] {
+        for v in [-1.0, f64::NAN, f64::INFINITY, 1e10, 1e300] {
             let refused = MachineFile { min_segment_s: v, ..file.clone() }.checked();
             assert!(refused.unwrap_err().to_string().contains("min_segment_s: is"));
+        }
+        // The smallest double, the smallest normal one, and what overflows in a product.
+        for v in [5e-324, 1e-308, 1e-10, 1e300] {
+            let message = machine(v, ["x", "y"]).checked().unwrap_err().to_string();
+            let said =
+                format!("axes[0]: max_velocity_mm_per_s is {v:?}; give mm/s, from 1e-9 to 1e12");
+            assert_eq!(message, said);
+        }
+        for v in [1e-9, 1e12] {
+            assert!(machine(v, ["x", "y"]).checked().is_ok());
         }
         assert!(machine(1.0, ["y", "x"]).checked().is_err());
         let mut one = file;

@@ -88,16 +88,12 @@ impl Machine {
         let boxed = |limit: fn(&AxisLimits) -> Option<f64>| {
             largest_box(transform.matrix(), axes.each_ref().map(limit))
         };
-        let velocity = boxed(|a| Some(a.max_velocity_mm_per_s()));
-        let acceleration = boxed(|a| Some(a.max_acceleration_mm_per_s2()));
+        let limited = "velocity and acceleration are limited on both axes";
+        let velocity = boxed(|a| Some(a.max_velocity_mm_per_s())).map(|v| v.expect(limited));
+        let acceleration =
+            boxed(|a| Some(a.max_acceleration_mm_per_s2())).map(|a| a.expect(limited));
         let jerk = boxed(AxisLimits::max_jerk_mm_per_s3);
-        let mut file = MachineFile::from(&self.limits);
-        for (i, axis) in file.axes.iter_mut().enumerate() {
-            axis.max_velocity_mm_per_s = velocity[i].expect("velocity is limited");
-            axis.max_acceleration_mm_per_s2 = acceleration[i].expect("acceleration is limited");
-            axis.max_jerk_mm_per_s3 = jerk[i];
-        }
-        file.checked().expect("a box of limits is a box of limits")
+        self.limits.with_axes(velocity, acceleration, jerk)
     }
 }
 
@@ -161,11 +157,16 @@ fn sine_cosine(angle_deg: f64) -> (f64, f64) {
     }
 }
 
+/// Elements of M below this are zero: their part of a limit vanishes at every plausible ratio of two limits, and a limit
+/// over a much smaller one would overflow.
+const LEAST_PART: f64 = 1e-100;
+
 /// The box w of the largest w_x w_y with |M| w <= `limits`, for M of orthogonal rows; none where nothing limits.
 fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] {
     // a w_x + b w_y <= c
+    let part = |v: f64| if v.abs() < LEAST_PART { 0.0 } else { v.abs() };
     let rows: Vec<[f64; 3]> =
-        (0..2).filter_map(|i| limits[i].map(|c| [m[i][0].abs(), m[i][1].abs(), c])).collect();
+        (0..2).filter_map(|i| limits[i].map(|c| [part(m[i][0]), part(m[i][1]), c])).collect();
     if rows.iter().any(|[a, b, _]| *a == 0.0 || *b == 0.0) {
         // Each axis goes along x or along y.
         let along =

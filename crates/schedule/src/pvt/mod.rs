@@ -70,7 +70,7 @@ pub use self::{
     mode::{Mode, ModeChoice},
     timing::Stretched,
 };
-pub(crate) use timing::least_time;
+pub(crate) use timing::durations_s;
 
 use self::{
     axis::{AxisProblem, Part, Solved, excess_of_parts, joined, velocity_of_parts},

@@ -34,10 +34,9 @@ pub(super) struct Timing {
 }
 
 impl Timing {
-    /// `h >= |dp| / v_max` on both axes, `h >= min_segment_s`.
+    /// [`durations_s`], without the segments that take no time.
     pub(super) fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
-        let time = |i: usize| dwell.dwell_s()[i].max(least_time(path, limits, i));
-        let mut duration_s: Vec<f64> = parallel(path.len()).map(time).collect();
+        let mut duration_s = durations_s(path, dwell, limits);
         let kept = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
         duration_s.retain(|h| *h > 0.0);
         Self { kept, duration_s }
@@ -93,8 +92,23 @@ impl Timing {
     }
 }
 
+/// Least duration, in roundings of the time of the whole motion: a duration is the difference of two break times, and
+/// what rounds to zero is no time. With 64 a duration has two digits, which is enough for a segment so short that its
+/// times and lengths are rounding.
+const LEAST_ROUNDINGS: f64 = 64.0;
+
+/// Duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >= min_segment_s`, and
+/// where that is not zero, not below [`LEAST_ROUNDINGS`].
+pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Vec<f64> {
+    let time = |i: usize| dwell.dwell_s()[i].max(least_time(path, limits, i));
+    let mut duration_s: Vec<f64> = parallel(path.len()).map(time).collect();
+    let least_s = LEAST_ROUNDINGS * f64::EPSILON * duration_s.iter().sum::<f64>();
+    duration_s.iter_mut().filter(|h| **h > 0.0).for_each(|h| *h = h.max(least_s));
+    duration_s
+}
+
 /// Least time of segment `i`: its mean velocity within the limits, and the controller's least.
-pub(crate) fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
+fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
     let axis = |a: usize| dp[a].abs() / v[a];
     axis(0).max(axis(1)).max(limits.min_segment_s())

@@ -59,6 +59,7 @@ use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, Row, Side};
 use crate::{
     ScheduleError, check_lengths,
     hermite::{accelerations, coefficients},
+    rounding_mm,
 };
 
 /// Where Eq. 16 has the tool rest, `v = a = 0`, besides the end.
@@ -128,11 +129,13 @@ pub fn schedule(
     check_lengths(path, dwell)?;
     let mut report = Report::default();
     let mut kept = Vec::new();
+    // A length that is rounding, in a time that vanishes in the rounding of the break times, is no segment.
+    let least_s = 4.0 * f64::EPSILON * dwell.total_s();
     for (i, &t) in dwell.dwell_s().iter().enumerate() {
-        if t > 0.0 {
-            kept.push(i);
-        } else if path.segment_length_mm(i) == 0.0 {
+        if t <= least_s && path.segment_length_mm(i) <= rounding_mm(path, i) {
             report.dropped.push(i);
+        } else if t > 0.0 {
+            kept.push(i);
         } else {
             let length = path.segment_length_mm(i);
             let problem = format!("is 0 s on a segment of {length} mm");

@@ -38,7 +38,8 @@
 //!    the smaller density of the piece is raised to the geometric mean of the two, its neighbours as
 //!    far as they need it, and after a few rounds all densities by an offset; the report says so.
 //!
-//! Zero-length segments have no density: their time goes to the neighbours in the pass.
+//! Segments without a length, but for the rounding of their coordinates, have no density: their time goes to the
+//! neighbours in the pass.
 //!
 //! Source: the trigonometric-spline scheduler of Opt. Express 32 (2024) 9255, Eqs 3-17. Corrected:
 //! its Eq. 5 has the factor 8 L for 4/L and the wrong sign, and Eqs 9-16 follow it; the peak (3)

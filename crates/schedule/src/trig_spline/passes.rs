@@ -10,7 +10,7 @@ use super::{
     report::Report,
     spline::{Limited, Piece},
 };
-use crate::shortest_cubic::State;
+use crate::{rounding_mm, shortest_cubic::State};
 
 /// Part of the limits that the repair leaves free: the fitted cubics, whose acceleration swings
 /// about that of the spline, then need no more than a few cuts near its peak.
@@ -77,7 +77,7 @@ pub(super) struct Pass {
     pub(super) run: Range<usize>,
     /// Where it starts.
     start_mm: [f64; 2],
-    /// Those with a length; none when the tool stands.
+    /// Those with a length above rounding; none when the tool stands.
     pub(super) straights: Vec<Straight>,
     /// Dwell points, and the corners between them.
     pub(super) nodes: Vec<Node>,
@@ -117,7 +117,7 @@ impl Pass {
         let mut straights: Vec<Straight> = Vec::new();
         for index in run.clone() {
             let length = path.segment_length_mm(index);
-            if length > 0.0 {
+            if length > rounding_mm(path, index) {
                 let direction = path.displacement_mm(index).map(|d| d / length);
                 straights.push(Straight {
                     index,
