@@ -9,8 +9,8 @@
 //! ```
 //!
 //! with K Keys' convolution of the samples and B their bilinear interpolation, on some pixels that are spread over the
-//! map (the sequence of M. Roberts' generalised golden ratio), by the midpoint rule. The change of the RMS is a ratio of
-//! two means over the same pixels; its standard error is stated.
+//! map (the sequence of M. Roberts' generalised golden ratio), by the midpoint rule. The change of the RMS is a ratio
+//! of two means over the same pixels; its standard error is stated.
 
 use planish_numerics::polynomial::evaluate;
 use planish_types::{Removal, Tif, Trajectory, text::significant};

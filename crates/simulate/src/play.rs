@@ -7,9 +7,9 @@
 //! ```
 //!
 //! the play operator of hysteresis (M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis, 1989). On a
-//! monotone part of p from a to b it is q <- max(q, p(b) - h) upwards and min(q, p(b) + h) downwards, so that a piecewise
-//! cubic motion stays one: each part is cut where the drive reaches the flank. At first the carriage is in the middle of
-//! its play.
+//! monotone part of p from a to b it is q <- max(q, p(b) - h) upwards and min(q, p(b) + h) downwards, so that a
+//! piecewise cubic motion stays one: each part is cut where the drive reaches the flank. At first the carriage is in
+//! the middle of its play.
 //!
 //! A negative play is the mirror image of the positive one about the drive, p - (q - p): what an error adds has a
 //! first order.

@@ -28,8 +28,8 @@ const LEAST_SAMPLES: usize = 12;
 const FADED: f64 = 1.0;
 const MOST_FADED: f64 = 0.2;
 
-/// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak: as much as Keys' convolution has
-/// wrong of a Gaussian whose standard deviation is two samples, and errors are a small part of what is removed.
+/// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak: as much as Keys' convolution
+/// has wrong of a Gaussian whose standard deviation is two samples, and errors are a small part of what is removed.
 const RESAMPLED: f64 = 2e-3;
 
 /// Memory of a sample of a TIF: its rate, with and without ghost nodes, and what it is made from.
