@@ -33,7 +33,7 @@ pub mod following;
 pub mod motion;
 pub mod table;
 
-use planish_types::{Invalid, Trajectory};
+use planish_types::{Invalid, Trajectory, text::significant};
 use serde::Serialize;
 
 use self::{
@@ -169,6 +169,16 @@ pub struct TraceStatement {
 /// Most that the current may be below zero where the beam is off, relative to the nominal one: the offset
 /// of a picoammeter is far below it.
 const MOST_NEGATIVE_CURRENT: f64 = 0.05;
+
+/// A rate that is more times larger or smaller than that of the TIF is a mistake in the units: from A to mA it is 1000.
+const LARGEST_RATE_FACTOR: f64 = 100.0;
+
+/// A rate that is more times larger or smaller than that of the TIF where the beam is on is named: it is that of another
+/// beam than the one with which the TIF was measured.
+const USUAL_RATE_FACTOR: f64 = 2.0;
+
+/// The beam is on where the current is above this part of its largest value.
+const BEAM_ON: f64 = 0.5;
 
 /// Reads the bytes of a log.
 pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result<Trace, Invalid> {
@@ -315,17 +325,49 @@ fn rate_factor(
             let remedy = "check the sign and the column of the current";
             return Err(Invalid::at("current", i, problem, remedy));
         }
+        if factor > LARGEST_RATE_FACTOR {
+            return Err(Invalid::at("current", i, other_unit(*current, nominal), SAME_UNIT));
+        }
         below += usize::from(factor < 0.0);
         factors.push(factor.max(0.0));
     }
     if below > 0 {
         warnings.push(format!("the current is slightly below zero in {below} samples: taken as 0"));
     }
-    if factors.iter().all(|f| *f == 0.0) {
+    let largest = factors.iter().copied().fold(0.0, f64::max);
+    if largest == 0.0 {
         let remedy = "check the column of the current";
         return Err(Invalid::whole("current", "is nowhere above zero", remedy));
     }
+    if largest < LARGEST_RATE_FACTOR.recip() {
+        let i = factors.iter().position(|f| *f == largest).unwrap_or(0);
+        return Err(Invalid::at("current", i, other_unit(largest * nominal, nominal), SAME_UNIT));
+    }
+    let on = || factors.iter().filter(|f| **f > BEAM_ON * largest);
+    let mean = on().sum::<f64>() / on().count() as f64;
+    if !(USUAL_RATE_FACTOR.recip()..=USUAL_RATE_FACTOR).contains(&mean) {
+        warnings.push(format!(
+            "the mean current with the beam on is {}, and `nominal_current` is {}: the tool removes {} times as fast \
+             as its TIF says",
+            significant(mean * nominal, 4),
+            significant(nominal, 4),
+            significant(mean, 3)
+        ));
+    }
     Ok(factors)
+}
+
+const SAME_UNIT: &str =
+    "give the nominal current in the unit of the log, or check the column of the current";
+
+/// The current of a log beside a nominal one in another unit.
+fn other_unit(current: f64, nominal: f64) -> String {
+    format!(
+        "is {}, and `nominal_current` is {}: the tool would remove {} times as fast as its TIF says",
+        significant(current, 4),
+        significant(nominal, 4),
+        significant(current / nominal, 3)
+    )
 }
 
 impl Trace {
@@ -370,6 +412,20 @@ impl Trace {
             keep(values, first, end);
         }
         Ok(self)
+    }
+
+    /// Whether the tool removed in the intervals between the samples (n-1), by its switch or by its current; `None`
+    /// where the log has neither.
+    pub fn removes(&self) -> Option<Vec<bool>> {
+        let intervals = self.time_s.len() - 1;
+        let switched = self.tool_on.as_ref().map(|on| on[..intervals].to_vec());
+        let Some(w) = &self.rate_factor else { return switched };
+        let least = BEAM_ON * w.iter().copied().fold(0.0, f64::max);
+        let by_current = w.windows(2).map(|w| 0.5 * (w[0] + w[1]) > least);
+        Some(match switched {
+            Some(on) => on.into_iter().zip(by_current).map(|(on, beam)| on && beam).collect(),
+            None => by_current.collect(),
+        })
     }
 
     /// What was done, as a motion whose time is that since the first sample of the log.

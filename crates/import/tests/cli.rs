@@ -27,7 +27,8 @@ fn call(dir: &Path, arguments: &[&str]) -> Output {
 fn done(dir: &Path, arguments: &[&str]) -> (String, String) {
     let output = call(dir, arguments);
     let text = |b: &[u8]| String::from_utf8_lossy(b).into_owned();
-    let (said, warned) = (text(&output.stdout), text(&output.stderr));
+    let (said, warned) =
+        (text(&output.stdout), String::from_utf8_lossy(&output.stderr).into_owned());
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {said}{warned}");
     (said, warned)
 }
@@ -396,4 +397,130 @@ fn a_beam_current_is_a_rate_factor_of_version_2() {
     assert!(said.contains("rate_factor.npy: is missing"), "{said}");
     let said = refused(dir, &["trace", "log.csv"]);
     assert!(said.contains("give --nominal-current"), "{said}");
+}
+
+#[test]
+fn a_current_in_another_unit_than_the_nominal_one_is_refused_with_both() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let log = |current: f64| {
+        let line = |i: i32| format!("{},{i},0,{current}\n", f64::from(i) * 0.01);
+        let lines: String = (0..100).map(line).collect();
+        fs::write(dir.join("log.csv"), format!("t_s,x_um,y_um,current\n{lines}")).unwrap();
+    };
+    let flags = ["trace", "log.csv", "--nominal-current", "5"];
+    for (current, expected) in [
+        (
+            5000.0,
+            "current[0]: is 5000, and --nominal-current is 5: the tool would remove 1000 times as fast",
+        ),
+        (
+            0.005,
+            "current[0]: is 0.005, and --nominal-current is 5: the tool would remove 0.001 times as fast",
+        ),
+    ] {
+        log(current);
+        let said = refused(dir, &flags);
+        assert!(said.contains(expected) && said.contains("in the unit of the log"), "{said}");
+    }
+    // Twice the current of the TIF is another beam; half of it more is not.
+    log(11.0);
+    let (_, warned) = done(dir, &[&flags[..], &["--out", "a"]].concat());
+    let expected = "the mean current with the beam on is 11, and --nominal-current is 5: the tool removes 2.2 times";
+    assert!(warned.contains(expected), "{warned}");
+    log(7.5);
+    let (_, warned) = done(dir, &[&flags[..], &["--out", "b"]].concat());
+    assert!(warned.is_empty(), "{warned}");
+}
+
+/// 10 s of a motion with two lifts of 1 s as a plan, and its log with the switch `on(t)` until `until_s`.
+fn plan_and_log(dir: &Path, until_s: f64, on: Option<&dyn Fn(f64) -> bool>) {
+    let is_on = |i: usize| i != 3 && i != 7;
+    let c = |i: usize| {
+        let x = [10.0 * (i as f64 * 0.9).sin(), 10.0 * ((i + 1) as f64 * 0.9).sin()];
+        [[x[0], x[1] - x[0], 0.0, 0.0], [i as f64, 1.0, 0.0, 0.0]]
+    };
+    let plan = Trajectory::new(
+        (0..=10).map(f64::from).collect(),
+        (0..10).map(c).collect(),
+        (0..10).map(is_on).collect(),
+        vec![None; 10],
+    )
+    .unwrap();
+    planish_handoff::save(&dir.join("plan"), &plan).unwrap();
+    let mut log =
+        "t (s),x (mm),y (mm)".to_string() + if on.is_some() { ",tool_on\n" } else { "\n" };
+    for k in 0..=(100.0 * until_s) as usize {
+        let t = k as f64 * 0.01;
+        let segment = plan.segment((t as usize).min(9));
+        let [x, y] = segment.position_mm(t - segment.start_s);
+        log += &format!("{t:.4},{x:.6},{y:.6}");
+        log += &on.map_or(String::new(), |on| format!(",{}", u8::from(on(t))));
+        log += "\n";
+    }
+    fs::write(dir.join("log.csv"), log).unwrap();
+}
+
+fn planned_on(t: f64) -> bool {
+    !(3.0..4.0).contains(&t) && !(7.0..8.0).contains(&t)
+}
+
+#[test]
+fn a_log_of_half_of_the_run_is_a_negative_verdict_with_the_numbers() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    plan_and_log(dir, 5.0, Some(&planned_on));
+    let output = call(dir, &["trace", "log.csv", "--planned", "plan", "--out", "run"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    let expected = "verdict: the log is not one of the whole run: the log holds 5 s, and the plan takes 10 s: it lacks \
+                    the first 0 s and the last 5 s of the plan, in which the plan has the tool on for 4 s of 8 s";
+    assert!(said.contains(expected), "{said}");
+    let beside = artifact::read::<Trajectory>(&dir.join("run")).unwrap().manifest.unwrap().outcome;
+    assert!((beside["beside_plan"]["after_the_log_s"].as_f64().unwrap() - 5.0).abs() < 1e-4);
+    // Cut on request it is what was asked for, and said.
+    let flags = ["trace", "log.csv", "--planned", "plan", "--until-s", "4", "--out", "cut"];
+    let (_, warned) = done(dir, &flags);
+    assert!(warned.contains("warning: the log holds 4 s, and the plan takes 10 s"), "{warned}");
+    // The whole log says nothing.
+    plan_and_log(dir, 10.0, Some(&planned_on));
+    let (_, warned) = done(dir, &["trace", "log.csv", "--planned", "plan", "--out", "whole"]);
+    assert!(warned.is_empty(), "{warned}");
+}
+
+#[test]
+fn a_tool_that_is_not_that_of_the_plan_is_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let flags = ["trace", "log.csv", "--planned", "plan", "--out"];
+    let ended = |out: &str| {
+        let output = call(dir, &[&flags[..], &[out]].concat());
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    plan_and_log(dir, 10.0, Some(&|t| !planned_on(t)));
+    let (code, said) = ended("inverted");
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("verdict: the tool of the log is not that of the plan: in 10 s of 10 s"),
+        "{said}"
+    );
+    assert!(said.contains("is it inverted?"), "{said}");
+    // Half of a lift with the tool on.
+    plan_and_log(dir, 10.0, Some(&|t| planned_on(t) || t < 3.5));
+    let (code, said) = ended("lift");
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("warning: in 0.5 s of 10 s one of the log and the plan has the tool on"),
+        "{said}"
+    );
+    // A log without a switch, whose motion would remove while the plan is lifted.
+    plan_and_log(dir, 10.0, None);
+    let (code, said) = ended("untold");
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("the plan has it off for 2 s of it: the motion removes there, too"),
+        "{said}"
+    );
+    let (_, warned) = done(dir, &[&flags[..], &["from-plan", "--tool-from-plan"]].concat());
+    assert!(warned.is_empty(), "{warned}");
 }

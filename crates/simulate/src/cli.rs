@@ -9,10 +9,12 @@ use planish_handoff::{
     flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
     kind,
     npy::ArrayData,
-    say, task,
+    say, task, warn,
 };
 use planish_simulate::{
     Settings,
+    between::Between,
+    coverage::Coverage,
     frames::{Frames, frames},
     simulate,
 };
@@ -81,17 +83,22 @@ impl Simulate {
 
         let residual = prediction.removal.residual();
         let (statistics, detilted) = (residual.statistics(), residual.detilted_rms_nm());
-        let status = prediction
-            .drawback(&surface, trajectory.total_time_s())
-            .map_or(Status::Done, Status::Negative);
+        let coverage = Coverage::of(prediction.removal.removal_nm(), &trajectory, &tif, &surface);
+        let status = status(&coverage, prediction.drawback(&surface, trajectory.total_time_s()));
+        let between = Between::of(&trajectory, &tif, &prediction.removal);
         let outcome = json!({
             "rms_nm": statistics.rms,
             "rms_detilted_nm": detilted,
             "pv_nm": statistics.pv,
             "total_time_s": trajectory.total_time_s(),
             "numerics": prediction.numerics,
+            "coverage": coverage,
+            "tif_between_samples": between,
         });
         output.write(&prediction.removal, outcome, &status)?;
+        if let Some(warning) = between.and_then(|b| b.warning()) {
+            warn(warning);
+        }
         say(format!(
             "residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
             statistics.rms,
@@ -104,6 +111,14 @@ impl Simulate {
     }
 }
 
+/// How a run ends that reaches so much of the map and has this drawback; warns of what the user should know.
+fn status(coverage: &Coverage, drawback: Option<String>) -> Status {
+    if let Some(warning) = coverage.warning() {
+        warn(warning);
+    }
+    coverage.drawback().or(drawback).map_or(Status::Done, Status::Negative)
+}
+
 fn write_frames(
     writer: &mut Writer,
     frames: Frames,
@@ -114,13 +129,14 @@ fn write_frames(
     let (count, stride) = (frames.time_s.len(), frames.stride);
     let removal = ArrayData::F64(frames.removal_nm.into_dyn().into());
     let arrays = [list(frames.time_s), removal, list(x), list(y)];
-    let outcome = json!({ "every_pixel": stride });
-    writer.write_arrays(&kind::FRAMES, &arrays, &[], outcome, &Status::Done)?;
+    let status = status(&frames.coverage, None);
+    let outcome = json!({ "every_pixel": stride, "coverage": frames.coverage });
+    writer.write_arrays(&kind::FRAMES, &arrays, &[], outcome, &status)?;
     let [sx, sy] = stride;
     let shape = format!("{} x {} pixels", frames.grid.x.len(), frames.grid.y.len());
     say(format!(
         "{count} frames of {shape} (one in {sx} columns, {sy} rows) -> {}",
         output.out.display()
     ));
-    Ok(Status::Done)
+    Ok(status)
 }

@@ -9,12 +9,12 @@
 //! there.
 
 use ndarray::Array2;
-use planish_numerics::polynomial::{derivative, evaluate, quadratic_roots, shifted};
 use planish_types::{Grid, Invalid, Tif, Trajectory};
 use serde::Serialize;
 
 use crate::{
     motion::{Motion, Piece},
+    play::with_play,
     process::Scalar,
     servo::Servo,
 };
@@ -138,7 +138,7 @@ impl Deviation {
             (pieces, origin) = servo.follow(&pieces, &origin);
         }
         if self.backlash_mm != 0.0 {
-            (pieces, origin) = with_backlash(&pieces, &origin, self.backlash_mm);
+            (pieces, origin) = with_play(&pieces, &origin, self.backlash_mm);
         }
         if !self.place_of_stay_mm.is_empty() {
             for p in &mut pieces {
@@ -208,38 +208,3 @@ impl Deviation {
         self.rate + self.drift * middle + self.warm_up.iter().map(warm_up).sum::<f64>()
     }
 }
-
-/// Every axis short of its command by half the play, in the direction in which it last went.
-fn with_backlash(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece>, Vec<usize>) {
-    let mut direction = [0.0; 2];
-    let (mut cut, mut cut_origin) = (Vec::new(), Vec::new());
-    for (p, from) in pieces.iter().zip(origin) {
-        let velocity = p.coefficient_mm.map(|c| derivative(&c));
-        let mut times = vec![0.0];
-        for v in &velocity {
-            times.extend(quadratic_roots(v[0], v[1], v[2], p.duration_s).filter(|u| *u > 0.0));
-        }
-        times.push(p.duration_s);
-        times.sort_unstable_by(f64::total_cmp);
-        times.dedup();
-        for w in times.windows(2) {
-            let mut part = *p;
-            part.start_s = p.start_s + w[0];
-            part.duration_s = w[1] - w[0];
-            part.coefficient_mm = p.coefficient_mm.map(|c| shifted(&c, w[0]));
-            for axis in 0..2 {
-                let v = evaluate(&velocity[axis], 0.5 * (w[0] + w[1]));
-                if v.abs() > STANDS_MM_PER_S {
-                    direction[axis] = v.signum();
-                }
-                part.coefficient_mm[axis][0] -= 0.5 * play_mm * direction[axis];
-            }
-            cut.push(part);
-            cut_origin.push(*from);
-        }
-    }
-    (cut, cut_origin)
-}
-
-/// Below this speed an axis stands, mm/s: rounding has no direction.
-const STANDS_MM_PER_S: f64 = 1e-9;

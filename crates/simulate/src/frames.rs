@@ -19,7 +19,7 @@ use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory, progress};
 use rayon::prelude::*;
 
-use crate::{Plan, Settings};
+use crate::{Plan, Settings, coverage::Coverage};
 
 /// Most pixels of a frame: 24 frames take 4 MB.
 pub const MAX_PIXELS: usize = 20_000;
@@ -41,6 +41,8 @@ pub struct Frames {
     pub grid: Grid,
     /// Rows and columns of the map per row and column of a frame, [x, y].
     pub stride: [usize; 2],
+    /// Part of the map that the whole motion reaches.
+    pub coverage: Coverage,
 }
 
 /// Removal of `trajectory` on pixels of `desired` at `count` equal steps of time.
@@ -86,7 +88,8 @@ pub fn frames(
         }
     }
     let time_s = (0..count).map(|i| total_s * (i + 1) as f64 / m).collect();
-    Ok(Frames { time_s, removal_nm: kept, grid, stride })
+    let coverage = Coverage::of(&removal, trajectory, tif, desired);
+    Ok(Frames { time_s, removal_nm: kept, grid, stride, coverage })
 }
 
 /// The smallest [x, y] that keep at most [`MAX_PIXELS`], and two rows and columns.

@@ -41,7 +41,8 @@
 //!
 //! # Other pixels
 //!
-//! A TIF sampled at another pitch is first sampled anew, by its own interpolation, on a lattice
+//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only some
+//! of the nodes are pixels. A TIF of any other pitch is first sampled anew, by its own interpolation, on a lattice
 //! that divides the pixels of the map and is at least twice as fine as the TIF's own. The edge of
 //! R then lies between two lattice points, which (2) takes into account. The error of that
 //! interpolation is measured; the lattice is refined until it is below [`TIF_TOLERANCE`] of the
@@ -60,7 +61,7 @@ use rayon::prelude::*;
 use crate::{
     Numerics, Tell,
     kernel::Kernel,
-    lattice::{Lattice, has_border, interpolation_error, least_subdivision, sample_anew},
+    lattice::{Lattice, Subdivision, has_border, interpolation_error, sample_anew},
     quadrature::{Cutter, Reach},
     tile::{Tile, Workspace},
 };
@@ -92,11 +93,12 @@ impl Plan {
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
         let tif = &*tif.without_zero_margins();
         let own = [grid.x, grid.y].into_iter().zip([tif.grid().x, tif.grid().y]);
-        let subdivision: Vec<usize> = own.map(|(map, tif)| least_subdivision(&map, &tif)).collect();
+        let subdivision: Vec<Subdivision> =
+            own.map(|(map, tif)| Subdivision::least(&map, &tif)).collect();
         let mut refinement = 1;
         let (x, y, samples, tif_interpolation_error) = loop {
-            let x = Lattice::new(&grid.x, &tif.grid().x, subdivision[0] * refinement);
-            let y = Lattice::new(&grid.y, &tif.grid().y, subdivision[1] * refinement);
+            let x = Lattice::new(&grid.x, &tif.grid().x, subdivision[0].refined(refinement));
+            let y = Lattice::new(&grid.y, &tif.grid().y, subdivision[1].refined(refinement));
             let points = x.source_nodes().saturating_mul(y.source_nodes());
             if points > MAX_LATTICE {
                 return Err(too_fine(tif, grid, &x, &y));

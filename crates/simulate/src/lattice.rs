@@ -14,14 +14,40 @@ use crate::quadrature::Cells;
 /// changes over a pixel.
 const SAME_LATTICE: f64 = 1e-4;
 
-/// Lattice steps per pixel at which the lattice is twice as fine as the TIF's samples; 0 when
-/// those are on the pixels of the map.
-pub fn least_subdivision(map: &Axis, tif: &Axis) -> usize {
-    let ratio = map.step_mm() / tif.step_mm();
-    if (ratio - 1.0).abs() * (tif.len() - 1) as f64 <= SAME_LATTICE {
-        0
-    } else {
-        (2.0 * ratio).ceil().max(1.0) as usize
+/// Lattice steps per pixel, and where the samples of the TIF on the lattice come from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Subdivision {
+    /// They are those of the TIF, so many to a pixel.
+    Own(usize),
+    /// The TIF is sampled anew.
+    Anew(usize),
+}
+
+impl Subdivision {
+    /// The coarsest at which the nodes are the TIF's samples, or twice as fine.
+    pub fn least(map: &Axis, tif: &Axis) -> Self {
+        let ratio = map.step_mm() / tif.step_mm();
+        let whole = ratio.round().max(1.0);
+        if (ratio / whole - 1.0).abs() * (tif.len() - 1) as f64 <= SAME_LATTICE {
+            Self::Own(whole as usize)
+        } else {
+            Self::Anew((2.0 * ratio).ceil().max(1.0) as usize)
+        }
+    }
+
+    /// Steps to a pixel.
+    pub fn steps(self) -> usize {
+        match self {
+            Self::Own(steps) | Self::Anew(steps) => steps,
+        }
+    }
+
+    /// So many times as fine, where the TIF is sampled anew.
+    pub fn refined(self, times: usize) -> Self {
+        match self {
+            Self::Own(_) => self,
+            Self::Anew(subdivision) => Self::Anew(subdivision * times),
+        }
     }
 }
 
@@ -48,10 +74,12 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// `subdivision` 0 stands for the TIF's own samples, on the pixels of the map.
-    pub fn new(map: &Axis, tif: &Axis, subdivision: usize) -> Self {
-        let own = subdivision == 0;
-        let subdivision = subdivision.max(1);
+    /// For a map and a TIF along one axis.
+    pub fn new(map: &Axis, tif: &Axis, subdivision: Subdivision) -> Self {
+        let (own, subdivision) = match subdivision {
+            Subdivision::Own(subdivision) => (true, subdivision),
+            Subdivision::Anew(subdivision) => (false, subdivision),
+        };
         let step_mm = map.step_mm() / subdivision as f64;
         let edge =
             if own { (tif.len() - 1) as f64 } else { (tif.end_mm() - tif.start_mm()) / step_mm };

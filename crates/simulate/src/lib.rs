@@ -13,10 +13,11 @@
 //! * [`gridded`]: exact quadrature ([`quadrature`]) and FFT convolution; the default.
 //! * [`direct`]: midpoint quadrature, pixel by pixel; slow, and the oracle of the other.
 //!
-//! [`frames`] does either of them part by part: the surface in the course of the run.
+//! [`frames`] does either of them part by part: the surface in the course of the run. [`coverage`] says which part of
+//! the map the tool touches, and [`between`] how far a prediction depends on how the TIF is read between its samples.
 //!
 //! What an imperfect process makes of a motion is one more motion, and one more TIF: [`process`] reads the errors,
-//! [`sample`] draws them, [`deviation`] applies them (with [`motion`], [`servo`] and [`tool`]), [`runs`] removes with them, and
+//! [`sample`] draws them, [`deviation`] applies them (with [`motion`], [`servo`], [`tool`] and the play of the axes), [`runs`] removes with them, and
 //! [`virtual_machine`] runs a plan with them and measures what is left.
 //!
 //! | symbol | variable | shape | unit |
@@ -25,6 +26,8 @@
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | removal | `removal_nm` | (ny, nx) | nm |
 
+pub mod between;
+pub mod coverage;
 pub mod deviation;
 pub mod direct;
 pub mod frames;
@@ -32,6 +35,7 @@ pub mod gridded;
 mod kernel;
 mod lattice;
 pub mod motion;
+mod play;
 pub mod process;
 pub mod quadrature;
 pub mod runs;
@@ -87,8 +91,8 @@ pub struct Numerics {
     pub quadrature_points: usize,
     /// Lattice steps per pixel along x and y; 1 where the TIF has the pixels of the map.
     pub subdivision: [usize; 2],
-    /// Largest error of the TIF interpolated from the lattice, relative to its peak;
-    /// 0 where the TIF has the pixels of the map.
+    /// Largest error of the TIF interpolated from the lattice, relative to its peak; 0 where the pitch of the TIF is
+    /// that of the map, or divides it.
     pub tif_interpolation_error: f64,
 }
 

@@ -5,10 +5,15 @@
 //! measurement that has noise and an end, not the tool. So what errors change is computed with a TIF that is
 //! smooth, and what the plan leaves with that of the plan.
 
+use std::borrow::Cow;
+
 use nalgebra::{SMatrix, SVector};
 use ndarray::Array2;
-use planish_types::{Invalid, Tif};
+use planish_numerics::keys;
+use planish_types::{Axis, Grid, Invalid, Tif, budget};
 use rayon::prelude::*;
+
+use crate::lattice::Subdivision;
 
 /// Radius over which a TIF is smoothed, in its widths; of a Gaussian a quadratic is off by 1e-3 there.
 const SMOOTHED: f64 = 0.5;
@@ -23,6 +28,13 @@ const LEAST_SAMPLES: usize = 12;
 const FADED: f64 = 1.0;
 const MOST_FADED: f64 = 0.2;
 
+/// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak: as much as Keys' convolution
+/// has wrong of a Gaussian whose standard deviation is two samples, and errors are a small part of what is removed.
+const RESAMPLED: f64 = 2e-3;
+
+/// Memory of a sample of a TIF: its rate, with and without ghost nodes, and what it is made from.
+const BYTES_PER_SAMPLE: usize = 4 * size_of::<f64>();
+
 /// A sample below this part of the peak is outside of the TIF.
 const NOTHING: f64 = 1e-9;
 
@@ -33,6 +45,85 @@ pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let rate = smoothed(tif, width_mm) * fade(tif, over_mm);
     let volume = tif.rate_nm_per_s().sum() / rate.sum();
     Tif::new(*tif.grid(), rate * volume)
+}
+
+/// The TIF that errors move.
+#[derive(Clone, Debug)]
+pub struct Moved<'a> {
+    /// The TIF.
+    pub tif: Cow<'a, Tif>,
+    /// Largest error of its samples anew on the pixels of the map, over its peak; 0 where it was not sampled anew.
+    pub resampling_error: f64,
+}
+
+/// The TIF that errors move over a map: smooth, and on the pixels of the map where they hold it; or `tif` as it is.
+pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>, Invalid> {
+    if as_sampled {
+        return Ok(Moved { tif: Cow::Borrowed(tif), resampling_error: 0.0 });
+    }
+    let smooth = smooth(tif, tif.width_mm())?;
+    let (tif, resampling_error) = on_pixels(&smooth, map)?.unwrap_or((smooth, 0.0));
+    Ok(Moved { tif: Cow::Owned(tif), resampling_error })
+}
+
+/// The TIF sampled anew on the pixels of a map, or on parts of them, and its error, to [`RESAMPLED`] of its peak: every
+/// run with a TIF of another pitch takes a lattice at least twice as fine as both. `None` where that does not do, or is
+/// not needed.
+fn on_pixels(tif: &Tif, map: &Grid) -> Result<Option<(Tif, f64)>, Invalid> {
+    let axes = [(&map.x, &tif.grid().x), (&map.y, &tif.grid().y)];
+    let least = axes.map(|(map, tif)| Subdivision::least(map, tif));
+    // Coarser than the runs would have it with the TIF as it is.
+    let is_coarser = |parts: usize| {
+        least.iter().any(|l| match l {
+            Subdivision::Own(steps) => parts < *steps,
+            Subdivision::Anew(steps) => parts <= *steps,
+        })
+    };
+    let mut tried = 1;
+    while is_coarser(tried) {
+        let axis = |map: &Axis, tif: &Axis, least: Subdivision| {
+            let step = map.step_mm() / tried.min(least.steps()) as f64;
+            let count = ((tif.end_mm() - tif.start_mm()) / step - keys::SNAP).ceil() + 1.0;
+            // As much beyond either end.
+            let start = 0.5 * (tif.start_mm() + tif.end_mm()) - 0.5 * step * (count - 1.0);
+            (start, step, count)
+        };
+        let [x, y] = [0, 1].map(|a| axis(axes[a].0, axes[a].1, least[a]));
+        let remedy = "check that the TIF and the map are both in mm, or crop and bin the TIF";
+        budget::affordable("rate_nm_per_s", x.2 * y.2, BYTES_PER_SAMPLE, remedy)?;
+        let whole = |(start, step, count): (f64, f64, f64)| Axis::new(start, step, count as usize);
+        // A tool that is narrow beside a pixel falls between the samples.
+        if let (Ok(x), Ok(y)) = (whole(x), whole(y)) {
+            let grid = Grid { x, y };
+            let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+                tif.rate_at(grid.x.at(c), grid.y.at(r))
+            });
+            let scale = tif.vrr_nm_mm2_per_s() / grid.pixel_mm2() / rate.sum();
+            if let Ok(sampled) = Tif::new(grid, rate * scale) {
+                let error = largest_difference(tif, &sampled);
+                if error <= RESAMPLED {
+                    return Ok(Some((sampled, error)));
+                }
+            }
+        }
+        tried *= 2;
+    }
+    Ok(None)
+}
+
+/// Largest difference of `sampled` from `tif` in the middle of its cells, over the peak.
+fn largest_difference(tif: &Tif, sampled: &Tif) -> f64 {
+    let Grid { x, y } = sampled.grid();
+    let rows = (0..y.len() - 1).into_par_iter().map(|r| {
+        let at = y.at(r) + 0.5 * y.step_mm();
+        (0..x.len() - 1)
+            .map(|c| {
+                let along = x.at(c) + 0.5 * x.step_mm();
+                (tif.rate_at(along, at) - sampled.rate_at(along, at)).abs()
+            })
+            .fold(0.0, f64::max)
+    });
+    rows.reduce(|| 0.0, f64::max) / tif.peak_nm_per_s()
 }
 
 /// Every sample in the TIF is the value of the quadratic through those around it.
@@ -69,7 +160,8 @@ fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
-/// How much of every sample is left: 1 in the TIF, 0 just outside, and smooth between over `over_mm`.
+/// How much of every sample is left: 1 in the TIF, 0 just outside, and smooth between over `over_mm`; all of it where
+/// the TIF falls to zero within its samples, because that is the edge of the tool and not of a measurement.
 fn fade(tif: &Tif, over_mm: f64) -> Array2<f64> {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -81,13 +173,29 @@ fn fade(tif: &Tif, over_mm: f64) -> Array2<f64> {
     };
     // Places just outside: those beside a sample inside.
     let mut outside = Vec::new();
+    // What the samples at the end have, and by how much they are below those before them.
+    let (mut last, mut fall) = (0.0, 0.0);
     for r in -1..=ny as isize {
         for c in -1..=nx as isize {
-            let mut beside = [(0, 1), (0, -1), (1, 0), (-1, 0)].into_iter();
-            if !inside(r, c) && beside.any(|(i, j)| inside(r + i, c + j)) {
+            let beside = [(0, 1), (0, -1), (1, 0), (-1, 0)].into_iter();
+            let inwards = beside.filter(|(i, j)| !inside(r, c) && inside(r + i, c + j));
+            let mut is_beside = false;
+            for (i, j) in inwards {
+                is_beside = true;
+                let here = rate[[(r + i) as usize, (c + j) as usize]];
+                if inside(r + 2 * i, c + 2 * j) {
+                    last += here;
+                    fall += rate[[(r + 2 * i) as usize, (c + 2 * j) as usize]] - here;
+                }
+            }
+            if is_beside {
                 outside.push([c as f64, r as f64]);
             }
         }
+    }
+    // It ends by itself: going on as it falls it would be zero within the next step.
+    if last <= fall {
+        return Array2::ones((ny, nx));
     }
     let at = |r: usize, c: usize| {
         let square = |o: &[f64; 2]| {

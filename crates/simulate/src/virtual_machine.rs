@@ -27,7 +27,7 @@ use crate::{
     process::{Distribution, Effect, Process},
     runs::Runs,
     sample::{draw, legendre_terms, low_orders, sample, stream, white},
-    tool::smooth,
+    tool::moved,
 };
 
 /// Streams of random numbers of one error: of the run, and of the measurements of even and of odd number.
@@ -92,8 +92,8 @@ pub fn run(
     settings: &Settings,
 ) -> Result<Run, Invalid> {
     check_run(settings.run)?;
-    let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, tif.width_mm())? };
-    let runs = progress::part(0, 2, || Runs::new(trajectory, tif, &moved, before.grid()))?;
+    let moved = moved(tif, before.grid(), settings.tif_as_sampled)?;
+    let runs = progress::part(0, 2, || Runs::new(trajectory, tif, &moved.tif, before.grid()))?;
     runs.check_sizes(process)?;
     let known = if settings.known { without_what_is_learnt(process) } else { process.clone() };
     progress::part(1, 2, || draw_run(&runs, before, &known, settings.seed, settings.run))

@@ -346,16 +346,89 @@ fn bad_maps_tifs_and_flags_end_with_2() {
     refused_after(|_| (), &["--steps=-1"], &["invalid value '-1'"]);
 }
 
-#[test]
-fn a_motion_out_of_reach_removes_nothing_and_says_so() {
+/// Exit code, verdict and warnings of a run whose trajectory is `t`.
+fn said_of(t: Trajectory, more: &[&str]) -> (i32, String, std::path::PathBuf, tempfile::TempDir) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
-    let far = |c: f64| [[1e3 + c, 1.0, 0.0, 0.0], [0.0; 4]];
-    let t = Trajectory::new(vec![0.0, 1.0], vec![far(0.0)], vec![true], vec![Some(0)]).unwrap();
     write(tmp.path(), "trajectory", &t);
-    let removal = simulate(tmp.path(), &[]);
+    let output = run_on("2", tmp.path(), more);
+    let out = tmp.path().join("removal");
+    (output.status.code().unwrap(), text(&output.stderr), out, tmp)
+}
+
+/// The pass, moved by `x_mm` and with the given switch.
+fn moved_pass(x_mm: f64, tool_on: [bool; 2]) -> Trajectory {
+    let pass = pass();
+    let mut c = pass.coefficient_mm().to_vec();
+    c.iter_mut().for_each(|c| c[0][0] += x_mm);
+    Trajectory::new(pass.break_time_s().to_vec(), c, tool_on.to_vec(), vec![Some(0), None]).unwrap()
+}
+
+#[test]
+fn a_motion_that_never_touches_the_map_is_a_negative_verdict() {
+    let far = moved_pass(500.0, [true, false]);
+    let process = r#"{"name":"p","errors":[{"kind":"offset_x","size":1,"unit":"um","distribution":"normal","note":""}]}"#;
+    for more in [
+        &[][..],
+        &["--method=direct"],
+        &["--frames=3"],
+        &["--process=process.json", "--measured=after", "--out=removal"],
+    ] {
+        let tmp = tempfile::tempdir().unwrap();
+        prepare(tmp.path());
+        write(tmp.path(), "trajectory", &far);
+        fs::write(tmp.path().join("process.json"), process).unwrap();
+        let output = run_on("2", tmp.path(), more);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{more:?}: {said}");
+        let expected = "verdict: the tool never touches the map: with the tool on the motion is within x 480 .. 530 \
+                        mm, y 2.53 .. 2.53 mm, and the map within x 0 .. 10 mm, y 0 .. 6 mm";
+        assert!(said.contains(expected), "{said}");
+        assert_eq!(outcome(tmp.path())["status"], "negative");
+    }
+    // What is predicted is still written: nothing is removed.
+    let (_, _, out, _kept) = said_of(far, &[]);
+    let removal = artifact::read::<Removal>(&out).unwrap().value;
     assert!(removal.removal_nm().iter().all(|r| *r == 0.0));
-    assert_eq!(outcome(tmp.path())["rms_nm"], json!(desired().statistics().rms));
+    let (code, said, ..) = said_of(moved_pass(0.0, [false, false]), &[]);
+    assert_eq!(code, 1);
+    assert!(said.contains("tool_on is 0 in every segment; is it inverted?"), "{said}");
+}
+
+#[test]
+fn a_motion_that_touches_little_of_the_map_is_named() {
+    // The tool ends 4 mm before the map, and its TIF reaches 6 mm.
+    let c = vec![[[-9.0, 1.0, 0.0, 0.0], [2.53, 0.0, 0.0, 0.0]], [[0.0; 4]; 2]];
+    let t =
+        Trajectory::new(vec![0.0, 5.0, 6.0], c, vec![true, false], vec![Some(0), None]).unwrap();
+    let (code, said, out, _kept) = said_of(t, &[]);
+    assert!(said.contains("warning: the tool removes material from ") && code != 2, "{said}");
+    assert!(said.contains("it is on for 5 s of 6 s, within x -9 .. -4 mm"), "{said}");
+    let text = fs::read_to_string(out.join("manifest.json")).unwrap();
+    let coverage = serde_json::from_str::<Value>(&text).unwrap()["outcome"]["coverage"].clone();
+    // Pixels that are less than 6 mm from a tool that ends at -4 mm: 10 of 51 columns.
+    assert_eq!(coverage["touched_pixels"], json!(10 * 31));
+    assert_eq!(coverage["valid_pixels"], json!(51 * 31 - 1));
+    // A plan that removes all over the map says nothing.
+    let (_, said, ..) = said_of(pass(), &[]);
+    assert!(!said.contains("warning: "), "{said}");
+}
+
+#[test]
+fn a_hard_edge_between_coarse_samples_is_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let a = axis(-1.2, 0.12, 21);
+    let g = Grid { x: a, y: a };
+    let pad = |(r, c): (usize, usize)| if a.at(c).hypot(a.at(r)) <= 0.8 { 60.0 } else { 0.0 };
+    write(tmp.path(), "tif", &Tif::new(g, Array2::from_shape_fn(g.shape(), pad)).unwrap());
+    let output = run_on("2", tmp.path(), &[]);
+    let between = &outcome(tmp.path())["tif_between_samples"];
+    let change = number(&between["residual_change"]);
+    let named = text(&output.stderr).contains("warning: the TIF is sampled too coarsely");
+    let error = number(&between["standard_error"]);
+    assert_eq!(named, change.abs() > 0.01 && change.abs() > 2.0 * error, "{between}");
+    assert!(number(&between["difference_rms_nm"]) > 0.0 && number(&between["pixels"]) >= 64.0);
 }
 
 /// 12 mm given in nm.

@@ -114,6 +114,20 @@ fn exact_for_any_tif_on_the_pixels_of_the_map() {
 }
 
 #[test]
+fn exact_for_any_tif_whose_pitch_divides_that_of_the_map() {
+    for (step, parts) in [([0.1, 0.1], [2.0, 2.0]), ([0.13, 0.07], [1.0, 3.0])] {
+        let tif = rough_tif(step);
+        let g = grid([-0.4, 0.3], [0, 1].map(|a| step[a] * parts[a]), [41, 33]);
+        let (p, s) = positions();
+        let (removal, numerics) = gridded::removal_nm(&resting(&p, &s), &tif, &g).unwrap();
+        let error = largest(&removal, &by_definition(&p, &s, &tif, &g));
+        assert!(error < 1e-11, "step {step:?}: {error} nm");
+        assert_eq!(numerics.subdivision, parts.map(|n| n as usize));
+        assert_eq!(numerics.tif_interpolation_error, 0.0);
+    }
+}
+
+#[test]
 fn a_tif_on_other_pixels_is_accurate_to_what_is_reported_and_ends_where_it_ends() {
     // Smooth, but ending with a step of 14 % of the peak.
     let shape = |x: f64, y: f64| PEAK * (-(x * x + 1.3 * y * y) / (2.0 * SIGMA * SIGMA)).exp();

@@ -10,7 +10,7 @@ use crate::{
     reach::Reach,
     report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
     settings::Settings,
-    tool::smooth,
+    tool::{Moved, moved},
     work::Work,
 };
 
@@ -40,7 +40,8 @@ pub fn tolerance(
 ) -> Result<Tolerance, Invalid> {
     settings.check()?;
     let (seed, width) = (settings.seed, tif.width_mm());
-    let moved = if settings.tif_as_sampled { tif.clone() } else { smooth(tif, width)? };
+    let Moved { tif: moved, resampling_error } =
+        moved(tif, desired.grid(), settings.tif_as_sampled)?;
     let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;
 
     // f_i, and n
@@ -114,6 +115,8 @@ pub fn tolerance(
         runs,
         levels: (0..LEVELS).map(|k| (level(k), quantile(&rms, level(k)))).collect(),
         deviation_nm: work.deviation_map(&linear, &responses),
+        coverage: work.coverage.clone(),
+        tif_resampling_error: resampling_error,
     })
 }
 

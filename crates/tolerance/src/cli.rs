@@ -9,7 +9,7 @@ use planish_handoff::{
     flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
     kind,
     npy::ArrayData,
-    say, task,
+    say, task, warn,
 };
 use planish_tolerance::{
     Free, Settings,
@@ -86,10 +86,14 @@ impl Tolerance {
             list(grid.y.coordinates()),
         ];
         let outcome = serde_json::to_value(&found)?;
-        output.write_arrays(&kind::TOLERANCE, &arrays, &[], outcome, &Status::Done)?;
+        if let Some(warning) = found.coverage.warning() {
+            warn(warning);
+        }
+        let status = found.coverage.drawback().map_or(Status::Done, Status::Negative);
+        output.write_arrays(&kind::TOLERANCE, &arrays, &[], outcome, &status)?;
         say(table(&found, settings.free));
         say(format!("-> {}", self.output.out.display()));
-        Ok(Status::Done)
+        Ok(status)
     }
 }
 
@@ -150,6 +154,12 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
             found.runs.len(),
             100.0 * found.largest_difference,
             found.within_interval
+        ));
+    }
+    if found.tif_resampling_error > 0.0 {
+        lines.push(format!(
+            "errors are simulated with the TIF sampled anew on the pixels of the map, to {} % of its peak",
+            significant(100.0 * found.tif_resampling_error, 2)
         ));
     }
     lines.join("\n")

@@ -47,9 +47,14 @@ impl Work<'_> {
                         }
                         other => other,
                     };
-                    // What acts on the rate is linear: any step will do.
                     let per_size = self.displacement_per_size(effect);
-                    let step = if per_size > 0.0 { STEP * width / per_size } else { STEP };
+                    let step = match effect {
+                        // Hysteresis has no derivative: half the play decides which turns are seen at all.
+                        Scalar::Backlash => e.size,
+                        _ if per_size > 0.0 => STEP * width / per_size,
+                        // What acts on the rate is linear: any step will do.
+                        _ => STEP,
+                    };
                     let side = |step: f64| {
                         let mut run = Deviation::default();
                         run.add(effect, step);

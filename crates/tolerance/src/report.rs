@@ -1,6 +1,7 @@
 //! What is found: the lines of the errors, the distribution, and the runs that were simulated.
 
 use ndarray::Array2;
+use planish_simulate::coverage::Coverage;
 use serde::Serialize;
 
 use crate::process::Distribution;
@@ -98,4 +99,9 @@ pub struct Tolerance {
     /// Standard deviation over the runs of the residual of every pixel, nm; NaN where invalid.
     #[serde(skip)]
     pub deviation_nm: Array2<f64>,
+    /// Part of the map that the plan reaches.
+    pub coverage: Coverage,
+    /// Largest error of the TIF that errors move, over its peak, where it was sampled anew on the pixels of the map;
+    /// else 0.
+    pub tif_resampling_error: f64,
 }

@@ -2,6 +2,7 @@
 
 use ndarray::Array2;
 use planish_simulate::{
+    coverage::Coverage,
     runs::Runs,
     sample::{legendre_terms, low_orders},
 };
@@ -22,6 +23,8 @@ pub struct Work<'a> {
     pub process: &'a Process,
     /// P (h - R).
     pub nominal: Array2<f64>,
+    /// Part of the map that the plan reaches.
+    pub coverage: Coverage,
 }
 
 impl<'a> Work<'a> {
@@ -41,7 +44,8 @@ impl<'a> Work<'a> {
         let runs = Runs::new(trajectory, tif, moved, desired.grid())?;
         let nominal = inner.judged(desired.height_nm() - &runs.executed);
         runs.check_sizes(process)?;
-        Ok(Self { runs, inner, process, nominal })
+        let coverage = Coverage::of(&runs.executed, trajectory, tif, desired);
+        Ok(Self { runs, inner, process, nominal, coverage })
     }
 
     /// The motion in pieces.

@@ -80,7 +80,9 @@ fn errors_of_size_zero_add_exactly_nothing() {
 #[test]
 fn twice_the_error_is_twice_its_line() {
     let (once, twice) = (of(every(0.5), &settings()), of(every(1.0), &settings()));
-    for (a, b) in once.errors.iter().zip(&twice.errors) {
+    // Play is hysteresis: twice the play is not twice of what it does where a turn is short.
+    let each = once.errors.iter().zip(&twice.errors).filter(|(a, _)| a.kind != "backlash");
+    for (a, b) in each {
         assert!(!a.simulated && !b.simulated, "{}", a.kind);
         assert!(a.adds_rms_nm > 0.0 || a.kind.contains("lag"), "{}", a.kind);
         // The size is scaled after all else: sums of squares and their roots round.

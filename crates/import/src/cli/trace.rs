@@ -10,7 +10,7 @@ use planish_handoff::{
 use planish_import::trace::{
     self, LogFormat, PositionUnit, TimeUnit, Trace, TraceSettings,
     columns::Columns,
-    following::{self, Following},
+    following::{self, Extent, Following},
     motion::Between,
 };
 use planish_types::{Trajectory, text::significant};
@@ -155,27 +155,44 @@ impl TraceArgs {
         let setpoint = trace.setpoint(self.between).map_err(failed)?;
         let beside_setpoint =
             setpoint.map(|s| following::beside_setpoint(&trace.time_s, &trace.actual_mm, &s));
-        let outcome = outcome(&trace, &motion, beside_setpoint.as_ref(), beside_plan.as_ref());
-        output.write(&motion, outcome, &Status::Done)?;
+        let (beside_plan, extent) = beside_plan.unzip();
+        let mut outcome = outcome(&trace, &motion, beside_setpoint.as_ref(), beside_plan.as_ref());
+        let mut drawback = None;
+        if let Some(extent) = &extent {
+            outcome["beside_plan"] = json!(extent);
+            drawback = extent.drawback(self.from_s.is_some() || self.until_s.is_some());
+        }
+        let status = drawback.map_or(Status::Done, Status::Negative);
+        output.write(&motion, outcome, &status)?;
         self.report(&trace, &motion);
+        // What the verdict says is not said twice.
+        if let (Some(extent), Status::Done) = (&extent, &status) {
+            extent.warnings().iter().for_each(|warning| warn(with_flags(warning)));
+        }
         for (name, following) in [("setpoint", beside_setpoint), ("plan", beside_plan)] {
             if let Some(following) = following {
                 say_following(name, &following);
             }
         }
-        Ok(Status::Done)
+        Ok(status)
     }
 
     /// The log beside the plan, whose tool becomes that of the log where this is asked for.
-    fn beside_plan(&self, trace: &mut Trace, plan: &Trajectory) -> Result<Following, Failure> {
+    fn beside_plan(
+        &self,
+        trace: &mut Trace,
+        plan: &Trajectory,
+    ) -> Result<(Following, Extent), Failure> {
         let (time_s, actual_mm) = (&trace.time_s, &trace.actual_mm);
         let following = following::beside_plan(time_s, actual_mm, plan, self.most_offset_s)
             .map_err(|e| about(&self.file, &e))?;
+        let begin_s = following.reference_begins_s + time_s[0];
         if self.tool_from_plan {
-            let begin_s = following.reference_begins_s + time_s[0];
             trace.tool_on = Some(following::tool_of_plan(time_s, plan, begin_s));
         }
-        Ok(following)
+        let removes = trace.removes();
+        let extent = Extent::of(&trace.time_s, removes.as_deref(), plan, begin_s);
+        Ok((following, extent))
     }
 
     fn report(&self, trace: &Trace, motion: &Trajectory) {

@@ -32,6 +32,19 @@ const SETTLED_S: f64 = 1e-10;
 /// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which it is no log of it.
 const OTHER_MOTION: f64 = 0.05;
 
+/// Part of the plan's time with the tool on that a log may lack without being named, and the part above which the log
+/// is not one of the whole run.
+const USUAL_ABSENCE: f64 = 1e-3;
+const MOST_ABSENCE: f64 = 0.05;
+
+/// Part of the time between two samples to which the beginning of a plan in a log is known.
+const SEEN_OF_A_SAMPLE: f64 = 0.1;
+
+/// Part of the plan's time in which the tool of the log may differ from that of the plan without being named, and the
+/// part above which it is not the tool of the plan. Switches have latencies.
+const USUAL_DIFFERENCE: f64 = 0.01;
+const MOST_DIFFERENCE: f64 = 0.1;
+
 /// The following error of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AxisError {
@@ -233,6 +246,12 @@ pub fn beside_plan(
     let begin_s = pair.common_delay_s(time_s[0] + k as f64 * SEARCH_STEP_S);
     let following = pair.errors(begin_s);
 
+    check_same_motion(&following, plan)?;
+    Ok(following)
+}
+
+/// Refuses a log that is farther from its plan than an axis lags.
+fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Invalid> {
     let n = plan.len() as f64;
     let starts = || plan.segments().map(|s| s.position_mm(0.0));
     let mean = [0, 1].map(|a| starts().map(|p| p[a]).sum::<f64>() / n);
@@ -249,7 +268,136 @@ pub fn beside_plan(
                       larger `most_offset_s` where the log begins long before it";
         return Err(Invalid::whole("planned", problem, remedy));
     }
-    Ok(following)
+    Ok(())
+}
+
+/// How much of a plan a log holds, and its tool beside that of the plan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Extent {
+    /// Duration of the plan, s.
+    pub plan_s: f64,
+    /// Time of the plan before the first sample of the log, s.
+    pub before_the_log_s: f64,
+    /// Time of the plan after the last sample of the log, s.
+    pub after_the_log_s: f64,
+    /// Time of the plan with the tool on, s.
+    pub tool_on_s: f64,
+    /// The part of it that is not in the log, s.
+    pub tool_on_absent_s: f64,
+    /// Time in which one of log and plan has the tool on and the other off, s; absent where the log does not tell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tool_differs_s: Option<f64>,
+    /// Time in the log, s.
+    #[serde(skip)]
+    log_s: f64,
+    /// Time in the log in which the plan has the tool off, s.
+    #[serde(skip)]
+    planned_off_s: f64,
+    /// What the samples of the log cannot tell, s: half an interval at every switch.
+    #[serde(skip)]
+    unresolved_s: f64,
+}
+
+impl Extent {
+    /// Of a log whose tool is `removes` (n-1), where it tells, beside `plan`, which begins at `begin_s`.
+    pub fn of(time_s: &[f64], removes: Option<&[bool]>, plan: &Trajectory, begin_s: f64) -> Self {
+        let [first_s, last_s] = [time_s[0], time_s[time_s.len() - 1]];
+        let to_log = begin_s - plan.break_time_s()[0];
+        // The beginning of the plan is not known to less than a part of a sample.
+        let least_s = SEEN_OF_A_SAMPLE * (last_s - first_s) / (time_s.len() - 1) as f64;
+        let lacks = |s: f64| if s > least_s { s } else { 0.0 };
+        let (mut tool_on_s, mut tool_on_absent_s) = (0.0, 0.0);
+        for s in plan.segments().filter(|s| s.tool_on) {
+            let (from_s, until_s) = (s.start_s + to_log, s.start_s + to_log + s.duration_s);
+            let seen_s = (until_s.min(last_s) - from_s.max(first_s)).max(0.0);
+            tool_on_s += s.duration_s;
+            tool_on_absent_s += (s.duration_s - seen_s).max(0.0);
+        }
+        let planned = tool_of_plan(time_s, plan, begin_s);
+        let lasts_s = |i: usize| time_s[i + 1] - time_s[i];
+        // Before the plan and after it the tool of the plan is off, and the machine does as it likes.
+        let in_plan = |i: &usize| {
+            let at = 0.5 * (time_s[*i] + time_s[*i + 1]) - begin_s;
+            (0.0..plan.total_time_s()).contains(&at)
+        };
+        let each = || (0..planned.len()).filter(in_plan);
+        let differs = |on: &[bool]| each().filter(|i| on[*i] != planned[*i]).map(lasts_s).sum();
+        let switches = planned.windows(2).filter(|p| p[0] != p[1]).count() as f64;
+        Self {
+            plan_s: plan.total_time_s(),
+            before_the_log_s: lacks(first_s - begin_s),
+            after_the_log_s: lacks(begin_s + plan.total_time_s() - last_s),
+            tool_on_s,
+            tool_on_absent_s,
+            tool_differs_s: removes.map(differs),
+            log_s: last_s - first_s,
+            planned_off_s: each().filter(|i| !planned[*i]).map(lasts_s).sum(),
+            unresolved_s: switches * (last_s - first_s) / planned.len() as f64,
+        }
+    }
+
+    /// Why the log is not one of the whole plan, where this is so. One that was cut on request may be shorter.
+    pub fn drawback(&self, cut: bool) -> Option<String> {
+        if !cut && self.tool_on_absent_s > MOST_ABSENCE * self.tool_on_s {
+            return Some(format!(
+                "the log is not one of the whole run: {}; what it removes is that of this part only",
+                self.absence()
+            ));
+        }
+        let differs_s = self.tool_differs_s?;
+        let (most_s, in_log_s) = (MOST_DIFFERENCE * self.plan_s, self.log_s.min(self.plan_s));
+        (differs_s > most_s.min(0.5 * in_log_s) + self.unresolved_s).then(|| {
+            let inverted = differs_s > 0.5 * in_log_s;
+            let question = if inverted { "; is it inverted?" } else { "; is it that of this run?" };
+            format!(
+                "the tool of the log is not that of the plan: {}{question}",
+                self.difference(differs_s)
+            )
+        })
+    }
+
+    /// What the user should know.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.tool_on_absent_s > USUAL_ABSENCE * self.tool_on_s {
+            warnings.push(self.absence());
+        }
+        match self.tool_differs_s {
+            Some(differs_s) if differs_s > USUAL_DIFFERENCE * self.plan_s + self.unresolved_s => {
+                warnings.push(self.difference(differs_s));
+            }
+            None if self.planned_off_s > USUAL_DIFFERENCE * self.plan_s => warnings.push(format!(
+                "the log does not tell whether the tool is on, and the plan has it off for {} s of it: the motion \
+                 removes there, too; give `tool_on`, `current` or `tool_from_plan`",
+                significant(self.planned_off_s, 4)
+            )),
+            _ => {}
+        }
+        warnings
+    }
+
+    fn absence(&self) -> String {
+        let s = |v: f64| significant(v, 4);
+        format!(
+            "the log holds {} s, and the plan takes {} s: it lacks the first {} s and the last {} s of the plan, in \
+             which the plan has the tool on for {} s of {} s",
+            s(self.log_s),
+            s(self.plan_s),
+            s(self.before_the_log_s),
+            s(self.after_the_log_s),
+            s(self.tool_on_absent_s),
+            s(self.tool_on_s)
+        )
+    }
+
+    fn difference(&self, differs_s: f64) -> String {
+        let s = |v: f64| significant(v, 4);
+        format!(
+            "in {} s of {} s one of the log and the plan has the tool on, and the other off",
+            s(differs_s),
+            s(self.log_s.min(self.plan_s))
+        )
+    }
 }
 
 /// Where the plan has the tool on in the intervals of a log (n-1), when it begins at `begin_s`; off before

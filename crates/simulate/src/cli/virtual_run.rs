@@ -9,6 +9,7 @@ use planish_handoff::{
     say, task,
 };
 use planish_simulate::{
+    coverage::Coverage,
     process::ProcessFile,
     virtual_machine::{Settings, run},
 };
@@ -79,18 +80,22 @@ impl VirtualRun {
                 _ => Failure::with_flags(e),
             })?;
 
+        let coverage = Coverage::of(run.removal.removal_nm(), &trajectory, &tif, &before);
+        let status = super::status(&coverage, None);
+
         // What is hidden stands in the manifest of the truth alone.
         let statistics = run.measured.statistics();
         let seen = serde_json::json!({ "rms_nm": statistics.rms, "pv_nm": statistics.pv });
-        writer.write(&run.measured, seen, &Status::Done)?;
+        writer.write(&run.measured, seen, &status)?;
         let remains = run.removal.residual().statistics();
         let truth = serde_json::json!({
             "rms_nm": remains.rms,
             "pv_nm": remains.pv,
             "total_time_s": trajectory.total_time_s(),
             "hidden": run.hidden,
+            "coverage": coverage,
         });
-        writer.write(&run.removal, truth, &Status::Done)?;
+        writer.write(&run.removal, truth, &status)?;
         say(format!(
             "measured {:.4} nm RMS, {:.2} nm PV after run {} of {} with seed {} -> {}; the truth -> {}",
             statistics.rms,
@@ -101,6 +106,6 @@ impl VirtualRun {
             measured.display(),
             output.out.display()
         ));
-        Ok(Status::Done)
+        Ok(status)
     }
 }

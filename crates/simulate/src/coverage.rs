@@ -1,0 +1,135 @@
+//! The part of a map that a motion reaches.
+//!
+//! A motion in other coordinates, or with its tool switched the wrong way round, is a valid motion: it removes nothing,
+//! and the residual is the map. So every prediction says which part of the map the tool touches.
+
+use ndarray::{Array2, Zip};
+use planish_numerics::polynomial;
+use planish_types::{Surface, Tif, Trajectory, text::significant};
+use serde::Serialize;
+
+/// A pixel is touched where more than this part of the largest removal is removed. The rounding of the transforms is
+/// some 1e-15 of it; a tool that ends smoothly goes below 1e-9 of its peak far outside of what it removes.
+const TOUCHED: f64 = 1e-9;
+
+/// Removal below this part of what the tool at rest removes in its time is the rounding of the transforms.
+const ROUNDING: f64 = 1e-13;
+
+/// Least part of the valid pixels that a plan for the whole map touches; what touches less is a local correction, or a
+/// motion in other coordinates.
+const LEAST_TOUCHED: f64 = 0.5;
+
+/// Least part of the removed volume that falls on the valid pixels. Overscan with a tool as large as the part loses
+/// half of the volume, and more with a part that is narrow beside the tool.
+const LEAST_ON_MAP: f64 = 0.1;
+
+/// The part of a map that a motion reaches.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Coverage {
+    /// Valid pixels from which the tool removes material.
+    pub touched_pixels: usize,
+    /// Valid pixels of the map.
+    pub valid_pixels: usize,
+    /// Part of the removed volume that falls on valid pixels; 0 where nothing is removed.
+    pub volume_on_map: f64,
+    /// Time with the tool on, s.
+    pub tool_on_s: f64,
+    #[serde(skip)]
+    total_s: f64,
+    /// Lowest and highest [x, y] of the motion with the tool on, mm; absent where it is never on.
+    #[serde(skip)]
+    spans_mm: Option<[[f64; 2]; 2]>,
+    #[serde(skip)]
+    map_mm: [[f64; 2]; 2],
+}
+
+impl Coverage {
+    /// Of the removal (ny, nx), in nm, of `trajectory` with `tif` on the pixels of `desired`.
+    pub fn of(
+        removal_nm: &Array2<f64>,
+        trajectory: &Trajectory,
+        tif: &Tif,
+        desired: &Surface,
+    ) -> Self {
+        let (mut tool_on_s, mut at_rate_s) = (0.0, 0.0);
+        let mut spans_mm: Option<[[f64; 2]; 2]> = None;
+        for s in trajectory.segments().filter(|s| s.tool_on) {
+            tool_on_s += s.duration_s;
+            at_rate_s += s.rate_factor * s.duration_s;
+            let spans = [0, 1].map(|a| polynomial::range(&s.coefficient_mm[a], s.duration_s));
+            let [low, high] = spans_mm.get_or_insert([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]]);
+            for a in 0..2 {
+                low[a] = low[a].min(spans[a].min);
+                high[a] = high[a].max(spans[a].max);
+            }
+        }
+        let largest = removal_nm.iter().copied().fold(0.0, f64::max);
+        let least = (TOUCHED * largest).max(ROUNDING * at_rate_s * tif.peak_nm_per_s());
+        let (mut touched_pixels, mut valid_pixels, mut volume) = (0, 0, 0.0);
+        Zip::from(removal_nm).and(desired.height_nm()).for_each(|r, z| {
+            if !z.is_nan() {
+                valid_pixels += 1;
+                touched_pixels += usize::from(*r > least);
+                volume += r;
+            }
+        });
+        let grid = desired.grid();
+        let volume = volume * grid.pixel_mm2();
+        let removed = at_rate_s * tif.vrr_nm_mm2_per_s();
+        Self {
+            touched_pixels,
+            valid_pixels,
+            volume_on_map: if removed > 0.0 { volume / removed } else { 0.0 },
+            tool_on_s,
+            total_s: trajectory.total_time_s(),
+            spans_mm,
+            map_mm: [[grid.x.start_mm(), grid.y.start_mm()], [grid.x.end_mm(), grid.y.end_mm()]],
+        }
+    }
+
+    /// Why a run that removes nothing is of no use, where this is so.
+    pub fn drawback(&self) -> Option<String> {
+        if self.touched_pixels > 0 {
+            return None;
+        }
+        let Some(spans_mm) = self.spans_mm else {
+            return Some(
+                "the motion removes nothing: tool_on is 0 in every segment; is it inverted?".into(),
+            );
+        };
+        Some(format!(
+            "the tool never touches the map: with the tool on the motion is within {}, and the map within {}; are \
+             both in mm and in the same coordinates, and is tool_on 1 where the tool removes?",
+            shown(&spans_mm),
+            shown(&self.map_mm)
+        ))
+    }
+
+    /// What the user should know of a run that removes something.
+    pub fn warning(&self) -> Option<String> {
+        let touched = self.touched_pixels as f64 / self.valid_pixels.max(1) as f64;
+        let few = touched < LEAST_TOUCHED;
+        let spans_mm = self.spans_mm.filter(|_| self.touched_pixels > 0)?;
+        if !few && self.volume_on_map >= LEAST_ON_MAP {
+            return None;
+        }
+        let percent = |part: f64| format!("{} %", significant(100.0 * part, 2));
+        Some(format!(
+            "the tool removes material from {} of the map's valid pixels, and {} of what it removes falls on them; it \
+             is on for {} s of {} s, within {}, and the map is within {}: unless this is a local correction, check the \
+             coordinates and tool_on",
+            percent(touched),
+            percent(self.volume_on_map),
+            significant(self.tool_on_s, 4),
+            significant(self.total_s, 4),
+            shown(&spans_mm),
+            shown(&self.map_mm)
+        ))
+    }
+}
+
+/// A rectangle from its lowest and its highest [x, y].
+fn shown([low, high]: &[[f64; 2]; 2]) -> String {
+    let mm = |v: f64| significant(v, 5);
+    format!("x {} .. {} mm, y {} .. {} mm", mm(low[0]), mm(high[0]), mm(low[1]), mm(high[1]))
+}

@@ -1,0 +1,214 @@
+//! Play of an axis: the carriage moves only where the drive pushes it.
+//!
+//! With the drive at p(t) and half the play h, the carriage is at q(t) with
+//!
+//! ```text
+//! |p - q| <= h,   q moves up only where q = p - h, and down only where q = p + h
+//! ```
+//!
+//! the play operator of hysteresis (M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis, 1989). On a
+//! monotone part of p from a to b it is q <- max(q, p(b) - h) upwards and min(q, p(b) + h) downwards, so that a
+//! piecewise cubic motion stays one: each part is cut where the drive reaches the flank. At first the carriage is in
+//! the middle of its play.
+//!
+//! A negative play is the mirror image of the positive one about the drive, p - (q - p): what an error adds has a
+//! first order.
+
+use planish_numerics::polynomial::{
+    derivative, evaluate, monotone_crossing, quadratic_roots, shifted,
+};
+
+use crate::motion::Piece;
+
+/// A drive that is this near its flank touches it, mm: far above the rounding of coordinates, far below any play.
+const TOUCHES_MM: f64 = 1e-9;
+
+/// What the carriage of one axis does in a part of a piece.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Carriage {
+    /// It follows the drive at this distance, q - p.
+    Follows(f64),
+    /// It stands here.
+    Stands(f64),
+}
+
+impl Carriage {
+    /// Its motion where the drive has the coefficients `c`; the mirror image where the play is negative.
+    fn of(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
+        let q = match self {
+            Self::Follows(distance) => [c[0] + distance, c[1], c[2], c[3]],
+            Self::Stands(at) => [at, 0.0, 0.0, 0.0],
+        };
+        if mirrored { [0, 1, 2, 3].map(|k| 2.0 * c[k] - q[k]) } else { q }
+    }
+}
+
+/// One axis with its play.
+struct Axis {
+    /// h, mm.
+    half_mm: f64,
+    /// q, mm; `None` before the motion.
+    carriage_mm: Option<f64>,
+}
+
+impl Axis {
+    /// What the carriage does while the drive moves along `c` for `duration_s`: each with the time at which it begins.
+    fn follow(&mut self, c: &[f64; 4], duration_s: f64, parts: &mut Vec<(f64, Carriage)>) {
+        parts.clear();
+        let mut add = |from_s: f64, does: Carriage| {
+            if parts.last().is_none_or(|(_, before)| *before != does) {
+                parts.push((from_s, does));
+            }
+        };
+        let h = self.half_mm;
+        let start = evaluate(c, 0.0);
+        // Segments need not join: the drive takes the carriage along where it jumps.
+        let mut q = self.carriage_mm.unwrap_or(start).clamp(start - h, start + h);
+        let v = derivative(c);
+        let mut turns = [duration_s; 3];
+        for (turn, root) in turns.iter_mut().zip(quadratic_roots(v[0], v[1], v[2], duration_s)) {
+            *turn = root;
+        }
+        let mut from_s = 0.0;
+        for until_s in turns.into_iter().filter(|t| *t > 0.0) {
+            if until_s <= from_s {
+                continue;
+            }
+            let (from, until) = (evaluate(c, from_s), evaluate(c, until_s));
+            let flank = if until > from { h } else { -h };
+            // How far the drive is beyond the flank of the standing carriage, at both ends.
+            let beyond = |p: f64| (p - flank - q) * flank.signum();
+            if beyond(until) <= TOUCHES_MM {
+                add(from_s, Carriage::Stands(q));
+            } else {
+                if beyond(from) < -TOUCHES_MM {
+                    add(from_s, Carriage::Stands(q));
+                    from_s = monotone_crossing(c, q + flank, from_s, until_s);
+                }
+                add(from_s, Carriage::Follows(-flank));
+                q = until - flank;
+            }
+            from_s = until_s;
+        }
+        self.carriage_mm = Some(q);
+    }
+}
+
+/// The carriages of axes whose drives move along `pieces`; and of each piece the one of `origin` that it was.
+pub fn with_play(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece>, Vec<usize>) {
+    let mirrored = play_mm < 0.0;
+    let half_mm = 0.5 * play_mm.abs();
+    let mut axes = [(); 2].map(|()| Axis { half_mm, carriage_mm: None });
+    let mut parts = [Vec::new(), Vec::new()];
+    let (mut cut, mut cut_origin) = (Vec::new(), Vec::new());
+    for (p, from) in pieces.iter().zip(origin) {
+        for ((axis, c), parts) in axes.iter_mut().zip(&p.coefficient_mm).zip(&mut parts) {
+            axis.follow(c, p.duration_s, parts);
+        }
+        let mut at = [0, 0];
+        let mut from_s = 0.0;
+        while from_s < p.duration_s {
+            let next = |a: usize| parts[a].get(at[a] + 1).map_or(p.duration_s, |(t, _)| *t);
+            let until_s = next(0).min(next(1));
+            if until_s > from_s {
+                let mut part = *p;
+                part.start_s = p.start_s + from_s;
+                part.duration_s = until_s - from_s;
+                part.coefficient_mm = [0, 1]
+                    .map(|a| parts[a][at[a]].1.of(shifted(&p.coefficient_mm[a], from_s), mirrored));
+                cut.push(part);
+                cut_origin.push(*from);
+            }
+            let ended = [0, 1].map(|a| usize::from(next(a) <= until_s));
+            at = [at[0] + ended[0], at[1] + ended[1]];
+            from_s = until_s;
+        }
+    }
+    (cut, cut_origin)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(start_s: f64, duration_s: f64, coefficient_mm: [[f64; 4]; 2]) -> Piece {
+        let (tool_on, rate_factor, stay) = (true, 1.0, 0);
+        Piece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
+    }
+
+    /// Pieces whose coefficients are wild and whose ends do not join, along x and y.
+    fn wild() -> Vec<Piece> {
+        let wave = |k: usize, j: usize| (1.0 + 7.3 * k as f64 + 2.9 * j as f64).sin();
+        (0..40)
+            .map(|k| {
+                let c = [0, 1].map(|a| [0, 1, 2, 3].map(|j| wave(k, 4 * a + j)));
+                piece(k as f64, 1.0, c)
+            })
+            .collect()
+    }
+
+    /// Where the carriage of `axis` is in the middle of dense steps: q <- the nearest place to q within h of p.
+    fn dense(pieces: &[Piece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
+        let h = 0.5 * play_mm;
+        let mut q = pieces[0].coefficient_mm[axis][0];
+        let mut all = Vec::new();
+        for p in pieces {
+            for i in 0..=steps {
+                let u = p.duration_s * i as f64 / steps as f64;
+                let drive = evaluate(&p.coefficient_mm[axis], u);
+                q = q.max(drive - h).min(drive + h);
+                if i > 0 && i < steps {
+                    all.push((p.start_s + u, q));
+                }
+            }
+        }
+        all
+    }
+
+    fn at(pieces: &[Piece], axis: usize, t: f64) -> f64 {
+        let i = pieces.partition_point(|p| p.start_s <= t) - 1;
+        evaluate(&pieces[i].coefficient_mm[axis], t - pieces[i].start_s)
+    }
+
+    #[test]
+    fn the_carriage_is_that_of_dense_steps() {
+        let pieces = wild();
+        let origin: Vec<usize> = (0..pieces.len()).collect();
+        for play in [1e-3, 0.1, 0.7, 3.0] {
+            let (cut, of) = with_play(&pieces, &origin, play);
+            assert!(of.is_sorted() && of.len() == cut.len());
+            let total: f64 = cut.iter().map(|p| p.duration_s).sum();
+            assert!((total - 40.0).abs() < 1e-12, "{total}");
+            let (mirror, _) = with_play(&pieces, &origin, -play);
+            for axis in 0..2 {
+                for (t, q) in dense(&pieces, axis, play, 2000) {
+                    // A turn between two steps is missed by v^2 / 2 a of a step of 5e-4 s, at some 10 mm/s^2.
+                    assert!((at(&cut, axis, t) - q).abs() < 2e-5, "{play} {axis} {t}");
+                    let drive = at(&pieces, axis, t);
+                    let image = drive - (at(&cut, axis, t) - drive);
+                    assert!((at(&mirror, axis, t) - image).abs() < 1e-12);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_shorter_than_the_play_moves_nothing() {
+        // 5 mm/s, and on it 2 um there and back along y, also as noise of the last digit.
+        let there_and_back = |k: usize| {
+            let y =
+                if k.is_multiple_of(2) { [0.0, 4e-3, -4e-3, 0.0] } else { [0.0, -1e-16, 0.0, 0.0] };
+            piece(k as f64, 1.0, [[5.0 * k as f64, 5.0, 0.0, 0.0], y])
+        };
+        let pieces: Vec<Piece> = (0..10).map(there_and_back).collect();
+        let (cut, _) = with_play(&pieces, &[0; 10], 0.02);
+        for p in &cut {
+            assert_eq!(p.coefficient_mm[1], [0.0; 4]);
+        }
+        // x follows 0.01 mm behind once the drive has gone so far: after 2 ms. One piece is cut, once.
+        assert_eq!(cut.len(), 11);
+        assert_eq!(cut[0].coefficient_mm[0], [0.0; 4]);
+        assert!((cut[0].duration_s - 0.002).abs() < 1e-12);
+        assert!((cut[5].coefficient_mm[0][0] - (20.0 - 0.01)).abs() < 1e-12);
+    }
+}
