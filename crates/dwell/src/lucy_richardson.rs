@@ -193,10 +193,15 @@ fn check_size(settings: &Settings) -> Result<(), DwellError> {
     Err(planish_types::Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 
-/// The likelihood needs a TIF that is not negative; how many samples were.
+/// The likelihood needs a TIF that is not negative: zeros in the place of negative rates, scaled to the same volume, and
+/// the number of these samples.
 fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
     let negative = tif.rate_nm_per_s().iter().filter(|r| **r < 0.0).count();
-    let rate = tif.rate_nm_per_s().mapv(|r| r.max(0.0));
+    if negative == 0 {
+        return Ok((tif.clone(), 0));
+    }
+    let positive = tif.rate_nm_per_s().mapv(|r| r.max(0.0));
+    let rate = &positive * (tif.rate_nm_per_s().sum() / positive.sum());
     Ok((Tif::new(*tif.grid(), rate)?, negative))
 }
 

@@ -6,12 +6,17 @@
 //! ```
 //!
 //! d is the shift of the part between the two measurements; a, b, c its piston and tilt. All five
-//! are fitted to the ring outside the spot, where nothing was removed, by the method of
-//! Gauss and Newton:
+//! are found from the ring outside the spot, where nothing was removed:
 //!
 //! ```text
-//! min sum_outside removal(p)^2 over d, a, b, c;     d removal / d d = -grad after
+//! sum_outside (h, 1, x, y)' removal(p) = 0,   h = grad before;     d removal / d d = -grad after(p + d)
 //! ```
+//!
+//! Interpolation averages the noise of `after`, most in the middle between pixels, so least squares would be drawn to
+//! half a pixel wherever noise is larger than the slope per pixel. h, by central differences of `before` as measured,
+//! does not correlate with the noise of the removal at its own pixel: it is an instrumental variable, and the equations
+//! hold at the true shift whatever the interpolation does to the noise. The standard error of d is from
+//! s^2 (H'G)^-1 H'H (G'H)^-1 with G the rows of derivatives and s the RMS of the removal outside.
 //!
 //! `after` between its pixels is Keys' cubic convolution ([`planish_numerics::keys`]). The centre is
 //! the centroid of the removal in the square that becomes the TIF, negative noise included: of an asymmetric spot it is not
@@ -23,8 +28,9 @@
 //! | d | `shift_mm` | (2) | mm |
 //! | R | `tif` | (my, mx) | nm/s |
 
+use nalgebra::{Matrix5, Vector5};
 use ndarray::{Array2, s};
-use planish_numerics::{keys, linear::skyline::Skyline, statistics};
+use planish_numerics::{keys, statistics};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 use serde::Serialize;
 
@@ -34,6 +40,12 @@ const MOST_STEPS: usize = 50;
 /// Aligned when a step is below this fraction of a pixel: 1e-4 of a pixel moves the steepest spot by
 /// less than its noise.
 const TOLERANCE: f64 = 1e-6;
+
+/// Steps after which the pixels that count stay the same: those that come and go would keep the steps from ending.
+const FREE_STEPS: usize = 6;
+
+/// Largest standard error of the shift, pixels: beyond half a pixel the maps do not tell the shift.
+const MOST_ERROR_PIXELS: f64 = 0.5;
 
 /// Depth of a spot over the RMS outside it below which it may be noise: the deepest of 1e4 pixels of
 /// Gaussian noise is 4 times its RMS.
@@ -81,7 +93,7 @@ pub struct SpotSettings {
     pub align: Alignment,
     /// What is subtracted from the removal.
     pub baseline: Baseline,
-    /// Whether negative rates (noise) become zero.
+    /// Negative rates (noise) become zero, and the others are scaled so that the volume stays.
     pub clip_negative: bool,
 }
 
@@ -93,6 +105,8 @@ pub struct Spot {
     pub tif: Tif,
     /// Shift of `after` against `before`, mm.
     pub shift_mm: [f64; 2],
+    /// Standard error of the shift, mm; 0 without an alignment.
+    pub shift_error_mm: [f64; 2],
     /// Steps of the alignment.
     pub steps: usize,
     /// Centre of the spot in the coordinates of the map, mm.
@@ -139,15 +153,15 @@ pub fn spot(
         None => find(grid, &first, settings.half_size_mm)?,
     };
     let outside = outside(grid, coarse, settings.half_size_mm);
-    let (shift_px, steps) = match (settings.align, before) {
-        (Alignment::None, _) => ([0.0; 2], 0),
+    let shift = match (settings.align, before) {
+        (Alignment::None, _) => Shift::default(),
         (Alignment::Shift, Some(before)) => align(grid, before, after, &outside)?,
         (Alignment::Shift, None) => {
             let remedy = "give `before`, or `align` none";
             return Err(Invalid::whole("align", "there is only one map", remedy));
         }
     };
-    let mut removal = removal(shift_px);
+    let mut removal = removal(shift.px);
     let mut ring = masked(&removal, &outside);
     let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
     let no_ring = || {
@@ -168,13 +182,15 @@ pub fn spot(
         }
     }
     let centre = centroid(grid, &removal, coarse, settings.half_size_mm)?;
+    let in_mm = |px: [f64; 2]| [px[0] * grid.x.step_mm(), px[1] * grid.y.step_mm()];
     let noise = statistics::statistics(ring.view());
     let noise_nm = noise.map(|n| n.rms);
     let (tif, depth_nm, clipped_share) = cut(grid, &removal, centre, noise_nm, settings)?;
     Ok(Spot {
         tif,
-        shift_mm: [shift_px[0] * grid.x.step_mm(), shift_px[1] * grid.y.step_mm()],
-        steps,
+        shift_mm: in_mm(shift.px),
+        shift_error_mm: in_mm(shift.error_px),
+        steps: shift.steps,
         centre_mm: centre,
         outside_rms_nm: noise.map_or(0.0, |s| s.rms),
         outside_pixels: noise.map_or(0, |s| s.valid_count),
@@ -217,62 +233,113 @@ fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f64>; 2]) {
     (sum(wy, wx), [sum(wy, sx), sum(sy, wx)])
 }
 
-/// The shift of `after` against `before` in pixels (x, y), and the steps that it took.
+/// The shift of `after` against `before` in pixels (x, y), its standard error, and the steps that it took.
+#[derive(Default)]
+struct Shift {
+    px: [f64; 2],
+    error_px: [f64; 2],
+    steps: usize,
+}
+
+/// Pixels outside the spot whose central differences of `before` are known, with these, per pixel, and around which
+/// `after` is valid wherever a shift within a pixel of `d` looks.
+fn pixels_for_shift(
+    before: &Surface,
+    after: &Surface,
+    outside: &Array2<bool>,
+    d: [f64; 2],
+) -> Vec<([usize; 2], [f64; 2])> {
+    let (before, after) = (before.height_nm(), after.height_nm());
+    let (ny, nx) = outside.dim();
+    let [dx, dy] = d.map(|d| d.round() as isize);
+    let is_valid = |r: isize, c: isize| {
+        let inside = r >= 2 && c >= 2 && r + 2 < ny as isize && c + 2 < nx as isize;
+        inside && {
+            let (r, c) = (r as usize, c as usize);
+            after.slice(s![r - 2..=r + 2, c - 2..=c + 2]).iter().all(|v| !v.is_nan())
+        }
+    };
+    let inner = outside.indexed_iter().filter(|((r, c), outside)| {
+        let has_neighbours = *r > 0 && *c > 0 && r + 1 < ny && c + 1 < nx;
+        **outside && has_neighbours && is_valid(*r as isize + dy, *c as isize + dx)
+    });
+    let with_slopes = inner.map(|((r, c), _)| {
+        let h = [
+            0.5 * (before[[r, c + 1]] - before[[r, c - 1]]),
+            0.5 * (before[[r + 1, c]] - before[[r - 1, c]]),
+        ];
+        ([r, c], h)
+    });
+    with_slopes.filter(|(_, h)| h.iter().all(|h| !h.is_nan())).collect()
+}
+
 fn align(
     grid: &Grid,
     before: &Surface,
     after: &Surface,
     outside: &Array2<bool>,
-) -> Result<([f64; 2], usize), Invalid> {
+) -> Result<Shift, Invalid> {
     let lost = |problem: &str| {
         let remedy = "give `align` none, or maps with structure outside the spot";
         Invalid::whole("align", problem, remedy)
     };
     let (ny, nx) = grid.shape();
     let mut d = [0.0; 2];
+    let mut used = Vec::new();
     for step in 1..=MOST_STEPS {
         let (moved, [gx, gy]) = shifted(after.height_nm(), d);
-        let mut normal = Array2::<f64>::zeros((5, 5));
-        let mut right = [0.0; 5];
-        for ((r, c), outside) in outside.indexed_iter() {
+        if step <= FREE_STEPS {
+            used = pixels_for_shift(before, after, outside, d);
+        }
+        let mut normal = Matrix5::<f64>::zeros();
+        let mut instruments = Matrix5::<f64>::zeros();
+        let mut gram = Matrix5::<f64>::zeros();
+        let (mut right, mut along) = (Vector5::<f64>::zeros(), Vector5::<f64>::zeros());
+        let (mut squares, mut count) = (0.0, 0.0);
+        for ([r, c], h) in &used {
             // e = before - after(p + d) = gx dx + gy dy + a + b x + c y at the next step
-            let e = before.height_nm()[[r, c]] - moved[[r, c]];
-            let (x, y) = (2.0 * c as f64 / nx as f64 - 1.0, 2.0 * r as f64 / ny as f64 - 1.0);
-            let row = [gx[[r, c]], gy[[r, c]], 1.0, x, y];
-            if !outside || e.is_nan() || row.iter().any(|v| v.is_nan()) {
+            let e = before.height_nm()[[*r, *c]] - moved[[*r, *c]];
+            let (x, y) = (2.0 * *c as f64 / nx as f64 - 1.0, 2.0 * *r as f64 / ny as f64 - 1.0);
+            let of_h = Vector5::new(h[0], h[1], 1.0, x, y);
+            let of_g = Vector5::new(gx[[*r, *c]], gy[[*r, *c]], 1.0, x, y);
+            if e.is_nan() || of_g.iter().any(|v| v.is_nan()) {
                 continue;
             }
-            for i in 0..5 {
-                right[i] += row[i] * e;
-                for j in 0..=i {
-                    normal[[i, j]] += row[i] * row[j];
-                }
-            }
+            right += of_h * e;
+            along += of_g * e;
+            gram += of_g * of_g.transpose();
+            normal += of_h * of_g.transpose();
+            instruments += of_h * of_h.transpose();
+            squares += e * e;
+            count += 1.0;
         }
-        // In units of the columns: heights and pixels have nothing to do with each other.
-        let scale = [0, 1, 2, 3, 4].map(|i| normal[[i, i]].sqrt());
-        if scale.contains(&0.0) {
+        if count <= 5.0 || (0..5).any(|i| instruments[(i, i)] == 0.0) {
             return Err(lost("there is nothing outside the spot to align by"));
         }
-        for i in 0..5 {
-            right[i] /= scale[i];
-            for j in 0..=i {
-                normal[[i, j]] /= scale[i] * scale[j];
-            }
-        }
-        let factor = Skyline::from_dense(&normal)
-            .factorise()
-            .ok_or_else(|| lost("the maps have no structure"))?;
-        factor.solve(&mut right);
-        let change = [right[0] / scale[0], right[1] / scale[1]];
+        let inverse = normal.try_inverse().ok_or_else(|| lost("the maps have no structure"))?;
+        let change = inverse * right;
+        // The squares after the step, sum (e - g' change)^2.
+        let left = squares - 2.0 * change.dot(&along) + change.dot(&(gram * change));
+        let variance = left.max(0.0) / count;
+        let covariance = inverse * instruments * inverse.transpose() * variance;
+        let error_px = [0, 1].map(|i| covariance[(i, i)].sqrt());
         d = [d[0] + change[0], d[1] + change[1]];
-        if d[0].abs() > 0.25 * nx as f64 || d[1].abs() > 0.25 * ny as f64 {
+        if d.iter().any(|v| v.is_nan())
+            || d[0].abs() > 0.25 * nx as f64
+            || d[1].abs() > 0.25 * ny as f64
+        {
             return Err(lost(
                 "the maps do not fit by a shift of less than a quarter of their size",
             ));
         }
         if change[0].abs().max(change[1].abs()) < TOLERANCE {
-            return Ok((d, step));
+            if error_px[0].max(error_px[1]) > MOST_ERROR_PIXELS {
+                return Err(lost(&format!(
+                    "the structure outside the spot tells the shift to {:.1} and {:.1} pixels only",
+                    error_px[0], error_px[1]
+                )));
+            }
+            return Ok(Shift { px: d, error_px, steps: step });
         }
     }
     Err(lost("the shift does not settle"))
@@ -407,9 +474,14 @@ fn cut(
     }
     let mut clipped_share = 0.0;
     if settings.clip_negative {
-        let negative: f64 = depth.iter().filter(|v| **v < 0.0).sum();
+        let volume = depth.sum();
         depth.mapv_inplace(|v| v.max(0.0));
-        clipped_share = -negative / depth.sum();
+        let positive = depth.sum();
+        clipped_share = 1.0 - volume / positive;
+        // Zeros for the negative noise alone would raise the volume, and with it the rate.
+        if volume > 0.0 {
+            depth *= volume / positive;
+        }
     }
     // R = removal / dwell time
     let tif = Tif::new(Grid { x, y }, depth / settings.dwell_s)?;
@@ -507,6 +579,60 @@ mod tests {
         let still = SpotSettings { align: Alignment::None, ..settings() };
         let made = spot(Some(&before), &after, &still).unwrap();
         assert!(made.outside_rms_nm > 1.0, "{}", made.outside_rms_nm);
+    }
+
+    #[test]
+    fn noise_does_not_draw_the_shift_to_half_a_pixel() {
+        // A base with slopes of 0.3 nm per pixel and noise of 0.4 nm: least squares end half a pixel off.
+        let step = 0.2;
+        let grid =
+            Grid { x: Axis::new(0.0, step, 81).unwrap(), y: Axis::new(0.0, step, 71).unwrap() };
+        let height =
+            |x: f64, y: f64| 2.4 * (0.8 * x + 0.2 * y).sin() + 2.1 * (0.9 * y - 0.3 * x).cos();
+        let mut random = ChaCha8Rng::seed_from_u64(11);
+        // Normal by the sum of twelve.
+        let mut noise =
+            || 0.4 * ((0..12).map(|_| random.random_range(0.0..1.0)).sum::<f64>() - 6.0);
+        for pixels in [[0.0, 0.0], [0.3, -0.3]] {
+            let d = pixels.map(|p| p * step);
+            let mut sums = [0.0; 2];
+            for _ in 0..200 {
+                let mut map = |d: [f64; 2], depth: f64| {
+                    let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+                        let (x, y) = (grid.x.at(c) - d[0], grid.y.at(r) - d[1]);
+                        let square = (x - 8.0).powi(2) + (y - 7.0).powi(2);
+                        height(x, y) - depth * (-square / 0.8).exp() + noise()
+                    });
+                    Surface::new(grid, heights).unwrap()
+                };
+                let (before, after) = (map([0.0; 2], 0.0), map(d, 100.0));
+                let made = spot(Some(&before), &after, &settings()).unwrap();
+                for k in 0..2 {
+                    let error_px = made.shift_mm[k] / step - pixels[k];
+                    // Five standard errors of one draw.
+                    assert!(error_px.abs() < 5.0 * made.shift_error_mm[k] / step, "{made:?}");
+                    sums[k] += error_px / 200.0;
+                }
+            }
+            assert!(sums.iter().all(|mean| mean.abs() < 0.01), "{pixels:?}: {sums:?}");
+        }
+    }
+
+    #[test]
+    fn a_clipped_spot_keeps_its_volume() {
+        // Noise of 1 % of the peak: zeros alone would raise the volume by some percent.
+        let mut random = ChaCha8Rng::seed_from_u64(9);
+        let depth = dig(CENTRE).mapv(|v| v + random.random_range(-3.4..3.4));
+        let depth = Surface::new(grid(), depth).unwrap();
+        let made = |clip_negative| {
+            let s = SpotSettings { align: Alignment::None, clip_negative, ..settings() };
+            spot(None, &depth, &s).unwrap()
+        };
+        let (plain, clipped) = (made(false), made(true));
+        assert!(clipped.clipped_share > 0.01, "{}", clipped.clipped_share);
+        let vrr = [plain, clipped].map(|s| s.tif.vrr_nm_mm2_per_s());
+        // Sums of 2500 samples round.
+        assert!((vrr[1] / vrr[0] - 1.0).abs() < 1e-12, "{vrr:?}");
     }
 
     #[test]

@@ -10,9 +10,9 @@
 //!
 //! A map has slopes along both axes, a profile along x. The heights of a profile of measured slopes are the
 //! integral (by trapezoids) of these slopes after the shape is taken off; the slopes of measured heights are
-//! differences over the base. From a map the shape that fits its heights best is taken off, whose slopes are not
-//! those of least squares; from the slopes of a profile, measured or not, those of the shape that fits the slopes
-//! best, as the software of profilers does.
+//! differences over the base. The shape fits the values that were measured: heights of a map or a profile, or slopes.
+//! It is taken off once, so a profile of heights has the slopes of a map with the same rows. From the integral of
+//! measured slopes a second shape is taken off, because least squares of slopes leave a line or a circle of heights.
 //!
 //! Spectra are those of [`crate::psd`]: of the largest rectangle of valid pixels, or of the longest run of valid
 //! positions, under a Hann window; for a spectrum along a direction the mean of every line is taken off first.
@@ -46,6 +46,10 @@ use spectrum::Spectra;
 
 /// A base length that differs by more than this fraction from the one asked for is worth a note.
 const NOTEWORTHY_BASE: f64 = 0.02;
+
+/// A fitted ellipse that leaves more than this multiple of the circle is worth a note. Closer than that the two differ by
+/// what is fitted: heights, or slopes.
+const NOTEWORTHY_CIRCLE: f64 = 1.02;
 
 /// Marechal's formula is for small phase errors; above this one, rad RMS (a Strehl ratio of 0.37), there is a note.
 const LARGEST_PHASE_RAD: f64 = 1.0;
@@ -258,18 +262,31 @@ fn notes_on_slopes(
     notes
 }
 
-/// A remark on an ellipse that leaves more than a plane, as values of the opposite sign do.
+/// A remark on an ellipse that leaves more than a plane, as values of the opposite sign do, or than a circle.
 fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
     let rms_nm =
         |shape: Shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm);
     let (plane, ellipse) = (rms_nm(Shape::Plane)?, rms_nm(Shape::Ellipse)?);
-    (ellipse > plane).then(|| {
-        format!(
+    if ellipse > plane {
+        return Some(format!(
             "the ellipse leaves more than a plane ({} against {} nm RMS): a mirror that focuses is concave, its slope \
              rises with the position; are the values of the opposite sign, of another unit, or without the ellipse \
              already?",
             significant(ellipse, 4),
             significant(plane, 4)
+        ));
+    }
+    let circle = rms_nm(Shape::CylinderX)?;
+    let is_fitted = after
+        .iter()
+        .filter_map(|a| a.shape.ellipse.as_ref())
+        .any(|ellipse| !ellipse.fitted.is_empty());
+    (is_fitted && ellipse > NOTEWORTHY_CIRCLE * circle).then(|| {
+        format!(
+            "the best ellipse within the bounds leaves more than a circle ({} against {} nm RMS); check p, q and theta of \
+             the design, or fit more of them",
+            significant(ellipse, 4),
+            significant(circle, 4)
         )
     })
 }

@@ -355,6 +355,49 @@ mod tests {
     }
 
     #[test]
+    fn a_design_that_is_far_off_does_not_keep_a_fit_from_the_best_ellipse() {
+        // p, q and theta of the design are off by up to a factor of e, within the bounds of e^3; coarse noise. The fit
+        // leaves no more than the truth and the circle.
+        let mut rng = ChaCha8Rng::seed_from_u64(29);
+        for case in 0..40 {
+            let length = rng.random_range(60.0..600.0);
+            let x = coordinates(-0.5 * length, length / 120.0, 121);
+            let p = 10_f64.powf(rng.random_range(3.7..4.7));
+            let q = length.max(150.0) * rng.random_range(1.0..20.0);
+            let truth = Ellipse::new(p, q, rng.random_range(2e-3..1.2e-2)).unwrap();
+            let mut walk = 0.0;
+            let slopes: Vec<f64> = x
+                .iter()
+                .map(|x| {
+                    walk = 0.98 * walk + rng.random_range(-500.0..500.0);
+                    1e9 * truth.slope(*x) + walk
+                })
+                .collect();
+            let off = |v: f64, rng: &mut ChaCha8Rng| v * rng.random_range(-1.0_f64..1.0).exp();
+            let guess = design(
+                off(p, &mut rng),
+                off(q, &mut rng).max(0.6 * length),
+                off(truth.theta_rad, &mut rng),
+                &ALL,
+            );
+            let squares = |shape, ellipse: Option<&EllipseSettings>| {
+                let (left, _) = without_shape_of_slopes(&x, &slopes, shape, ellipse).unwrap();
+                left.iter().map(|s| s * s).sum::<f64>()
+            };
+            let found = squares(Shape::Ellipse, Some(&guess));
+            let given = design(truth.p_mm, truth.q_mm, truth.theta_rad, &[]);
+            let at_most = [
+                squares(Shape::Ellipse, Some(&given)),
+                squares(Shape::CylinderX, None),
+                squares(Shape::Plane, None),
+            ];
+            let least = at_most.into_iter().fold(f64::INFINITY, f64::min);
+            // An ellipse within the bounds is a circle but for terms of the fourth order, 1e-3 of the noise.
+            assert!(found <= least * (1.0 + 1e-3), "{case}: {found} {at_most:?}");
+        }
+    }
+
+    #[test]
     fn cylinders_and_spheres_are_exact() {
         let (x, y) = (coordinates(10.0, 1.0, 101), coordinates(-20.0, 0.8, 51));
         // 10 m, convex and concave, tilted by turning the sphere about its centre: exact for any tilt.

@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     ellipse::Ellipse,
+    profile::Values,
     quality::Subject,
     shape::{EllipseParameter, EllipseSettings, Shape},
 };
@@ -31,7 +32,7 @@ mod verdict;
 mod zone;
 
 pub use limit::Limit;
-pub use verdict::{Bound, LimitReport, SpecificationReport};
+pub use verdict::{Bound, LimitReport, NoisePart, SpecificationReport, Verdict};
 pub use zone::Zone;
 
 use judge::{Pieces, judge};
@@ -111,11 +112,38 @@ impl Specification {
 
     /// Judges `subject`, limit by limit.
     pub fn judge(&self, subject: &Subject) -> Result<SpecificationReport, Invalid> {
+        self.judge_beside_noise(subject, 0.0)
+    }
+
+    /// Judges `subject`, whose heights have white noise of `noise_nm` RMS, limit by limit.
+    ///
+    /// ```text
+    /// RMS height    s, in a band s (share of the frequencies in the band)^1/2
+    /// RMS slope     2^1/2 s / base, in a band the root of the sum of (2 pi f)^2 S df with S the density of the noise
+    /// largest       PV 2 s (2 ln N)^1/2, slope 2^1/2 s / base (2 ln 2N)^1/2: above what is expected of N values
+    /// ```
+    ///
+    /// The squares of an RMS subtract; a largest value and a density lose the part of the noise itself.
+    pub fn judge_beside_noise(
+        &self,
+        subject: &Subject,
+        noise_nm: f64,
+    ) -> Result<SpecificationReport, Invalid> {
         self.check()?;
+        if !(noise_nm.is_finite() && noise_nm >= 0.0) {
+            let problem = format!("is {noise_nm}");
+            return Err(Invalid::whole("noise_nm", problem, "give nm RMS, 0 or more"));
+        }
+        let of_slopes =
+            matches!(subject, Subject::Profile(p) if matches!(p.values(), Values::SlopeNrad(_)));
+        if noise_nm > 0.0 && of_slopes {
+            let problem = "is of heights, but the profile has measured slopes";
+            return Err(Invalid::whole("noise_nm", problem, "leave it out"));
+        }
         let ellipse = self.ellipse()?;
         let mut pieces = Pieces::new(Zones::new(subject, &self.zones), ellipse);
         let limits = self.limits.iter().enumerate().map(|(i, limit)| {
-            judge(limit, &mut pieces).map_err(|e| {
+            judge(limit, &mut pieces, noise_nm).map_err(|e| {
                 let problem = format!("cannot be judged: {} {}", e.array, e.problem);
                 Invalid::at("limits", i, problem, e.remedy)
             })

@@ -2,7 +2,7 @@
 //!
 //! In this order, each step only where it is asked for:
 //!
-//! 1. border: the mean of the border samples is subtracted and negative rates become zero;
+//! 1. border: the mean of the border samples is subtracted; negative noise stays, so the volume has no bias;
 //! 2. centre: the offsets are counted from the centroid or from the peak. The samples stay where
 //!    they are, so nothing is interpolated; the axes may then have any offset;
 //! 3. rotation about the centre, counterclockwise: by multiples of 90 degrees exactly, else by
@@ -54,7 +54,7 @@ const NOTEWORTHY_BORDER: f64 = 0.01;
 /// What to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TifSettings {
-    /// Subtract the mean of the border samples, and clip what is then negative.
+    /// Subtract the mean of the border samples; negative noise stays.
     pub subtract_border: bool,
     /// What the offsets are counted from.
     pub centre: Centre,
@@ -134,7 +134,7 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
     let mut subtracted_nm_per_s = 0.0;
     if settings.subtract_border {
         subtracted_nm_per_s = border_mean(&now);
-        let rate = now.rate_nm_per_s().mapv(|v| (v - subtracted_nm_per_s).max(0.0));
+        let rate = now.rate_nm_per_s().mapv(|v| v - subtracted_nm_per_s);
         now = Tif::new(*now.grid(), rate)?;
     }
     let centre_mm = match settings.centre {

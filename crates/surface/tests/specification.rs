@@ -8,7 +8,7 @@ use planish_surface::{
     profile::{Profile, Values},
     quality::{Light, Quality, QualitySettings, Subject, quality},
     shape::{EllipseParameter, EllipseSettings, Shape},
-    specification::{Bound, Specification},
+    specification::{Bound, Specification, Verdict},
 };
 use planish_testkit::mirror::mirror;
 use planish_types::{Axis, Grid, Surface};
@@ -104,6 +104,34 @@ fn a_band_of_slopes_is_that_of_its_waves_and_bands_add_up() {
     let sum: f64 = line.height.iter().sum::<f64>() * line.frequency_per_mm[1];
     let heights: f64 = waves.iter().map(|(a, _)| a * a / 2.0).sum();
     assert!((sum / heights - 1.0).abs() < 2e-3, "{sum} {heights}");
+}
+
+#[test]
+fn a_profile_of_heights_has_the_slopes_of_a_map_of_the_same_rows() {
+    // A walk, whose heights and slopes have different best shapes, on a concave mirror.
+    let mut rng = ChaCha8Rng::seed_from_u64(17);
+    let (n, step_mm) = (160, 0.5);
+    let mut walk = 0.0;
+    let heights: Vec<f64> = (0..n)
+        .map(|i| {
+            walk += rng.random_range(-2.0..2.0);
+            walk + 0.03 * (f64::from(i) - 70.0).powi(2)
+        })
+        .collect();
+    let surface = map(n as usize, 6, step_mm, |(_, c)| heights[c]);
+    let x = surface.grid().x.coordinates();
+    let profile = Subject::Profile(Profile::new(x, Values::HeightNm(heights.clone())).unwrap());
+    let surface = Subject::Map(surface);
+    for after in [Shape::Plane, Shape::CylinderX] {
+        let settings = QualitySettings { after, ..settings() };
+        let [of_map, of_profile] = [&surface, &profile].map(|s| quality(s, &settings).unwrap());
+        let (m, p) = (of_map.slope_x, of_profile.slope_x);
+        // The same equations, whose sums round.
+        assert!((p.rms_nrad / m.rms_nrad - 1.0).abs() < 1e-9, "{after:?}: {p:?} {m:?}");
+        assert!((p.peak_nrad / m.peak_nrad - 1.0).abs() < 1e-9, "{after:?}: {p:?} {m:?}");
+        let line = of_map.centre_line.unwrap().slope_rms_nrad.unwrap();
+        assert!((line / m.rms_nrad - 1.0).abs() < 1e-9, "{line} {m:?}");
+    }
 }
 
 #[test]
@@ -407,4 +435,52 @@ fn the_slopes_and_bands_of_the_reference_mirror() {
             found.bands
         );
     }
+}
+
+#[test]
+fn noise_alone_has_the_part_that_is_stated_and_decides() {
+    // White noise of 0.5 nm on 96 x 80 pixels of 0.2 mm: sqrt(2) 0.5 nm / 1 mm = 707 nrad.
+    let mut rng = ChaCha8Rng::seed_from_u64(23);
+    let noise_nm = 0.5;
+    let surface = map(96, 80, 0.2, |_| {
+        // Normal by the sum of twelve.
+        noise_nm * ((0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0)
+    });
+    let specification: Specification = serde_json::from_value(serde_json::json!({
+        "name": "noise",
+        "limits": [
+            { "quantity": "slope_rms", "along": "x", "base_mm": 1.0, "at_most_nrad": 300.0 },
+            { "quantity": "slope_rms", "along": "y", "shortest_period_mm": 1.0, "longest_period_mm": 5.0,
+              "at_most_nrad": 5.0 },
+            { "quantity": "height_rms", "at_most_nm": 0.2 },
+            { "quantity": "height_rms", "shortest_period_mm": 1.0, "longest_period_mm": 5.0, "at_most_nm": 0.01 },
+            { "quantity": "height_rms", "along": "x", "shortest_period_mm": 1.0, "longest_period_mm": 5.0,
+              "at_most_nm": 0.01 },
+            { "quantity": "slope_rms", "along": "x", "base_mm": 1.0, "at_most_nrad": 900.0 }
+        ]
+    }))
+    .unwrap();
+    let subject = Subject::Map(surface);
+    let judged = specification.judge_beside_noise(&subject, noise_nm).unwrap();
+    assert!((judged.limits[0].noise.unwrap().of_noise - 707.1).abs() < 0.1, "{judged:?}");
+    for limit in &judged.limits[..5] {
+        let part = limit.noise.unwrap().of_noise;
+        // The spectra are under a Hann window of some 1000 independent values: 5 % of the mean square; radial and
+        // along x all pixels, of 7680 values 1 %.
+        assert!((limit.value / part - 1.0).abs() < 0.06, "{}", limit.text());
+    }
+    assert_eq!(judged.limits[5].verdict(), Verdict::Kept);
+    // With half of the noise stated the mirror breaks the limit.
+    let half = specification.judge_beside_noise(&subject, 0.5 * noise_nm).unwrap();
+    assert_eq!(half.limits[0].verdict(), Verdict::Broken);
+    // A limit a little below the measured value: noise decides.
+    let mut near = specification.clone();
+    near.limits.truncate(1);
+    let text = serde_json::to_string(&near).unwrap().replace("300.0", "690.0");
+    let near: Specification = serde_json::from_str(&text).unwrap();
+    let found = near.judge_beside_noise(&subject, noise_nm).unwrap();
+    assert_eq!(found.limits[0].verdict(), Verdict::NoiseDecides, "{}", found.limits[0].text());
+    assert!(found.failures().unwrap().contains("because of the noise"));
+    // Without a stated noise nothing changes.
+    assert_eq!(near.judge(&subject).unwrap().limits[0].verdict(), Verdict::Broken);
 }

@@ -5,14 +5,31 @@ use std::borrow::Cow;
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
-use crate::{Axis, Grid, Invalid, Surface};
+use crate::{Axis, Grid, Invalid, Surface, text::significant};
 
 /// Largest rate and smallest peak, nm/s: beyond them the unit is wrong.
 const LARGEST_RATE: f64 = 1e12;
 const SMALLEST_PEAK: f64 = 1e-12;
 
-/// A negative rate above this fraction of the peak is metrology noise; below, it is an error.
-const NEGATIVE_NOISE: f64 = 0.02;
+/// Systematic part of the lowest rate that is accepted, over the peak: interpolation and baselines of measured spots.
+/// Larger: more of a real negative lobe passes. Smaller: spots without noise need exact baselines.
+const NEGATIVE_SYSTEMATIC: f64 = 0.02;
+
+/// Probability that white noise alone has a spot refused, for the extreme-value factor.
+const REFUSED_BY_NOISE: f64 = 1e-3;
+
+/// Lowest rate that noise can excuse, over the peak. Beyond it the peak is less than 20 times the noise, and a spot
+/// does not stand out enough to be told from one with a negative lobe.
+const LARGEST_NEGATIVE: f64 = 0.25;
+
+/// Fewest differences that tell the noise: a median of fewer has a standard error above 20 %.
+const LEAST_DIFFERENCES: usize = 32;
+
+/// Standard deviation over the median of the magnitudes of normal noise.
+const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
+
+/// Distance of the samples in the differences along the border: correlated noise of one or two samples shows.
+const BORDER_LAG: usize = 2;
 
 /// Samples of 0 that a margin keeps: a ghost node is made of three.
 const MARGIN: usize = 3;
@@ -58,16 +75,7 @@ impl Tif {
                 "a TIF states removal as a positive rate; check its sign and that it is not empty",
             ));
         }
-        if let Some((index, v)) =
-            rate_nm_per_s.indexed_iter().find(|(_, v)| **v < -NEGATIVE_NOISE * peak)
-        {
-            return Err(Invalid::at(
-                NAME,
-                index,
-                format!("is {v} nm/s, below -2 % of the peak {peak} nm/s"),
-                "removal is positive; check the sign, or clip the noise at zero",
-            ));
-        }
+        check_sign(NAME, &rate_nm_per_s, peak)?;
         let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
         let tif = Self { grid, rate_nm_per_s, with_ghosts };
         let vrr = tif.vrr_nm_mm2_per_s();
@@ -246,6 +254,72 @@ impl Tif {
     }
 }
 
+/// Refuses rates that are lower than noise explains.
+///
+/// ```text
+/// R >= -min(0.02 peak + z s, 0.25 peak),   z = (2 ln(N / 1e-3))^1/2
+/// ```
+///
+/// s is the noise of [`noise`]. Of N samples of normal noise the lowest is below -z s with a probability of at most
+/// N exp(-z^2 / 2) / 2 = 5e-4.
+fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), Invalid> {
+    let lowest = rate.iter().copied().fold(0.0, f64::min);
+    if lowest >= -NEGATIVE_SYSTEMATIC * peak {
+        return Ok(());
+    }
+    let noise = noise(rate);
+    let factor = (2.0 * (rate.len() as f64 / REFUSED_BY_NOISE).ln()).sqrt();
+    let limit = (NEGATIVE_SYSTEMATIC * peak + factor * noise).min(LARGEST_NEGATIVE * peak);
+    match rate.indexed_iter().find(|(_, v)| **v < -limit) {
+        None => Ok(()),
+        Some((index, v)) => {
+            let [low, allowed, peak, noise] = [*v, -limit, peak, noise].map(|v| significant(v, 4));
+            Err(Invalid::at(
+                name,
+                index,
+                format!(
+                    "is {low} nm/s, below {allowed} nm/s, the lowest rate that noise of {noise} nm/s explains beside \
+                     a peak of {peak} nm/s"
+                ),
+                "removal is positive; check the sign and the baseline, or average more measurements of the spot",
+            ))
+        }
+    }
+}
+
+/// Standard deviation of the noise of samples, nm/s: the larger of two estimates that a smooth spot does not enter.
+///
+/// ```text
+/// border     median |r_{k-2} - 2 r_k + r_{k+2}| / (0.6745 sqrt(6))        along the border
+/// whole      median |sum of [1 -2 1]' [1 -2 1] r| / (0.6745 sqrt(36))     over 3 x 3 samples that are not all 0
+/// ```
+///
+/// The border knows correlated noise better; a border that is tapered to zero knows none.
+fn noise(rate: &Array2<f64>) -> f64 {
+    let (ny, nx) = rate.dim();
+    let scale = |mut differences: Vec<f64>, squares: f64| {
+        let n = differences.len();
+        if n < LEAST_DIFFERENCES {
+            return 0.0;
+        }
+        let (_, median, _) = differences.select_nth_unstable_by(n / 2, f64::total_cmp);
+        SIGMA_PER_MEDIAN * *median / squares.sqrt()
+    };
+    let sides = [rate.row(0), rate.row(ny - 1), rate.column(0), rate.column(nx - 1)];
+    let along_border = sides.into_iter().flat_map(|side| {
+        let last = side.len().saturating_sub(2 * BORDER_LAG);
+        (0..last)
+            .map(move |k| (side[k] - 2.0 * side[k + BORDER_LAG] + side[k + 2 * BORDER_LAG]).abs())
+    });
+    let over_squares = rate.windows((3.min(ny), 3.min(nx)));
+    let whole = over_squares.into_iter().filter(|w| w.dim() == (3, 3)).filter_map(|w| {
+        let stencil = [1.0, -2.0, 1.0];
+        let value: f64 = w.indexed_iter().map(|((r, c), v)| stencil[r] * stencil[c] * v).sum();
+        w.iter().any(|v| *v != 0.0).then_some(value.abs())
+    });
+    scale(along_border.collect(), 6.0).max(scale(whole.collect(), 36.0))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -331,5 +405,77 @@ mod tests {
         m[[2, 1]] = f64::NAN;
         assert!(message(m).contains("is NaN"));
         assert!(message(Array2::ones((2, 3))).contains("(2, 3)"));
+    }
+
+    /// A Gaussian of peak 1 with a full width at half maximum of 1 mm on n x n samples of +-1.6 mm, and uniform noise
+    /// made normal by sums of twelve.
+    fn noisy_spot(n: usize, sigma: f64, seed: u64) -> (Grid, Array2<f64>) {
+        let x = axis(1.6, n);
+        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        let mut uniform = || {
+            // xorshift64*
+            state ^= state >> 12;
+            state ^= state << 25;
+            state ^= state >> 27;
+            (state.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let rate = Array2::from_shape_fn((n, n), |(r, c)| {
+            let normal: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+            let square = x.at(r).powi(2) + x.at(c).powi(2);
+            (-4.0 * std::f64::consts::LN_2 * square).exp() + sigma * normal
+        });
+        (Grid { x, y: x }, rate)
+    }
+
+    #[test]
+    fn noise_is_not_refused_and_keeps_the_volume() {
+        // pi / (4 ln 2) mm^2 of the whole Gaussian, less what is beyond 1.6 mm: erf(1.6 sqrt(4 ln 2))^2 = 1 - 3.3e-4.
+        let volume = std::f64::consts::PI / (4.0 * std::f64::consts::LN_2);
+        for sigma in [0.005, 0.01, 0.02] {
+            for n in [41, 61, 81] {
+                let vrr = |seed| {
+                    let (grid, rate) = noisy_spot(n, sigma, seed);
+                    let tif = Tif::new(grid, rate).unwrap_or_else(|e| panic!("{sigma} {n}: {e}"));
+                    tif.vrr_nm_mm2_per_s() / volume - 1.0
+                };
+                let draws: Vec<f64> = (0..200).map(vrr).collect();
+                let mean = draws.iter().sum::<f64>() / 200.0;
+                let scatter =
+                    (draws.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 199.0).sqrt();
+                // The mean of 200 draws scatters by 7 % of one.
+                assert!(mean.abs() < 0.3 * scatter + 3.3e-4, "{sigma} {n}: {mean} {scatter}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_after_a_taper_is_not_refused() {
+        // A taper makes the border zero and leaves the noise of the inner samples.
+        for seed in 0..200 {
+            let (grid, mut rate) = noisy_spot(61, 0.02, seed);
+            for ((r, c), v) in rate.indexed_iter_mut() {
+                let edge =
+                    (grid.x.at(c).abs().max(grid.y.at(r).abs()) / 1.6 - 0.85).max(0.0) / 0.15;
+                *v *= 0.5 * (1.0 + (std::f64::consts::PI * edge).cos());
+            }
+            Tif::new(grid, rate).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_wrong_sign_or_a_negative_lobe_is_refused_under_noise() {
+        for (seed, sigma) in (0..60).zip([0.0, 0.005, 0.01, 0.02].into_iter().cycle()) {
+            let (grid, rate) = noisy_spot(61, sigma, seed);
+            let e = Tif::new(grid, -&rate).unwrap_err().to_string();
+            assert!(e.contains("check the sign") || e.contains("no positive rate"), "{e}");
+            // A lobe of 8 % of the peak and ten times the noise, where the spot is 1 % of its peak.
+            let depth = 0.08 + 10.0 * sigma;
+            let lobed = Array2::from_shape_fn(rate.dim(), |(r, c)| {
+                let square = (grid.x.at(c) - 1.3).powi(2) + grid.y.at(r).powi(2);
+                rate[[r, c]] - depth * (-square / 0.09).exp()
+            });
+            let e = Tif::new(grid, lobed).unwrap_err().to_string();
+            assert!(e.contains("lowest rate that noise of"), "{sigma}: {e}");
+        }
     }
 }

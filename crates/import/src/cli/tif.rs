@@ -38,7 +38,7 @@ pub struct TifArgs {
     /// What is subtracted from the removal, fitted outside the square
     #[arg(long, value_enum, default_value = "plane")]
     baseline: Baseline,
-    /// Set negative rates (noise) to zero
+    /// Set negative rates (noise) to zero and scale the others, so that the volume stays
     #[arg(long, requires = "dwell_s")]
     clip_negative: bool,
 }
@@ -121,8 +121,8 @@ impl TifArgs {
         report(&statement, made.grid());
         if let Some(noise) = own["outside_rms_nm"].as_f64() {
             say(format!(
-                "planish-import: spot at {} mm, shift {} mm, noise {noise:.4} nm RMS outside it",
-                own["centre_mm"], own["shift_mm"]
+                "planish-import: spot at {} mm, shift {} mm (standard error {} mm), noise {noise:.4} nm RMS outside it",
+                own["centre_mm"], own["shift_mm"], own["shift_error_mm"]
             ));
         }
         say(format!(

@@ -12,9 +12,9 @@ use planish_surface::{
     profile::{LengthUnit, Profile, ProfileSettings, ValueUnit, rows_of_text},
     quality::{Light, Quality, QualityArrays, QualitySettings, Subject, quality},
     shape::{EllipseParameter, EllipseSettings, Shape},
-    specification::{Specification, SpecificationReport},
+    specification::{Specification, SpecificationReport, Verdict},
 };
-use planish_types::{Removal, text::significant};
+use planish_types::{Invalid, Removal, text::significant};
 use serde_json::json;
 
 /// Largest file of a profile, bytes: some million lines.
@@ -70,6 +70,9 @@ pub struct SpecArgs {
     /// Limits that the mirror must keep; exit code 1 names those that it does not [JSON]
     #[arg(long, value_name = "FILE")]
     specification: Option<PathBuf>,
+    /// White noise of the heights, nm RMS, if known: every verdict states its part and says where it decides
+    #[arg(long, value_name = "S", requires = "specification", allow_negative_numbers = true)]
+    noise_nm: Option<f64>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -102,7 +105,14 @@ impl SpecArgs {
         };
         let settings = self.settings(specification.as_ref().map(|(_, s)| s))?;
         let profile = self.source.profile.as_ref().map(|_| self.profile_settings());
-        let task = task!("spec", &json!({ "quality": settings, "profile": profile.transpose()? }));
+        let task = task!(
+            "spec",
+            &json!({
+                "quality": settings,
+                "profile": profile.transpose()?,
+                "noise_nm": self.noise_nm,
+            })
+        );
         let output = Output::directory(&self.output, &kind::SPECIFICATION);
         let mut output = match output.begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
@@ -110,11 +120,15 @@ impl SpecArgs {
         };
         let found = quality(&subject, &settings).map_err(Failure::with_flags)?;
         let verdict = match &specification {
-            Some((file, specification)) => Some(
-                specification
-                    .judge(&subject)
-                    .map_err(|e| Failure::new(format!("{}: {e}", file.display())))?,
-            ),
+            Some((file, specification)) => {
+                let judged =
+                    specification.judge_beside_noise(&subject, self.noise_nm.unwrap_or(0.0));
+                let about = |e: Invalid| match e.array {
+                    "noise_nm" => Failure::with_flags(e),
+                    _ => Failure::new(format!("{}: {e}", file.display())),
+                };
+                Some(judged.map_err(about)?)
+            }
             None => None,
         };
         let mut outcome = serde_json::to_value(&found)?;
@@ -127,7 +141,12 @@ impl SpecArgs {
         output.write_arrays(&kind::SPECIFICATION, &arrays, &[], outcome, &status)?;
         report(&found);
         verdict.iter().flat_map(|v| &v.limits).for_each(|limit| {
-            say(format!("{}  {}", if limit.passed { "kept " } else { "FAILS" }, limit.text()));
+            let verdict = match limit.verdict() {
+                Verdict::Kept => "kept ",
+                Verdict::Broken => "FAILS",
+                Verdict::NoiseDecides => "NOISE",
+            };
+            say(format!("{verdict}  {}", limit.text()));
         });
         Ok(status)
     }

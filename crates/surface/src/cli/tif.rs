@@ -18,7 +18,7 @@ pub struct TifArgs {
     /// Measured tool influence function [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Subtract the mean of the border samples and clip what is then negative
+    /// Subtract the mean of the border samples; negative noise stays, so the volume has no bias
     #[arg(long)]
     subtract_border: bool,
     /// What the offsets are counted from; the samples stay as they are

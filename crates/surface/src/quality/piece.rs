@@ -155,7 +155,8 @@ impl Piece {
                     false => "it is infinite".into(),
                 };
                 notes.push(format!(
-                    "the data hardly tell {name} of the ellipse ({how}); what is left is of the best one all the same"
+                    "the data hardly tell {name} of the ellipse ({how}); the residual is that of the best ellipse found from all \
+                     starts of the fit"
                 ));
             }
         }
@@ -241,12 +242,6 @@ impl Piece {
         let mut values = slopes(self.height_nm.view(), at, axis, steps);
         values.mapv_inplace(|s| 1e3 * s);
         let middles: Vec<f64> = (0..n - steps).map(|i| 0.5 * (at[i] + at[i + steps])).collect();
-        if self.is_profile() {
-            let row: Vec<f64> = values.iter().copied().collect();
-            let rest = rest_of(self.shape.shape);
-            let (row, _) = without_shape_of_slopes(&middles, &row, rest, None)?;
-            values = Array2::from_shape_fn(values.dim(), |(_, c)| row[c]);
-        }
         Ok((middles, values, steps as f64 * step_mm))
     }
 
@@ -281,8 +276,8 @@ impl Piece {
     }
 }
 
-/// The shape to take off the slopes (heights) once more where the best `shape` was taken off the heights (slopes):
-/// least squares of the one are not those of the other, and leave a line or a circle.
+/// The shape to take off the integral of measured slopes from which the best `shape` was taken off: least squares of
+/// slopes are not those of heights, and leave a line or a circle.
 fn rest_of(shape: Shape) -> Shape {
     match shape {
         Shape::CylinderX | Shape::CylinderY | Shape::Sphere => Shape::CylinderX,

@@ -45,6 +45,13 @@ impl SpectrumLine {
         Self { frequency_per_mm, height, slope }
     }
 
+    /// The same frequencies with one density of heights.
+    fn flat(&self, density: f64) -> Self {
+        let f = self.frequency_per_mm.clone();
+        let density = vec![density; f.len()];
+        Self::of_heights(f, density)
+    }
+
     /// Mean square in a band: the sum of S df over the frequencies in [f_0, f_1).
     fn mean_square(&self, density: &[f64], [low, high]: [f64; 2]) -> f64 {
         let f = &self.frequency_per_mm;
@@ -88,6 +95,30 @@ impl Spectra {
             f >= low && f < high
         });
         (of.map(|(_, s)| s).sum::<f64>() * bin).sqrt()
+    }
+
+    /// White noise of `noise_nm` RMS at the same frequencies: the same density at all of them, whose integral is the
+    /// mean square.
+    pub(crate) fn white(&self, noise_nm: f64) -> Self {
+        let flat = |line: &SpectrumLine| {
+            // One-sided up to the Nyquist frequency, the last one or half a bin below it.
+            let highest = line.frequency_per_mm.last().copied().unwrap_or(1.0);
+            line.flat(noise_nm * noise_nm / highest)
+        };
+        let two_dimensional = self.two_dimensional.as_ref().map(|psd| {
+            let (fx, fy) = (&psd.frequency_2d_x_per_mm, &psd.frequency_2d_y_per_mm);
+            let area = (fx[1] - fx[0]) * (fy[1] - fy[0]) * psd.psd_2d_nm2_mm2.len() as f64;
+            let mut white = psd.clone();
+            white.psd_2d_nm2_mm2.fill(noise_nm * noise_nm / area);
+            white
+        });
+        let radial = self.radial.as_ref().zip(two_dimensional.as_ref());
+        Self {
+            x: flat(&self.x),
+            y: self.y.as_ref().map(flat),
+            radial: radial.map(|(line, white)| line.flat(white.psd_2d_nm2_mm2[[0, 0]])),
+            two_dimensional,
+        }
     }
 
     /// Of a map from which the shape is taken off.

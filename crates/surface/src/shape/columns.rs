@@ -56,6 +56,19 @@ impl Columns {
         columns
     }
 
+    /// At most twice `count` of the columns, at even steps, for what only has to be compared.
+    pub fn thinned(&self, count: usize) -> Self {
+        let step = (self.x_mm.len() / count).max(1);
+        let some = |of: &[f64]| of.iter().step_by(step).copied().collect();
+        Self {
+            x_mm: some(&self.x_mm),
+            mean_mm: some(&self.mean_mm),
+            weight: some(&self.weight),
+            y_mm: some(&self.y_mm),
+            ..*self
+        }
+    }
+
     /// Whether these are heights, not slopes.
     pub fn of_heights(&self) -> bool {
         !self.weight.is_empty()

@@ -149,6 +149,12 @@ impl Curve {
         curve
     }
 
+    /// Other ellipses from which a fit begins; none of another shape.
+    pub fn starts(&self) -> Vec<Self> {
+        let moved = self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::starts);
+        moved.into_iter().map(|e| Self { ellipse: Some(e), ..self.clone() }).collect()
+    }
+
     /// How far the last parameters, those of the ellipse, may still move.
     pub fn room(&self) -> Vec<[f64; 2]> {
         self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::room)

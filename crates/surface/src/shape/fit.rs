@@ -28,9 +28,61 @@ const LAST_GAIN: f64 = 1e-12;
 /// heights in double precision nothing but rounding would decide it.
 const INDEPENDENT: f64 = 1e-11;
 
-/// `curve` fitted to `columns`.
+/// Steps after which the starts of an ellipse are compared: most of what a start gains, it gains in the first ten.
+const FIRST_STEPS: usize = 10;
+
+/// Columns, or positions, on which the starts take their first steps: curves of few parameters need no more to be
+/// compared, and every step costs in proportion.
+const COMPARED_COLUMNS: usize = 40;
+
+/// Starts of an ellipse that are followed to their ends.
+const FOLLOWED: usize = 5;
+
+/// Another start than the design is taken where it lowers the norm by more than this fraction: below is rounding.
+const NOTEWORTHY_GAIN: f64 = 1e-9;
+
+/// `curve` fitted to `columns`: from the design and, of an ellipse, from starts all over its bounds, as the valley of
+/// equal curvature has several minima.
 pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
     curve.middle_mm[1] = columns.y_middle_mm;
+    let starts = curve.starts();
+    let designed = descended(curve, columns, shape, MAX_STEPS);
+    let norm = |curve: &Curve| curve.left(columns).norm();
+    let from = |start: Curve, columns: &Columns, steps: usize| {
+        descended(start, columns, shape, steps).ok()
+    };
+    let some = columns.thinned(COMPARED_COLUMNS);
+    let mut others: Vec<(f64, Curve)> = starts
+        .into_iter()
+        .filter_map(|start| from(start, &some, FIRST_STEPS))
+        .map(|curve| (norm(&curve), curve))
+        .filter(|(norm, _)| norm.is_finite())
+        .collect();
+    others.sort_by(|a, b| a.0.total_cmp(&b.0));
+    others.truncate(FOLLOWED);
+    let ends = others.into_iter().filter_map(|(_, curve)| from(curve, columns, MAX_STEPS));
+    // Differences of the norms below this are rounding.
+    let rounding = LAST_STEP * size(columns);
+    let mut best = designed;
+    for end in ends {
+        let is_better = match &best {
+            Ok(best) => norm(&end) < norm(best) * (1.0 - NOTEWORTHY_GAIN) - rounding,
+            Err(_) => false,
+        };
+        if is_better {
+            best = Ok(end);
+        }
+    }
+    with_errors(best?, columns, shape)
+}
+
+/// `curve` after at most `steps` steps down the squares.
+fn descended(
+    mut curve: Curve,
+    columns: &Columns,
+    shape: Shape,
+    steps: usize,
+) -> Result<Curve, Invalid> {
     let mut left = curve.left(columns);
     let mut damping = FIRST_DAMPING;
     let mut jacobian = scaled_jacobian(&curve, columns, shape)?;
@@ -42,7 +94,7 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
         let how = format!("{} for {} unknowns", jacobian.0.nrows(), jacobian.0.ncols());
         return Err(too_few(shape, &how));
     }
-    for _ in 0..MAX_STEPS {
+    for _ in 0..steps {
         let (step, norm) = damped_step(&jacobian, &left, &curve.room(), damping);
         let small = norm <= LAST_STEP * size(columns);
         let next = curve.moved(&step, columns);
@@ -62,7 +114,13 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
             damping = 10.0 * damping.max(LEAST_DAMPING);
         }
     }
-    let (matrix, scale) = jacobian;
+    Ok(curve)
+}
+
+/// `curve`, a minimum, with its standard errors; refused where the points do not determine it.
+fn with_errors(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
+    let left = curve.left(columns);
+    let (matrix, scale) = scaled_jacobian(&curve, columns, shape)?;
     let r = matrix.qr().r();
     if (0..r.ncols()).any(|k| r[(k, k)].abs() < INDEPENDENT) {
         let problem =

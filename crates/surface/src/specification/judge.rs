@@ -4,7 +4,7 @@ use planish_types::{Invalid, text::significant};
 
 use super::{
     limit::Limit,
-    verdict::{Bound, LimitReport},
+    verdict::{Bound, LimitReport, Subtraction},
     zone::Zones,
 };
 use crate::{
@@ -45,11 +45,15 @@ impl<'a> Pieces<'a> {
     }
 }
 
-/// The verdict on one limit.
-pub(super) fn judge(limit: &Limit, pieces: &mut Pieces) -> Result<LimitReport, Invalid> {
+/// The verdict on one limit, of heights with white noise of `noise_nm` RMS (0 where it is not known).
+pub(super) fn judge(
+    limit: &Limit,
+    pieces: &mut Pieces,
+    noise_nm: f64,
+) -> Result<LimitReport, Invalid> {
     let is_profile = matches!(pieces.zones.subject, Subject::Profile(_));
     let piece = pieces.of(limit.zone(), limit.after())?;
-    Judged { limit, piece, is_profile }.report()
+    Judged { limit, piece, is_profile, noise_nm }.report()
 }
 
 /// A limit, and the zone after the shape that it is on.
@@ -57,10 +61,86 @@ struct Judged<'a> {
     limit: &'a Limit,
     piece: &'a Piece,
     is_profile: bool,
+    /// RMS of the white noise of the heights, nm; 0 where it is not known.
+    noise_nm: f64,
 }
 
 impl Judged<'_> {
+    /// The verdict beside the value that noise alone would have. The fit of the shape takes a few of the squares of the
+    /// noise; that is neglected.
     fn report(&self) -> Result<LimitReport, Invalid> {
+        let report = self.measured()?;
+        let noise_nm = self.noise_nm;
+        if noise_nm == 0.0 {
+            return Ok(report);
+        }
+        let rms = |of_noise| report.clone().beside_noise(of_noise, Subtraction::OfSquares);
+        let largest = |of_noise| report.clone().beside_noise(of_noise, Subtraction::Linear);
+        // Slope of noise over a base, (n_2 - n_1) / base; nm/mm is urad.
+        let slope_nrad = |direction, base_mm| {
+            let found = self.piece.slope(direction, base_mm)?;
+            Ok::<f64, Invalid>(1e3 * 2.0_f64.sqrt() * noise_nm / found.base_mm)
+        };
+        // The largest of n normal values is expected below sqrt(2 ln n) standard deviations, of magnitudes of 2 n.
+        let count = self.piece.height()?.valid_count as f64;
+        Ok(match self.limit {
+            Limit::HeightRms { along: direction, .. } => match self.band() {
+                None => rms(noise_nm),
+                Some(band) => {
+                    let white = self.piece.spectra()?.white(noise_nm);
+                    rms(match self.direction_of(*direction) {
+                        Direction::X => white.x.height_rms(band),
+                        Direction::Y => white.y.as_ref().map_or(0.0, |y| y.height_rms(band)),
+                        Direction::Radial => white.height_rms_nm(band),
+                    })
+                }
+            },
+            Limit::HeightPv { .. } => largest(2.0 * noise_nm * (2.0 * count.ln()).sqrt()),
+            Limit::SlopeRms { along: direction, base_mm, .. } => match self.band() {
+                None => rms(slope_nrad(*direction, base_mm.unwrap_or_default())?),
+                Some(band) => {
+                    let white = self.piece.spectra()?.white(noise_nm);
+                    let line = if *direction == Direction::Y { white.y } else { Some(white.x) };
+                    rms(line.map_or(0.0, |line| line.slope_rms(band)))
+                }
+            },
+            Limit::SlopePeak { along: direction, base_mm, .. } => {
+                largest(slope_nrad(*direction, *base_mm)? * (2.0 * (2.0 * count).ln()).sqrt())
+            }
+            Limit::Psd { along: direction, .. } => {
+                let white = self.piece.spectra()?.white(noise_nm);
+                let line = match direction {
+                    Direction::X => Some(white.x),
+                    Direction::Y => white.y,
+                    Direction::Radial => white.radial,
+                };
+                // One line scatters about the density; its mean is subtracted.
+                largest(line.map_or(0.0, |line| line.height[0]))
+            }
+            Limit::Strehl { wavelength_nm, grazing_mrad, .. } => {
+                let light = Light {
+                    wavelength_nm: *wavelength_nm,
+                    grazing_mrad: grazing_mrad.unwrap_or(NORMAL_MRAD),
+                };
+                let rms_nm = self.piece.height()?.rms;
+                let without_nm = (rms_nm.powi(2) - noise_nm.powi(2)).max(0.0).sqrt();
+                let [of, without] = [noise_nm, without_nm].map(|nm| strehl(light, nm));
+                report.with_and_without_noise(of?.strehl, without?.strehl)
+            }
+            Limit::Radius { .. } | Limit::AutocorrelationLength { .. } => report,
+        })
+    }
+
+    /// The direction of a spectrum where a limit may leave it out.
+    fn direction_of(&self, direction: Option<Direction>) -> Direction {
+        match direction {
+            Some(direction) => direction,
+            None if self.is_profile => Direction::X,
+            None => Direction::Radial,
+        }
+    }
+
+    fn measured(&self) -> Result<LimitReport, Invalid> {
         let piece = self.piece;
         Ok(match self.limit {
             Limit::HeightRms { along: direction, at_most_nm, .. } => {
@@ -119,11 +199,7 @@ impl Judged<'_> {
         let value = match self.band() {
             None => self.piece.height()?.rms,
             Some(band) => {
-                let direction = match direction {
-                    Some(direction) => direction,
-                    None if self.is_profile => Direction::X,
-                    None => Direction::Radial,
-                };
+                let direction = self.direction_of(direction);
                 let line = spectrum_line(self.piece, direction)?;
                 check_band(line, band)?;
                 match direction {

@@ -31,6 +31,40 @@ pub struct LimitReport {
     pub passed: bool,
     /// Where the mirror is worst, in words; `null` where the quantity has no place.
     pub worst: Option<String>,
+    /// The part of noise in the value; absent where the noise is not known or the quantity does not tell it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise: Option<NoisePart>,
+}
+
+/// The part of white noise in a measured value.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NoisePart {
+    /// The value that noise alone would have; of a largest value an upper bound.
+    pub of_noise: f64,
+    /// The value without the noise; of a largest value a lower bound.
+    pub without_noise: f64,
+    /// Whether the limit lies between the value and the one without the noise.
+    pub decides: bool,
+}
+
+/// How a limit is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// The value keeps the limit.
+    Kept,
+    /// The value breaks the limit, without the noise too.
+    Broken,
+    /// The value breaks the limit, and without the noise keeps it.
+    NoiseDecides,
+}
+
+/// How the part of noise leaves a value.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Subtraction {
+    /// sqrt(value^2 - part^2), of an RMS.
+    OfSquares,
+    /// value - part, of a density or a largest value.
+    Linear,
 }
 
 /// Which side of a limit is allowed.
@@ -56,12 +90,41 @@ impl LimitReport {
             Bound::AtMost => value <= limit,
             Bound::AtLeast => value >= limit,
         };
-        Self { quantity, unit, value, limit, bound, passed, worst: None }
+        Self { quantity, unit, value, limit, bound, passed, worst: None, noise: None }
     }
 
     /// The same, with the place where the mirror is worst.
     pub(super) fn worst_at(self, worst: String) -> Self {
         Self { worst: Some(worst), ..self }
+    }
+
+    /// The same with the value that noise alone would have; nothing where that is 0.
+    pub(super) fn beside_noise(self, of_noise: f64, how: Subtraction) -> Self {
+        let without_noise = match how {
+            Subtraction::OfSquares => (self.value.powi(2) - of_noise.powi(2)).max(0.0).sqrt(),
+            Subtraction::Linear => (self.value - of_noise).max(0.0),
+        };
+        self.with_and_without_noise(of_noise, without_noise)
+    }
+
+    /// The same with the value that noise alone would have, and the value without the noise.
+    pub(super) fn with_and_without_noise(mut self, of_noise: f64, without_noise: f64) -> Self {
+        let would_pass = match self.bound {
+            Bound::AtMost => without_noise <= self.limit,
+            Bound::AtLeast => without_noise >= self.limit,
+        };
+        let decides = !self.passed && would_pass;
+        self.noise = Some(NoisePart { of_noise, without_noise, decides });
+        self
+    }
+
+    /// Kept, broken, or open because of the noise.
+    pub fn verdict(&self) -> Verdict {
+        match self.noise {
+            _ if self.passed => Verdict::Kept,
+            Some(noise) if noise.decides => Verdict::NoiseDecides,
+            _ => Verdict::Broken,
+        }
     }
 
     /// The verdict as a sentence without a full stop.
@@ -79,19 +142,32 @@ impl LimitReport {
             (false, Bound::AtMost) => format!(", {percent} % too much"),
             (false, Bound::AtLeast) => format!(", {percent} % too little"),
         };
+        let noise = self.noise.map_or(String::new(), |n| {
+            let [of, without] = [n.of_noise, n.without_noise].map(|v| significant(v, 4));
+            let decides = if n.decides { ": noise decides" } else { "" };
+            format!(" (noise alone {of}{unit}, without noise {without}{unit}{decides})")
+        });
         let place = worst.as_ref().map_or(String::new(), |w| format!("; worst {w}"));
-        format!("{quantity}: {value}{unit}, {allowed} {limit}{unit}{verdict}{place}")
+        format!("{quantity}: {value}{unit}, {allowed} {limit}{unit}{verdict}{noise}{place}")
     }
 }
 
 impl SpecificationReport {
-    /// What fails, by how much and where; `None` where everything is kept.
+    /// The limits that are not shown to be kept, by how much and where; `None` where everything is kept.
     pub fn failures(&self) -> Option<String> {
-        let failed: Vec<String> =
-            self.limits.iter().filter(|l| !l.passed).map(LimitReport::text).collect();
-        (!failed.is_empty()).then(|| {
-            let (n, all) = (failed.len(), self.limits.len());
-            format!("{n} of {all} limits of {} are exceeded: {}", self.name, failed.join("; "))
-        })
+        let of = |verdict: Verdict| -> Vec<String> {
+            self.limits.iter().filter(|l| l.verdict() == verdict).map(LimitReport::text).collect()
+        };
+        let all = self.limits.len();
+        let sentence = |failed: &[String], how: &str| {
+            (!failed.is_empty()).then(|| {
+                let n = failed.len();
+                format!("{n} of {all} limits of {} {how}: {}", self.name, failed.join("; "))
+            })
+        };
+        let broken = sentence(&of(Verdict::Broken), "are exceeded");
+        let open = sentence(&of(Verdict::NoiseDecides), "are exceeded because of the noise");
+        let sentences: Vec<String> = broken.into_iter().chain(open).collect();
+        (!sentences.is_empty()).then(|| sentences.join("; "))
     }
 }
