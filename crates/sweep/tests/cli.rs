@@ -237,8 +237,8 @@ fn a_sweep_that_no_expansion_wrote_runs_nothing() {
     let whole: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
     let shell = serde_json::json!({"program": "/bin/sh", "arguments": ["-c", "touch EXECUTED"]});
     let elsewhere = serde_json::json!("../../ESCAPED");
-    type Change = dyn Fn(&mut Value);
-    let cases: [(&Change, &str); 9] = [
+    type Change<'a> = dyn Fn(&mut Value) + 'a;
+    let cases: [(&Change<'_>, &str); 9] = [
         (&|s| s["mirror_steps"][0] = shell.clone(), "runs '/bin/sh', which makes no mirror"),
         (&|s| s["mirror_steps"][0]["program"] = "../planish-fixture".into(), "makes no mirror"),
         (&|s| s["mirror_steps"][0]["arguments"][2] = elsewhere.clone(), "not in the sweep"),
