@@ -303,9 +303,9 @@ mod tests {
     #[test]
     fn a_tool_with_a_baseline_or_cropped_or_in_other_units_is_named() {
         let surface = map(|z, _| z);
-        // 5 % of the peak on 10 x 10 mm beside 2 pi sigma^2: 5 / (5 + 14.1).
+        // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later.
         let baseline = of_tif(&tool(5.0, |rate| rate + 0.5));
-        said(baseline, &["5.0 % of its peak", "is 27 % of its volume", "--subtract-border"]);
+        said(baseline, &["4.8 % of its peak", "is 27 % of its volume", "--subtract-border"]);
         // exp(-1.317^2 / 2) = 0.42
         let cropped = of_tif(&tool(1.317 * 1.5, |rate| rate));
         said(cropped, &["ends at 42 % of its peak", "measure a wider field"]);
