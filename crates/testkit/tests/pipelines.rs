@@ -316,7 +316,7 @@ fn what_is_probably_a_mistake_is_said_before_the_plan() {
             "% of the RMS is a plane",
         ),
         (|z, _| z[..2].fill(9999.0), keep, 1.0, "2 pixels lie up to 1e4 nm beyond all others"),
-        (|z, _| z[..40].fill(0.0), keep, 1.0, "40 pixels have exactly the height 0 nm"),
+        (|z, _| z[..40].fill(0.0), keep, 1.0, "pixels have exactly the height 0 nm"),
         (
             |z, nx| {
                 let last = z.len() / nx - 1;
