@@ -316,7 +316,7 @@ fn what_is_probably_a_mistake_is_said_before_the_plan() {
             "% of the RMS is a plane",
         ),
         (|z, _| z[..2].fill(9999.0), keep, 1.0, "2 pixels lie up to 1e4 nm beyond all others"),
-        (|z, _| z[..40].fill(0.0), keep, 1.0, "40 pixels have exactly the height 0 nm"),
+        (|z, _| z[..40].fill(0.0), keep, 1.0, "pixels have exactly the height 0 nm"),
         (
             |z, nx| {
                 let last = z.len() / nx - 1;
@@ -375,10 +375,13 @@ fn what_is_probably_a_mistake_is_said_before_the_plan() {
             "" => assert_eq!((doubts, ended.status.code()), (vec![], Some(0)), "{err}"),
             said => assert!(doubts.iter().any(|d| d.contains(said)), "no {said:?} in: {err}"),
         }
-        let [surface, path] = ["o/surface", "o/tool_path"].map(|at| dir.path().join(at));
-        let kept =
-            [&manifest(&surface)["outcome"]["doubts"], &manifest(&path)["outcome"]["warnings"]]
-                .map(Value::to_string);
+        // Where the path was refused there is the map alone.
+        let kept: Vec<String> = ["o/surface", "o/tool_path"]
+            .map(|at| dir.path().join(at))
+            .iter()
+            .filter(|at| at.exists())
+            .map(|at| manifest(at)["outcome"].to_string().replace("\\\"", "\""))
+            .collect();
         assert!(said.is_empty() || kept.iter().any(|k| k.contains(said)), "{kept:?}");
     }
 }

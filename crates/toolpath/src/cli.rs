@@ -114,7 +114,8 @@ impl Region {
         let mut machine = None;
         if let Some(file) = &args.machine {
             let found = Inputs::new().read_machine(file)?;
-            let doubt = of_limits(&found);
+            // Rates in doubt say nothing of the limits.
+            let doubt = if doubts.is_empty() { of_limits(&found) } else { None };
             if doubt.is_some() || found.travel_mm().iter().any(Option::is_some) {
                 machine = Some(inputs.read_machine(file)?);
             }

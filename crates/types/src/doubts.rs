@@ -114,8 +114,7 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
 
 /// What the map and the tool say against each other's units.
 pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
-    let s = desired.statistics();
-    let depth_nm = s.mean - s.min;
+    let depth_nm = mean_depth_nm(desired);
     let at_one_place_s = depth_nm / tif.peak_nm_per_s();
     let [least, most] = MEAN_DEPTH_S;
     let said = |units: &str| {
@@ -135,9 +134,8 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
 
 /// What the limits of the machine say, for lines of this pitch: the path is some A / pitch long.
 pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
-    let s = desired.statistics();
-    let area_mm2 = s.valid_count as f64 * desired.grid().pixel_mm2();
-    let removal_s = (s.mean - s.min) * area_mm2 / tif.vrr_nm_mm2_per_s();
+    let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
+    let removal_s = mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s();
     let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
     let travel_s = area_mm2 / pitch_mm / fastest;
     (removal_s > 0.0 && travel_s > MOST_TRAVEL * removal_s).then(|| {
@@ -149,6 +147,13 @@ pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -
             significant(removal_s, 3)
         )
     })
+}
+
+/// Mean of the heights above the lowest but for [`EXTREMES`]: a spike downwards is not the depth of the part.
+fn mean_depth_nm(desired: &Surface) -> f64 {
+    let s = desired.statistics();
+    let low = statistics::lowest(desired.height_nm().view(), None, EXTREMES).unwrap_or(s.min);
+    s.mean - low
 }
 
 /// Valid heights, at most [`MOST_SAMPLES`] of them, at equal distances in the array.
@@ -303,9 +308,9 @@ mod tests {
     #[test]
     fn a_tool_with_a_baseline_or_cropped_or_in_other_units_is_named() {
         let surface = map(|z, _| z);
-        // 5 % of the peak on 10 x 10 mm beside 2 pi sigma^2: 5 / (5 + 14.1).
+        // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later.
         let baseline = of_tif(&tool(5.0, |rate| rate + 0.5));
-        said(baseline, &["5.0 % of its peak", "is 27 % of its volume", "--subtract-border"]);
+        said(baseline, &["4.8 % of its peak", "is 27 % of its volume", "--subtract-border"]);
         // exp(-1.317^2 / 2) = 0.42
         let cropped = of_tif(&tool(1.317 * 1.5, |rate| rate));
         said(cropped, &["ends at 42 % of its peak", "measure a wider field"]);
