@@ -12,10 +12,10 @@ use std::{
 };
 
 use clap::{Args, Subcommand};
-use planish_export::{Common, Controller, Origin, program};
+use planish_export::{Common, Controller, Origin, PATH_DEVIATION_MM, program};
 use planish_handoff::{
     Failure, Inputs, OutputFile, Status,
-    flags::{MachineArgs, OutputFileArgs, TrajectoryArgs},
+    flags::{AxesArgs, OutputFileArgs, TrajectoryArgs},
     pair, say, warn,
 };
 use planish_types::TransformNumbers;
@@ -51,14 +51,16 @@ pub struct CommonArgs {
     #[command(flatten)]
     trajectory: TrajectoryArgs,
     #[command(flatten)]
-    machine: MachineArgs,
-    /// Size of a count, mm: one number, or two for X,Y
-    #[arg(long, value_name = "C", value_parser = pair, default_value = "0.0001", allow_hyphen_values = true)]
-    count_mm: [f64; 2],
-    /// Longest time between two lines, s; longer segments are split [default: what the controller
-    /// allows]
+    machine: AxesArgs,
+    /// Size of a count, mm: one number, or two for X,Y [default: that of the machine's controller, else 0.0001]
+    #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
+    count_mm: Option<[f64; 2]>,
+    /// Longest segment, s [default: that of the controller]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     max_step_s: Option<f64>,
+    /// Largest distance of the program's path from the plan's, mm; larger for fewer segments
+    #[arg(long, value_name = "D", default_value_t = PATH_DEVIATION_MM, allow_negative_numbers = true)]
+    path_deviation_mm: f64,
     /// Leave the tool on where the motion has it off and the program cannot switch it
     #[arg(long)]
     always_on: bool,
@@ -68,7 +70,7 @@ pub struct CommonArgs {
 
 impl CommonArgs {
     /// Writes the program, and what is to be known of it beside it.
-    fn export(&self, controller: &Controller) -> Result<Status, Failure> {
+    fn export(&self, controller: &Controller, tick_s: Option<f64>) -> Result<Status, Failure> {
         let OutputFileArgs { out, force } = &self.output;
         let about = PathBuf::from(format!("{}.json", out.display()));
         let version = env!("CARGO_PKG_VERSION");
@@ -91,7 +93,9 @@ impl CommonArgs {
         };
         let common = Common {
             count_mm: self.count_mm,
+            tick_s,
             max_step_s: self.max_step_s,
+            path_deviation_mm: self.path_deviation_mm,
             always_on: self.always_on,
         };
         let made = program(&on_axes.motion, &on_axes.machine, controller, &common, &origin)
@@ -104,12 +108,12 @@ impl CommonArgs {
         OutputFile::write_together(files)?;
         let a = &made.about;
         say(format!(
-            "planish-export: {} segments, {:.4} s, rounded by {:.1e} x {:.1e} mm and {:.1e} s at most -> {}",
+            "planish-export: {} segments, {:.4} s, {:.4} s longer than the plan, path within {:.2} um of it, limits kept \
+             -> {}",
             a.segments,
             a.total_time_s,
-            a.rounding_mm[0],
-            a.rounding_mm[1],
-            a.rounding_s,
+            a.added_time_s,
+            1e3 * a.path_deviation_mm,
             out.display()
         ));
         Ok(Status::Done)

@@ -19,9 +19,8 @@
 //! (PVT mode: 1024 samples per second), appendix (program size: lines of 80 characters).
 
 use planish_types::Invalid;
-use serde::Serialize;
 
-use crate::{Abilities, About, Approach, Job, Tool, header::Comment, limits::Between, positive};
+use crate::{Abilities, About, Approach, Job, Tool, header::Comment, positive};
 
 /// Limits of a segment.
 const MOST_DISTANCE: i64 = 44_000_000;
@@ -42,21 +41,8 @@ const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
 /// Segments of the buffer of an axis. The line that ends the motion takes one.
 const BUFFER: usize = 255;
 
-/// How a program for a Galil is written.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Settings {
-    /// Sample time, s: 1/1024 s with TM 1000.
-    pub sample_s: f64,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self { sample_s: 1.0 / 1024.0 }
-    }
-}
-
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
-    let sample_s = positive("sample_s", settings.sample_s)?;
+pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
+    let sample_s = positive("sample_s", job.grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;
     // A little less or more is the rounding of a number that was typed.
     if !(1.0 - 1e-3..=MOST_SAMPLE_UNITS + 1e-3).contains(&units) {
@@ -64,14 +50,9 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
             format!("is {sample_s}, TM goes from 31.25 (1/32768 s) to 20000 (0.01953125 s)");
         return Err(Invalid::whole("sample_s", problem, "give 0.0009765625 for TM 1000"));
     }
-    let count = job.common.count_mm;
-    let (q, mut about) = job.quantised(Abilities {
-        controller: "galil",
-        tick_s: SAMPLES_PER_TICK as f64 * sample_s,
-        ticks: [1, MOST_SAMPLES / SAMPLES_PER_TICK],
-        // A count per second.
-        velocity_mm_per_s: count,
-        between: Between::Cubic,
+    let count = job.grids.count_mm;
+    let (q, mut about) = job.nodes(Abilities {
+        most_ticks: MOST_SAMPLES / SAMPLES_PER_TICK,
         tool: Tool::LeftToTheHost(
             "this program does not switch it: the host switches it on after BTAB, off when _BTA says that \
              the last segment has run, and off on every stop",

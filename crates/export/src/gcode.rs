@@ -30,9 +30,7 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{
-    Abilities, About, Approach, Job, Tool, decimal, header::Comment, limits::Between, tick,
-};
+use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 
 /// Decimals of a position in mm and of a time in s.
 const DIGITS: usize = 9;
@@ -40,11 +38,11 @@ const DIGITS: usize = 9;
 /// Significant digits of F. Nine keep a segment of 100 s to 1e-7 s.
 const FEED_DIGITS: i32 = 9;
 
-/// The last of nine decimals of a velocity.
-const VELOCITY_MM_PER_S: f64 = 1e-9;
+/// `rs274` takes lines of up to 252 characters, whatever the documentation says ("Command too long" at 253).
+const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
 
-/// A line has at most 256 characters, its end included.
-const COMMENT: Comment = Comment { open: "(", close: ")", line: 254 };
+/// Least path tolerance, mm: less would be written as 0, which means any deviation.
+const LEAST_TOLERANCE_MM: f64 = 1e-6;
 
 /// What F is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -62,38 +60,36 @@ pub enum Feed {
 pub struct Settings {
     /// What F is.
     pub feed: Feed,
-    /// What a time is rounded to, s.
-    pub tick_s: f64,
-    /// How far the path may leave the corners, mm (G64 P); 0 for an exact path (G61).
-    pub path_tolerance_mm: f64,
+    /// How far the path may leave the corners, mm (G64 P); 0 for an exact path (G61). Absent: the path deviation.
+    pub path_tolerance_mm: Option<f64>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { feed: Feed::InverseTime, tick_s: 1e-6, path_tolerance_mm: 0.001 }
+        Self { feed: Feed::InverseTime, path_tolerance_mm: None }
     }
 }
 
 pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
-    let tick_s = tick(settings.tick_s)?;
-    let tolerance = settings.path_tolerance_mm;
-    if !(tolerance.is_finite() && tolerance >= 0.0) {
-        let remedy = "give a length in mm, 0 for an exact path";
-        return Err(Invalid::whole("path_tolerance_mm", format!("is {tolerance}"), remedy));
+    let tick_s = job.tick()?;
+    let tolerance = settings.path_tolerance_mm.unwrap_or(job.common.path_deviation_mm);
+    let is_length = tolerance == 0.0 || tolerance >= LEAST_TOLERANCE_MM;
+    if !(tolerance.is_finite() && is_length) {
+        let problem = format!("is {tolerance}, and G64 P0 would allow any deviation");
+        let remedy = "give a length of at least 1e-6 mm, or 0 for an exact path";
+        return Err(Invalid::whole("path_tolerance_mm", problem, remedy));
     }
-    let (q, about) = job.quantised(Abilities {
-        controller: "gcode",
-        tick_s,
-        ticks: [1, i64::MAX >> 10],
-        // Not in the program.
-        velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
-        between: Between::Straight,
-        tool: Tool::Switched(
+    let switched = job.grids.switches_tool;
+    let (q, about) = job.nodes(Abilities {
+        most_ticks: i64::MAX >> 10,
+        tool: if !switched {
+            Tool::LeftToTheHost("no output of the controller does: the host switches it")
+        } else { Tool::Switched(
             "digital output 0: M62 P0 on and M63 P0 off with the start of the next G1, M64 P0 on and M65 P0 off at \
              once, off before the rapid to the start and at the end. On an abort or a pause it stays as it is, HAL \
              or ON_ABORT_COMMAND has to switch it off"
                 .into(),
-        ),
+        ) },
         approach: Approach::InProgram(
             "the way from where the axes stand to the start is free: the program goes there by G0, straight, at the \
              rapid feed of the controller, in the work coordinates that are active",
@@ -104,7 +100,9 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         Feed::PerMinute => ("G94", "mm per minute"),
     };
     let mut text = about.header(&COMMENT, &format!("mm, F in {unit}, G4 P in s"));
-    text += "M65 P0\nG21 G90 G17 G40 G49 G94\n";
+    let output = |words: &'static str| if switched { words } else { "" };
+    text += output("M65 P0\n");
+    text += "G21 G90 G17 G40 G49 G94\n";
     text += &match tolerance {
         0.0 => "G61\n".to_string(),
         // Q0: lines of one feed that are nearly straight are not merged.
@@ -117,12 +115,12 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         let stands = q.distance(k) == [0, 0];
         if q.tool_on[k] != on {
             on = q.tool_on[k];
-            text += match (on, stands) {
+            text += output(match (on, stands) {
                 (true, false) => "M62 P0\n",
                 (false, false) => "M63 P0\n",
                 (true, true) => "M64 P0\n",
                 (false, true) => "M65 P0\n",
-            };
+            });
         }
         let (from, to) = (q.position_mm(k), q.position_mm(k + 1));
         let seconds = q.duration(k) as f64 * tick_s;
@@ -141,7 +139,8 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         };
         text += &format!("G1 X{x} Y{y} F{}\n", significant(feed));
     }
-    text += "M65 P0\nG94 F60\nM2\n";
+    text += output("M65 P0\n");
+    text += "G94 F60\nM2\n";
     Ok((text, about))
 }
 

@@ -4,42 +4,42 @@
 //!
 //! 1. [`limits::check_plan`]: a motion that does not keep the limits of the machine is refused, and one that
 //!    leaves the travel of its axes.
-//! 2. [`table`]: the ends of the segments with their positions and velocities.
-//! 3. [`mod@quantise`]: positions to whole counts and times to whole ticks, both rounded from the start
-//!    of the motion, so that the remainder of one segment is carried into the next and nothing
-//!    drifts.
-//! 4. [`limits::prove`]: the rounded motion, as the controller executes it, keeps the limits but for
-//!    what the rounding explains, and the program says how much that is.
-//! 5. one module per controller: its limits, its text, how it switches the tool.
+//! 2. [`mod@generate`]: nodes on the clock and in the counts of the controller. The motion between them keeps the limits
+//!    of the machine and a stated distance from the path of the plan.
+//! 3. [`limits::prove`]: the motion that the controller executes keeps the limits on the whole of every segment.
+//! 4. one module per controller: its limits, its text, how it switches the tool.
 //!
 //! | module | program | cubic between two lines | switches the tool |
 //! |---|---|---|---|
-//! | [`galil`] | Galil DMC, PVT mode | yes | no |
-//! | [`xps`] | Newport XPS, PVT trajectory file | yes | no |
+//! | `galil` | Galil DMC, PVT mode | yes | no |
+//! | `xps` | Newport XPS, PVT trajectory file | yes | no |
 //! | [`pmac`] | Delta Tau / Omron PMAC, PVT mode | yes | by an M-variable that is named |
-//! | [`gcode`] | G-code with inverse time or feed | no, straight | by digital output 0 |
-//! | [`csv`] | table of the motion | yes | by a column |
+//! | [`gcode`] | G-code with inverse time or feed | no, lines that are joined | by digital output 0 |
+//! | `csv` | table of the motion | yes | by a column |
 //!
 //! Only this crate and `planish-import` convert units.
 
-pub mod csv;
-pub mod galil;
+mod csv;
+mod galil;
 pub mod gcode;
+pub mod generate;
 mod header;
 pub mod limits;
+mod nodes;
 pub mod pmac;
 mod preamble;
-pub mod quantise;
-pub mod table;
-pub mod xps;
+mod slowed;
+mod velocities;
+mod xps;
 
-use planish_types::{Invalid, Machine, Trajectory, TransformNumbers};
+use planish_types::{
+    ControllerKind, ControllerModel, Invalid, Machine, Trajectory, TransformNumbers,
+};
 use serde::Serialize;
 
 use crate::{
-    limits::{Between, Proof},
-    quantise::{Quanta, Quantised, quantise},
-    table::Table,
+    generate::{Nodes, generate},
+    limits::Proof,
 };
 
 /// Which controller, with its settings.
@@ -47,28 +47,59 @@ use crate::{
 #[serde(tag = "controller", rename_all = "kebab-case")]
 pub enum Controller {
     /// Galil DMC.
-    Galil(galil::Settings),
+    Galil,
     /// Newport XPS.
-    Xps(xps::Settings),
+    Xps,
     /// PMAC.
     Pmac(pmac::Settings),
     /// G-code.
     Gcode(gcode::Settings),
     /// Table.
-    Csv(csv::Settings),
+    Csv,
+}
+
+impl Controller {
+    /// The kind, by which a machine file states the grids of the controller.
+    pub fn kind(&self) -> ControllerKind {
+        match self {
+            Self::Galil => ControllerKind::Galil,
+            Self::Xps => ControllerKind::Xps,
+            Self::Pmac(_) => ControllerKind::Pmac,
+            Self::Gcode(_) => ControllerKind::Gcode,
+            Self::Csv => ControllerKind::Csv,
+        }
+    }
 }
 
 /// What every program is made with.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Common {
-    /// Size of a count of (x, y), mm.
-    pub count_mm: [f64; 2],
-    /// Longest time between two lines, s: longer segments are split on their cubic. Absent: what the
-    /// controller allows.
+    /// Size of a count of (x, y), mm. Absent: that of the machine's controller.
+    pub count_mm: Option<[f64; 2]>,
+    /// Clock, s. Absent: that of the machine's controller.
+    pub tick_s: Option<f64>,
+    /// Longest segment, s. Absent: what the controller allows.
     pub max_step_s: Option<f64>,
+    /// Largest distance of the program's path from the plan's, mm. Smaller: more segments.
+    pub path_deviation_mm: f64,
     /// Whether a motion that lifts the tool may go to a controller whose program cannot switch it;
     /// the tool then stays on.
     pub always_on: bool,
+}
+
+/// Largest distance of the program's path from the plan's by default, mm: a hundredth of the pixels of a fine map.
+pub const PATH_DEVIATION_MM: f64 = 0.005;
+
+impl Default for Common {
+    fn default() -> Self {
+        Self {
+            count_mm: None,
+            tick_s: None,
+            max_step_s: None,
+            path_deviation_mm: PATH_DEVIATION_MM,
+            always_on: false,
+        }
+    }
 }
 
 /// What the header says besides the numbers.
@@ -137,13 +168,10 @@ pub struct About {
     /// The least time that a full buffer lasts, s: the host must add lines faster than that.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_lasts_s: Option<f64>,
-    /// Largest difference between a position and its counts, mm.
-    pub rounding_mm: [f64; 2],
-    /// Largest difference between a time and its ticks, s.
-    pub rounding_s: f64,
-    /// Of a program of straight lines, its largest distance from the plan at equal times, mm.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub from_straight_mm: Option<f64>,
+    /// Largest distance of the executed path from the plan's, mm.
+    pub path_deviation_mm: f64,
+    /// Time that the program takes longer than the plan, s.
+    pub added_time_s: f64,
     /// What is proven of the motion that the controller executes.
     pub limits: Proof,
     /// What the user should know.
@@ -152,8 +180,8 @@ pub struct About {
     pub program_blake3: String,
 }
 
-/// Distance of straight lines from the plan at equal times that is worth a warning, mm: as far as corners are rounded.
-const WARNED_FROM_STRAIGHT_MM: f64 = 0.02;
+/// Part of the plan's time that a program may add without a warning: the plan was made for other limits then.
+const WARNED_ADDED: f64 = 0.03;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
 pub fn program(
@@ -170,13 +198,14 @@ pub fn program(
             "give a positive time in s",
         ));
     }
-    let job = Job { trajectory, machine, common, origin };
+    let grids = machine.controller_for(controller.kind()).with(common.tick_s, common.count_mm)?;
+    let job = Job { trajectory, machine, common, origin, grids };
     let (text, mut about) = match controller {
-        Controller::Galil(settings) => galil::write(&job, settings),
-        Controller::Xps(settings) => xps::write(&job, settings),
+        Controller::Galil => galil::write(&job),
+        Controller::Xps => xps::write(&job),
         Controller::Pmac(settings) => pmac::write(&job, settings),
         Controller::Gcode(settings) => gcode::write(&job, settings),
-        Controller::Csv(settings) => csv::write(&job, settings),
+        Controller::Csv => csv::write(&job),
     }?;
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
     Ok(Program { text, about })
@@ -188,18 +217,13 @@ struct Job<'a> {
     machine: &'a Machine,
     common: &'a Common,
     origin: &'a Origin,
+    grids: ControllerModel,
 }
 
 /// What a controller can do.
 struct Abilities {
-    controller: &'static str,
-    /// What a time is rounded to, s.
-    tick_s: f64,
-    /// Ticks of a segment, least and most.
-    ticks: [i64; 2],
-    /// Unit of the velocity of (x, y), mm/s.
-    velocity_mm_per_s: [f64; 2],
-    between: Between,
+    /// Most ticks of a segment.
+    most_ticks: i64,
     tool: Tool,
     approach: Approach,
 }
@@ -219,20 +243,20 @@ enum Tool {
 }
 
 impl Job<'_> {
-    /// The table in counts and ticks, within the abilities of the controller.
-    fn quantised(&self, can: Abilities) -> Result<(Quantised, About), Invalid> {
+    /// The nodes of the program, within the abilities of the controller.
+    fn nodes(&self, can: Abilities) -> Result<(Nodes, About), Invalid> {
         limits::check_plan(self.trajectory, self.machine)?;
         self.trajectory.check_rate_is_constant()?;
+        let name = self.grids.kind.name();
         let mut warnings = Vec::new();
+        let follows_tool = matches!(can.tool, Tool::Switched(_));
         let tool = match can.tool {
             Tool::Switched(how) => how,
             Tool::LeftToTheHost(who) => {
                 if self.trajectory.tool_on().iter().any(|on| !on) {
                     if !self.common.always_on {
-                        let problem = format!(
-                            "is 0 somewhere; a {} program cannot switch the tool",
-                            can.controller
-                        );
+                        let problem =
+                            format!("is 0 somewhere; a {name} program cannot switch the tool");
                         let remedy = "give `always_on` (the tool then removes there too), or use gcode, csv, \
                                       or pmac with `tool_output`";
                         return Err(Invalid::whole("tool_on", problem, remedy));
@@ -244,56 +268,77 @@ impl Job<'_> {
                 who.into()
             }
         };
-        // A segment that is rounded up by a tick must still fit.
-        let longest = (can.ticks[1] - 1) as f64 * can.tick_s;
-        let (step_s, remedy) = match self.common.max_step_s {
-            Some(step_s) if step_s < longest => (step_s, "give a longer `max_step_s`"),
-            _ => (longest, "give a larger tick"),
+        let tick_s = self.grids.tick_s;
+        // Fewer than one are a step that no segment is as short as; the generator refuses it.
+        let most_ticks = match self.common.max_step_s {
+            Some(step_s) => (step_s / tick_s).floor().min(can.most_ticks as f64) as i64,
+            None => can.most_ticks,
         };
-        let table = Table::of(self.trajectory, step_s, remedy)?;
-        let quanta = Quanta {
-            count_mm: self.common.count_mm,
-            tick_s: can.tick_s,
-            velocity_mm_per_s: can.velocity_mm_per_s,
+        if most_ticks < 1 {
+            let problem = format!("is shorter than one tick of {tick_s} s");
+            let array = if can.most_ticks < 1 { "longest segment" } else { "max_step_s" };
+            let remedy = "give a longer `max_step_s`, or a smaller tick";
+            return Err(Invalid::whole(array, problem, remedy));
+        }
+        let settings = generate::Settings {
+            controller: self.grids,
+            most_ticks,
+            path_deviation_mm: self.common.path_deviation_mm,
+            follows_tool,
         };
-        let q = quantise(&table, &quanta, can.ticks)?;
-        let proof = limits::prove(&q, self.machine.limits(), can.between)?;
-        warnings
-            .extend(proof.largest.iter().filter(|p| p.excess > 0.0).map(limits::Peak::sentence));
-        let from_straight_mm = (can.between == Between::Straight).then_some(table.from_straight_mm);
-        if let Some(mm) = from_straight_mm.filter(|mm| *mm > WARNED_FROM_STRAIGHT_MM) {
+        let nodes = generate(self.trajectory, self.machine, &settings)?;
+        let n = nodes.segments();
+        if let Some(most) = self.grids.max_segments.filter(|most| n > *most) {
+            let problem = format!("has {n} segments, the controller takes {most}");
+            let remedy = "give a larger `path_deviation_mm`, or plan fewer lines in one run";
+            return Err(Invalid::whole("program", problem, remedy));
+        }
+        let proof = limits::prove(&nodes, self.machine)?;
+        let plan_s = self.trajectory.total_time_s();
+        if nodes.added_s > WARNED_ADDED * plan_s {
             warnings.push(format!(
-                "straight lines in the plan's times are up to {mm:.3} mm from where the plan is then: give a shorter \
-                 `max_step_s`, or simulate the program"
+                "the program takes {:.3} s, {:.1} % longer than the plan: the plan asks for more than this controller \
+                 can be told; simulate the program",
+                nodes.time_s(n),
+                100.0 * nodes.added_s / plan_s
             ));
         }
-        let n = q.ticks.len() - 1;
         let about = About {
-            controller: can.controller,
+            controller: name,
             machine: self.machine.name().into(),
             made_from: self.origin.made_from.clone(),
             made_by: self.origin.made_by.clone(),
             part_to_axes: self.origin.part_to_axes,
             was_on_axes: self.origin.was_on_axes,
-            start_mm: q.position_mm(0),
-            count_mm: self.common.count_mm,
+            start_mm: nodes.position_mm(0),
+            count_mm: self.grids.count_mm,
             sample_s: None,
             tool,
-            preamble: preamble::sentences(&q, self.machine, self.origin, &proof, &can.approach),
+            preamble: preamble::sentences(self.machine, self.origin, &proof, &can.approach),
             feedrate_time_unit_s: None,
-            tick_s: can.tick_s,
+            tick_s,
             segments: n,
-            total_time_s: q.time_s(n),
+            total_time_s: nodes.time_s(n),
             buffer_segments: None,
             buffer_lasts_s: None,
-            rounding_mm: q.rounding_mm,
-            rounding_s: q.rounding_s,
-            from_straight_mm,
+            path_deviation_mm: nodes.deviation_mm,
+            added_time_s: nodes.added_s,
             limits: proof,
             warnings,
             program_blake3: String::new(),
         };
-        Ok((q, about))
+        Ok((nodes, about))
+    }
+
+    /// The tick, where a text with nine decimals of a second can hold it.
+    fn tick(&self) -> Result<f64, Invalid> {
+        const SMALLEST_S: f64 = 1e-9;
+        let tick_s = positive("tick_s", self.grids.tick_s)?;
+        if tick_s < SMALLEST_S {
+            let problem = format!("is {tick_s}, a program has nine decimals of a second");
+            return Err(Invalid::whole("tick_s", problem, "give a larger tick"));
+        }
+        Ok(tick_s)
     }
 }
 
@@ -310,17 +355,5 @@ fn positive(name: &'static str, v: f64) -> Result<f64, Invalid> {
         Ok(v)
     } else {
         Err(Invalid::whole(name, format!("is {v}"), "give a positive number"))
-    }
-}
-
-/// A tick that the nine decimals of a time in s can hold.
-fn tick(tick_s: f64) -> Result<f64, Invalid> {
-    const SMALLEST_S: f64 = 1e-9;
-    match positive("tick_s", tick_s)? {
-        tick_s if tick_s >= SMALLEST_S => Ok(tick_s),
-        _ => {
-            let problem = format!("is {tick_s}, a program has nine decimals of a second");
-            Err(Invalid::whole("tick_s", problem, "give a larger tick"))
-        }
     }
 }

@@ -2,40 +2,17 @@
 //!
 //! Two motions are looked at.
 //!
-//! 1. The plan ([`check_plan`]): the trajectory as it is. Its velocity, acceleration and jerk on the
-//!    whole of every segment, its steps in position and velocity (from rest, to rest), and with a limit
-//!    on jerk its steps in acceleration keep the limits to rounding.
-//! 2. What the controller executes ([`prove`]): the cubic through the rounded positions and velocities
-//!    in the rounded time (or the straight line in that time). Rounding moves the plan, so this motion
-//!    may exceed a limit that the plan uses fully, by what the rounding explains and no more:
-//!
-//! ```text
-//! m = d / h                               mean velocity of a segment: distance by time
-//! dm = (c + |m| t) / (h - t)              c: a count,  t: a tick,  dv: rounding of a velocity
-//!
-//! v(s)    = (1 - 4 s + 3 s^2) v0 + (3 s^2 - 2 s) v1 + 6 s (1 - s) m            0 <= s <= 1
-//! a(s) h  = 6 m (1 - 2 s) - (4 - 6 s) v0 - (2 - 6 s) v1
-//! j h^2   = 6 (v0 + v1 - 2 m)
-//!
-//! velocity      1.5 dm + dv
-//! acceleration  (6 dm + 6 dv + |a| t) / (h - t)
-//! jerk          (12 dm + 12 dv + |j| t (2 h + t)) / (h - t)^2
-//! ```
-//!
-//! Each line is the sum of the moduli of the derivatives above it. Beyond [`MOST_EXCESS`] of a limit the
-//! program is refused whatever explains it.
-//!
-//! | symbol | variable | unit |
-//! |---|---|---|
-//! | d, h | `distance`, `time_s` | mm, s |
-//! | m, dm | `mean`, `mean_error` | mm/s |
-//! | c, t, dv | `Rounding` | mm, s, mm/s |
+//! 1. The plan ([`check_plan`]): the trajectory as it is. Its velocity, acceleration and jerk on the whole of every
+//!    segment, its steps in position and velocity (from rest, to rest), and with a limit on jerk its steps in
+//!    acceleration keep the limits to rounding. Its segments may be shorter than those of the controller.
+//! 2. The motion that the controller executes ([`prove`]): the cubics through the rounded positions and velocities at
+//!    the rounded times, or the joined lines. It keeps every limit and the travel of the axes.
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
-use planish_types::{AxisLimits, Invalid, Limits, Machine, Trajectory};
+use planish_types::{AxisLimits, Interpolation, Invalid, Machine, Trajectory};
 use serde::Serialize;
 
-use crate::quantise::Quantised;
+use crate::generate::Nodes;
 
 /// Part of a limit that is rounding of the plan's own numbers: a schedule that uses a limit fully
 /// reaches it to some 1e-10, and no drive resolves 1e-9 of its limit.
@@ -46,40 +23,35 @@ const LIMIT_ROUNDING: f64 = 1e-9;
 pub(crate) const STEP_MM: f64 = 1e-6;
 const STEP_MM_PER_S: f64 = 1e-6;
 
+/// A position leaves its travel beyond this, mm: the rounding of a coordinate.
+const TRAVEL_MM: f64 = 1e-9;
+
+const REMEDY_OF_TRAVEL: &str =
+    "move the part (part_origin_mm of the machine), or plan with a smaller overscan";
+
 /// Part of the largest acceleration up to which a step in it is rounding.
 const ACCELERATION_STEP: f64 = 1e-6;
-
-/// Most of a limit that rounding may add to it. Limits are stated to two digits (250 mm/s,
-/// 2000 mm/s^2); half of the second one, 5 percent, is within the statement.
-pub const MOST_EXCESS: f64 = 0.05;
 
 /// Coefficients and times beyond this are refused, so that their products stay finite.
 const LARGEST_NUMBER: f64 = 1e60;
 
-/// What the controller does between two ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Between {
-    /// The cubic through positions and velocities.
-    Cubic,
-    /// A straight line at constant speed, which its planner joins to the next one.
-    Straight,
-}
-
-/// What is proven of a program, for the file beside it.
+/// A proof, with the largest values that the program asks for.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Proof {
-    /// What holds for the motion that the controller executes.
+    /// Sentence on what holds for the executed motion.
     pub proven: &'static str,
-    /// What is left to the controller.
+    /// Sentence on what this does not say.
     pub not_proven: &'static str,
     /// The largest values that the program asks for, with their limits.
     pub largest: Vec<Peak>,
+    /// Lowest and highest position of (x, y) on the whole motion, mm.
+    pub reach_mm: [[f64; 2]; 2],
 }
 
 /// The largest magnitude of a quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peak {
-    /// What, along which axis.
+    /// Quantity and axis.
     pub quantity: String,
     /// Unit of the numbers.
     pub unit: &'static str,
@@ -87,22 +59,8 @@ pub struct Peak {
     pub value: f64,
     /// Limit of the machine.
     pub limit: f64,
-    /// Part of the limit by which rounding exceeds it; 0 where it is kept.
-    pub excess: f64,
     /// Segment of the program where it occurs.
     pub segment: usize,
-}
-
-impl Peak {
-    /// "x acceleration of 2003 mm/s^2 in segment 12 exceeds the limit of 2000 mm/s^2 by 0.15 %".
-    pub fn sentence(&self) -> String {
-        let Self { quantity, unit, value, limit, excess, segment } = self;
-        let percent = 100.0 * excess;
-        format!(
-            "{quantity} of {value:.6} {unit} in segment {segment} is {percent:.3} % beyond the limit of \
-             {limit} {unit}: that is what rounding to counts and ticks adds"
-        )
-    }
 }
 
 /// Refuses a plan that does not keep the limits of `machine` or leaves its travel; names the worst place.
@@ -111,11 +69,6 @@ pub fn check_plan(trajectory: &Trajectory, machine: &Machine) -> Result<(), Inva
     check_travel(trajectory, machine)?;
     let machine = machine.limits();
     let mut worst = Worst::default();
-    for (i, segment) in trajectory.segments().enumerate() {
-        // The duration is the difference of two rounded times.
-        let rounding_s = 2.0 * f64::EPSILON * (segment.start_s.abs() + segment.duration_s);
-        worst.least(i, segment.duration_s, machine.min_segment_s(), rounding_s);
-    }
     for (axis, limits) in machine.axes().iter().enumerate() {
         // [position, velocity, acceleration] before a break; at rest before the first.
         let mut before: Option<[f64; 3]> = None;
@@ -136,7 +89,7 @@ pub fn check_plan(trajectory: &Trajectory, machine: &Machine) -> Result<(), Inva
     worst.verdict(machine.name())
 }
 
-/// Refuses a motion that goes where the axes cannot; what the controller's rounding adds is less than a count.
+/// Refuses a motion that goes where the axes cannot.
 fn check_travel(trajectory: &Trajectory, machine: &Machine) -> Result<(), Invalid> {
     for (axis, travel) in machine.travel_mm().iter().enumerate() {
         let Some([low, high]) = *travel else { continue };
@@ -151,75 +104,69 @@ fn check_travel(trajectory: &Trajectory, machine: &Machine) -> Result<(), Invali
             let problem = format!(
                 "{name} reaches {position:.4} mm, {beyond:.4} mm beyond its travel from {low} to {high} mm"
             );
-            let remedy =
-                "move the part (part_origin_mm of the machine), or plan with a smaller overscan";
-            return Err(Invalid::at("segment", i, problem, remedy));
+            return Err(Invalid::at("segment", i, problem, REMEDY_OF_TRAVEL));
         }
     }
     Ok(())
 }
 
-/// Proves the limits of `machine` for the rounded motion.
-pub fn prove(q: &Quantised, machine: &Limits, between: Between) -> Result<Proof, Invalid> {
+/// Proves the limits and the travel of `machine` for the motion that the controller executes.
+pub fn prove(nodes: &Nodes, machine: &Machine) -> Result<Proof, Invalid> {
     let mut peaks = Peaks::default();
-    for k in 0..q.tool_on.len() {
-        let time_s = q.time_s(k + 1) - q.time_s(k);
-        if machine.min_segment_s() > 0.0 {
-            let least = machine.min_segment_s();
+    let limits = machine.limits();
+    let least_s = limits.min_segment_s();
+    if least_s > 0.0 {
+        for k in 0..nodes.segments() {
             let what = What { slot: DURATION, axis: "shortest", name: "duration", unit: "s" };
-            // Half a tick is lost at both ends.
-            let explained = q.quanta.tick_s / least;
-            peaks.take(k, &what, time_s, least, 1.0 - time_s / least, explained)?;
+            let time_s = nodes.duration(k) as f64 * nodes.tick_s;
+            peaks.take(k, &what, time_s, least_s, least_s / time_s)?;
         }
-        for (axis, limits) in machine.axes().iter().enumerate() {
-            let rounding = Rounding::of(q, axis, limits);
-            let distance = q.position_mm(k + 1)[axis] - q.position_mm(k)[axis];
-            let v = [q.velocity_mm_per_s[k][axis], q.velocity_mm_per_s[k + 1][axis]];
-            let c = match between {
-                Between::Cubic => hermite(distance, v, time_s),
-                Between::Straight => [0.0, distance / time_s, 0.0, 0.0],
-            };
-            let orders = derivatives(&c);
-            let mean = distance.abs() / time_s;
+    }
+    let mut reach_mm = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+    for piece in nodes.pieces() {
+        for (axis, limits) in limits.axes().iter().enumerate() {
+            let orders = derivatives(&piece.coefficient_mm[axis]);
+            let r = range(&orders[0], piece.time_s);
+            let [low, high] = &mut reach_mm[axis];
+            (*low, *high) = (low.min(r.min), high.max(r.max));
             for (order, (name, unit, limit, c)) in limited(limits, &orders).enumerate() {
-                // A straight line has a velocity; its corners are the planner's.
-                if between == Between::Straight && order > 0 {
+                // The acceleration of joined lines has steps.
+                if nodes.interpolation == Interpolation::Linear && order > 1 {
                     break;
                 }
-                let value = range(c, time_s).peak().0;
-                let explained = rounding.explains(order, mean, time_s, value);
+                let value = range(c, piece.time_s).peak().0;
                 let what = What { slot: 3 * axis + order, axis: limits.name(), name, unit };
-                let excess = value / limit - 1.0;
-                peaks.take(k, &what, value, limit, excess, explained / limit)?;
+                peaks.take(piece.segment, &what, value, limit, value / limit)?;
             }
         }
     }
-    let (proven, not_proven) = match between {
-        Between::Cubic => (
-            "position and velocity are continuous, at rest at start and end; velocity, acceleration, jerk \
-             (where the machine limits it) and the least duration hold on the whole of every segment",
-            "the steps in acceleration between two segments, where the machine limits no jerk; the \
-             servo loop; the move to the start",
+    for (axis, travel) in machine.travel_mm().iter().enumerate() {
+        let Some([from, to]) = *travel else { continue };
+        let [low, high] = reach_mm[axis];
+        let beyond = (from - low).max(high - to);
+        if exceeds(beyond, TRAVEL_MM) {
+            let name = limits.axes()[axis].name();
+            let problem = format!(
+                "{name} goes from {low:.6} to {high:.6} mm, {beyond:.6} mm beyond its travel from {from} to {to} mm"
+            );
+            return Err(Invalid::whole("program", problem, REMEDY_OF_TRAVEL));
+        }
+    }
+    let (proven, not_proven) = match nodes.interpolation {
+        Interpolation::Hermite => (
+            "position and velocity are continuous, at rest at start and end; position within the travel, velocity, \
+             acceleration, jerk (where the machine limits it) and the least duration hold on the whole of every segment",
+            "the steps in acceleration between two segments; the servo loop; the move to the start",
         ),
-        Between::Straight => (
-            "the plan keeps all limits of the machine; the nominal velocity of every line and its least \
-             duration hold",
-            "the steps in velocity between two lines: the controller's planner rounds the corners within \
-             its own limits and may take longer; the move to the start",
+        Interpolation::Linear => (
+            "joined by parabolas over the halves of the shorter lines beside a node, the lines are a motion with \
+             continuous velocity, at rest before and after; its position within the travel, velocity and acceleration, \
+             and the least duration of a line hold everywhere",
+            "the planner of the controller, which may join lines otherwise and take longer; jerk; the servo loop; the \
+             move to the start",
         ),
     };
-    Ok(Proof { proven, not_proven, largest: peaks.0.into_iter().flatten().collect() })
-}
-
-/// The cubic (position from 0) over `distance` in `time_s` with the velocities `v` at its ends.
-fn hermite(distance: f64, v: [f64; 2], time_s: f64) -> [f64; 4] {
-    let mean = distance / time_s;
-    [
-        0.0,
-        v[0],
-        (3.0 * mean - 2.0 * v[0] - v[1]) / time_s,
-        (v[0] + v[1] - 2.0 * mean) / (time_s * time_s),
-    ]
+    Ok(Proof { proven, not_proven, largest: peaks.0.into_iter().flatten().collect(), reach_mm })
 }
 
 /// p, p', p'', p'''.
@@ -244,46 +191,6 @@ fn limited<'a>(
     ]
     .into_iter()
     .chain(jerk)
-}
-
-/// What rounding does to one axis.
-struct Rounding {
-    /// Error of a distance: a count, and what a plan's position may jump, mm.
-    distance_mm: f64,
-    /// Error of a time: a tick, s.
-    time_s: f64,
-    /// Error of a velocity: its unit, and what a plan's velocity may jump, mm/s.
-    velocity_mm_per_s: f64,
-}
-
-impl Rounding {
-    fn of(q: &Quantised, axis: usize, limits: &AxisLimits) -> Self {
-        let quanta = &q.quanta;
-        Self {
-            distance_mm: quanta.count_mm[axis] + STEP_MM,
-            time_s: quanta.tick_s,
-            velocity_mm_per_s: quanta.velocity_mm_per_s[axis] + velocity_step(limits),
-        }
-    }
-
-    /// By how much a quantity (order 0: velocity, 1: acceleration, 2: jerk) that is `value` now can
-    /// differ from its plan; see the formulas above.
-    fn explains(&self, order: usize, mean: f64, time_s: f64, value: f64) -> f64 {
-        let (t, dv) = (self.time_s, self.velocity_mm_per_s);
-        let planned_s = time_s - t;
-        if planned_s <= 0.0 {
-            return f64::INFINITY;
-        }
-        let mean_error = (self.distance_mm + mean * t) / planned_s;
-        match order {
-            0 => 1.5 * mean_error + dv,
-            1 => (6.0 * mean_error + 6.0 * dv + value * t) / planned_s,
-            _ => {
-                let whole = 12.0 * mean_error + 12.0 * dv + value * t * (2.0 * time_s + t);
-                whole / (planned_s * planned_s)
-            }
-        }
-    }
 }
 
 /// Whether `value` is beyond `limit`; what is not a number is beyond every limit.
@@ -311,40 +218,32 @@ const DURATION: usize = 6;
 struct Peaks([Option<Peak>; DURATION + 1]);
 
 impl Peaks {
-    /// `value` of segment `segment` is beyond `limit` by the part `excess` of it, of which rounding
-    /// explains the part `explained`.
+    /// `value` of segment `segment` uses the part `used` of `limit`.
     fn take(
         &mut self,
         segment: usize,
         what: &What,
         value: f64,
         limit: f64,
-        excess: f64,
-        explained: f64,
+        used: f64,
     ) -> Result<(), Invalid> {
         let quantity = || format!("{} {}", what.axis, what.name);
         let unit = what.unit;
-        if exceeds(excess, LIMIT_ROUNDING + explained.min(MOST_EXCESS)) {
+        if exceeds(used, 1.0 + LIMIT_ROUNDING) {
             let problem = format!(
-                "{} is {value:.6} {unit}, {:.2} % beyond the limit of {limit} {unit}; rounding to counts \
-                 and ticks explains {:.2} %, and {:.0} % is the most",
-                quantity(),
-                100.0 * excess,
-                100.0 * explained,
-                100.0 * MOST_EXCESS,
+                "{} is {value:.6} {unit} in the program, the limit is {limit} {unit}",
+                quantity()
             );
-            let remedy =
-                "give a smaller count or tick, or plan with lower limits or longer dwell times";
+            let remedy = "give a smaller count or tick, or plan with lower limits";
             return Err(Invalid::at("segment", segment, problem, remedy));
         }
-        let excess = if excess <= LIMIT_ROUNDING { 0.0 } else { excess };
         let slot = &mut self.0[what.slot];
         let beyond = slot.as_ref().is_none_or(|old| match what.slot {
             DURATION => value < old.value,
             _ => value > old.value,
         });
         if beyond {
-            *slot = Some(Peak { quantity: quantity(), unit, value, limit, excess, segment });
+            *slot = Some(Peak { quantity: quantity(), unit, value, limit, segment });
         }
         Ok(())
     }
@@ -378,15 +277,6 @@ impl Worst {
                     "{axis} {name} reaches {value:.6} {unit} after {at_s:.6} s, the limit is {limit} {unit}"
                 );
                 Invalid::at("segment", i, problem, REMEDY)
-            });
-        }
-    }
-
-    fn least(&mut self, i: usize, time_s: f64, limit_s: f64, rounding_s: f64) {
-        if time_s < limit_s * (1.0 - LIMIT_ROUNDING) - rounding_s {
-            self.add(limit_s / time_s, || {
-                let problem = format!("lasts {time_s} s, the machine wants {limit_s} s at least");
-                Invalid::at("segment", i, problem, "plan longer dwell times")
             });
         }
     }

@@ -25,10 +25,7 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{
-    Abilities, About, Approach, Job, Tool, decimal, header::Comment, limits::Between, positive,
-    tick,
-};
+use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, positive};
 
 /// Longest segment, s.
 const LONGEST_S: f64 = 4.095_999_8;
@@ -43,14 +40,10 @@ const COMMENT: Comment = Comment { open: "; ", close: "", line: 80 };
 
 /// Decimals of a position in mm, and of a velocity in mm/s.
 const DIGITS: usize = 9;
-/// The last of them, of a velocity.
-const VELOCITY_MM_PER_S: f64 = 1e-9;
 
 /// How a motion program is written.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What a time is rounded to, s.
-    pub tick_s: f64,
     /// Unit of time of the velocities, s: Isx90 in ms over 1000.
     pub feedrate_time_unit_s: f64,
     /// M-variable that switches the tool, 1 being on; absent where the program does not switch it.
@@ -59,12 +52,12 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { tick_s: 1e-3, feedrate_time_unit_s: 1.0, tool_output: None }
+        Self { feedrate_time_unit_s: 1.0, tool_output: None }
     }
 }
 
 pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
-    let tick_s = tick(settings.tick_s)?;
+    let tick_s = job.tick()?;
     let unit_s = positive("feedrate_time_unit_s", settings.feedrate_time_unit_s)?;
     let most = (LONGEST_S / tick_s).floor();
     // A little less is the rounding of a number that was typed.
@@ -83,6 +76,11 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
     if most < 2.0 {
         let problem = format!("is {tick_s}, a segment takes {LONGEST_S} s at most");
         return Err(Invalid::whole("tick_s", problem, "give a smaller tick"));
+    }
+    if job.grids.switches_tool && settings.tool_output.is_none() {
+        let problem =
+            "is not given, and the machine file says that the controller switches the tool";
+        return Err(Invalid::whole("tool_output", problem, "give the M-variable of the output"));
     }
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(
@@ -103,15 +101,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
             "go to the start, tool off: positions are absolute, from elsewhere the first segment is a leap",
         ),
     };
-    let (q, mut about) = job.quantised(Abilities {
-        controller: "pmac",
-        tick_s,
-        ticks: [1, most as i64],
-        velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
-        between: Between::Cubic,
-        tool,
-        approach,
-    })?;
+    let (q, mut about) = job.nodes(Abilities { most_ticks: most as i64, tool, approach })?;
     about.feedrate_time_unit_s = Some(unit_s);
     let units = format!("mm, mm per {unit_s} s with Isx90 = {}, ms", decimal(unit_s * 1e3, 6));
     // A velocity per millisecond needs three more.

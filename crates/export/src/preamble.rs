@@ -5,14 +5,13 @@
 
 use planish_types::{Machine, Transform};
 
-use crate::{Approach, Origin, decimal, limits::Proof, quantise::Quantised};
+use crate::{Approach, Origin, decimal, limits::Proof};
 
 /// Decimals of a position in mm.
 const DIGITS: usize = 4;
 
 /// One sentence per line of a header, without the brackets and semicolons that end a comment somewhere.
 pub(crate) fn sentences(
-    q: &Quantised,
     machine: &Machine,
     origin: &Origin,
     proof: &Proof,
@@ -28,9 +27,7 @@ pub(crate) fn sentences(
         lines.push(place(transform));
     }
     for (axis, limits) in axes.iter().enumerate() {
-        let along = || q.counts.iter().map(|c| c[axis]);
-        let [low, high] = [along().min(), along().max()]
-            .map(|c| c.unwrap_or_default() as f64 * q.quanta.count_mm[axis]);
+        let [low, high] = proof.reach_mm[axis];
         let travel = match machine.travel_mm()[axis] {
             Some([from, to]) => format!("its travel is {from} to {to} mm"),
             None => "the machine file states no travel".into(),

@@ -14,37 +14,16 @@
 //! length of a line is stated; a line here has up to 100 characters.
 
 use planish_types::Invalid;
-use serde::Serialize;
 
-use crate::{Abilities, About, Approach, Job, Tool, decimal, limits::Between, tick};
+use crate::{Abilities, About, Approach, Job, Tool, decimal};
 
 /// Decimals of a distance in mm, a velocity in mm/s and a time in s.
 const DIGITS: usize = 9;
-/// The last of them, of a velocity.
-const VELOCITY_MM_PER_S: f64 = 1e-9;
 
-/// How a trajectory file is written.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Settings {
-    /// What a time is rounded to, s.
-    pub tick_s: f64,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        // The servo cycle.
-        Self { tick_s: 1e-4 }
-    }
-}
-
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
-    let tick_s = tick(settings.tick_s)?;
-    let (q, about) = job.quantised(Abilities {
-        controller: "xps",
-        tick_s,
-        ticks: [1, i64::MAX >> 10],
-        velocity_mm_per_s: [VELOCITY_MM_PER_S; 2],
-        between: Between::Cubic,
+pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
+    let tick_s = job.tick()?;
+    let (q, about) = job.nodes(Abilities {
+        most_ticks: i64::MAX >> 10,
         tool: Tool::LeftToTheHost(
             "the file cannot switch it: the host switches it, or events of the controller (start and end \
              of the trajectory) that the host configures",
@@ -62,7 +41,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         let velocity = q.velocity_mm_per_s[k + 1];
         text += &decimal(q.duration(k) as f64 * tick_s, DIGITS);
         for axis in 0..2 {
-            let d = distance[axis] as f64 * job.common.count_mm[axis];
+            let d = distance[axis] as f64 * job.grids.count_mm[axis];
             text += &format!(", {}, {}", decimal(d, DIGITS), decimal(velocity[axis], DIGITS));
         }
         text.push('\n');

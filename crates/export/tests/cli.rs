@@ -46,6 +46,37 @@ impl Bench {
         fs::write(self.path("m.json"), machine.to_string()).unwrap();
     }
 
+    /// A manifest that says which machine file the motion was made with, as a scheduler writes it.
+    fn made_for(&self, machine: &[u8]) {
+        let array = |name: &str, dtype: &str, shape: &[usize], axes: &[&str], unit: &str| {
+            let file = format!("{name}.npy");
+            let hash = blake3::hash(&fs::read(self.path("t").join(&file)).unwrap()).to_hex();
+            let record = json!({
+                "file": file, "dtype": dtype, "shape": shape, "axes": axes, "unit": unit,
+                "blake3": hash.as_str(),
+            });
+            (name.to_string(), record)
+        };
+        let arrays: serde_json::Map<String, Value> = [
+            array("break_time_s", "<f8", &[3], &["break"], "s"),
+            array("coefficient_mm", "<f8", &[2, 2, 4], &["segment", "x|y", "order"], "mm/s^order"),
+            array("dwell_index", "<i8", &[2], &["segment"], "1"),
+            array("tool_on", "|u1", &[2], &["segment"], "1"),
+        ]
+        .into_iter()
+        .collect();
+        let hash = blake3::hash(machine).to_hex();
+        let manifest = json!({
+            "kind": "trajectory", "version": 1, "tool": "planish-schedule", "tool_version": "0.1.0",
+            "method": "pvt", "command": "planish-schedule pvt", "key": "0",
+            "frame": "part coordinates; the last axis is [x, y]", "settings": {},
+            "inputs": [{ "role": "machine", "path": "m.json", "kind": "file", "blake3": hash.as_str() }],
+            "lineage": [{ "kind": "machine", "blake3": hash.as_str() }],
+            "outcome": { "status": "done" }, "arrays": arrays,
+        });
+        fs::write(self.path("t/manifest.json"), manifest.to_string()).unwrap();
+    }
+
     fn path(&self, name: impl AsRef<Path>) -> PathBuf {
         self.tmp.path().join(name)
     }
@@ -87,11 +118,11 @@ impl Bench {
 #[test]
 fn the_program_and_what_it_is() {
     let bench = Bench::simple();
-    let flags = ["--count-mm", "0.001,0.01", "--always-on"];
+    let flags = ["--count-mm", "0.001,0.002", "--always-on"];
     let (text, about) = bench.done("pmac", "t", &flags);
     assert!(text.contains("; made from: trajectory t, BLAKE3 "), "{text}");
     assert_eq!(about["start_mm"], json!([1.0, -2.0]));
-    assert_eq!(about["count_mm"], json!([0.001, 0.01]));
+    assert_eq!(about["count_mm"], json!([0.001, 0.002]));
     assert_eq!(about["feedrate_time_unit_s"], 1.0);
     assert_eq!(about["program_blake3"], blake3::hash(text.as_bytes()).to_hex().as_str());
     let largest = about["limits"]["largest"].as_array().unwrap();
@@ -113,7 +144,7 @@ fn the_tool_is_off_before_and_after_the_program() {
     let body: Vec<&str> = text.lines().filter(|l| !l.starts_with('(')).collect();
     assert_eq!(body[0], "M65 P0");
     assert!(
-        text.contains("M62 P0\nG1 X2 Y-2 F600\nM65 P0\nG4 P3\nM65 P0\nG94 F60\nM2\n"),
+        text.contains("\nM62 P0\nG1 X") && text.contains("\nM65 P0\nG4 P3\nM65 P0\nG94 F60\nM2\n"),
         "{text}"
     );
     let (text, _) = bench.done("pmac", "t", &["--tool-output", "7"]);
@@ -195,8 +226,17 @@ fn absurd_numbers_are_one_message() {
     let said = bench.refused("galil", &["--always-on", "--sample-s", "1e-9"]);
     assert!(said.contains("sample_s: is 0.000000001, TM goes from 31.25"), "{said}");
     let said = bench.refused("csv", &["--max-step-s", "1e-9"]);
-    assert!(said.contains("program segments: would have 3.1") && said.contains("GiB"), "{said}");
-    for value in ["-1", "NaN", "inf"] {
+    assert!(said.contains("max_step_s: is shorter than one tick of 0.000001 s"), "{said}");
+    let said = bench.refused("csv", &["--max-step-s", "1e-9", "--tick-s", "1e-9"]);
+    assert!(
+        said.contains("min_segment_s: is 0.000001 s, the longest segment 0.000000001 s"),
+        "{said}"
+    );
+    for value in ["0", "-1", "NaN", "inf", "1e-300"] {
+        let said = bench.refused("csv", &["--path-deviation-mm", value]);
+        assert!(said.contains("path_deviation_mm") || said.contains("count_mm"), "{said}");
+    }
+    for value in ["-1", "NaN", "inf", "1e-10"] {
         assert!(
             bench
                 .refused("gcode", &["--path-tolerance-mm", value])
@@ -206,6 +246,22 @@ fn absurd_numbers_are_one_message() {
     assert!(
         bench.refused("pmac", &["--tool-output", "8192"]).contains("the last M-variable is M8191")
     );
+}
+
+/// A plan names the machine file that it was made with; on another one its positions would go to other axes.
+#[test]
+fn a_plan_for_another_machine_is_refused() {
+    let bench = Bench::simple();
+    let (_, about) = bench.done("csv", "t", &[]);
+    assert_eq!(about["segments"], 2);
+    bench.made_for(&fs::read(bench.path("m.json")).unwrap());
+    bench.done("csv", "t", &[]);
+    bench.machine("another");
+    let (code, said) = bench.run("csv", "t", &["--force"]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("was made for another machine file") && said.contains("--other-machine"));
+    let (code, said) = bench.run("csv", "t", &["--force", "--other-machine"]);
+    assert!(code == Some(0) && said.contains("warning: t: was made for another machine"), "{said}");
 }
 
 /// Names are a user's: no line may end or begin something else, and none may be too long.
@@ -218,7 +274,7 @@ fn names_and_paths_stay_within_a_comment() {
     for (controller, open, close, most) in [
         ("galil", "' ", "", 80),
         ("pmac", "; ", "", 80),
-        ("gcode", "(", ")", 255),
+        ("gcode", "(", ")", 252),
         ("csv", "# ", "", 120),
     ] {
         let (text, about) = bench.done(controller, &long, &["--always-on"]);

@@ -2,10 +2,10 @@
 //! both sides are seen: `crates/testkit/tests/programs.rs` reads them back with the reader of
 //! `planish-import`.
 
-use planish_export::{Common, Controller, Origin, csv, galil, gcode, pmac, program, xps};
+use planish_export::{Common, Controller, Origin, gcode, pmac, program};
 use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 
-fn machine(min_segment_s: f64) -> Limits {
+fn machine() -> Limits {
     let axis = |name: &str| MachineFileAxis {
         name: name.into(),
         max_velocity_mm_per_s: 100.0,
@@ -16,21 +16,21 @@ fn machine(min_segment_s: f64) -> Limits {
     MachineFile {
         name: "bench (1)".into(),
         axes: vec![axis("x"), axis("y")],
-        min_segment_s,
         ..MachineFile::default()
     }
     .checked()
     .unwrap()
 }
 
-/// From rest at (1, -2) by 1.00004 mm along x to rest in 0.1 s, then 3 s of standing.
+/// From rest at (1, -2) by 1.00004 mm along x to rest in 0.125 s, then 3 s of standing.
 fn motion(tool_on: [bool; 2]) -> Trajectory {
     let d = 1.00004;
     // 3 d u^2 / T^2 - 2 d u^3 / T^3
-    let x = [1.0, 0.0, 3.0 * d / 0.01, -2.0 * d / 0.001];
+    let t = 0.125;
+    let x = [1.0, 0.0, 3.0 * d / (t * t), -2.0 * d / (t * t * t)];
     let end = [1.0 + d, 0.0, 0.0, 0.0];
     let y = [-2.0, 0.0, 0.0, 0.0];
-    let times = vec![5.0, 5.1, 8.1];
+    let times = vec![5.0, 5.0 + t, 8.0 + t];
     Trajectory::new(times, vec![[x, y], [end, y]], tool_on.to_vec(), vec![Some(0), Some(1)])
         .unwrap()
 }
@@ -41,13 +41,13 @@ fn write(
     common: &Common,
 ) -> Result<String, String> {
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
-    program(trajectory, &machine(0.0).into(), controller, common, &origin)
+    program(trajectory, &machine().into(), controller, common, &origin)
         .map(|p| p.text)
         .map_err(|e| e.to_string())
 }
 
 fn common() -> Common {
-    Common { count_mm: [1e-4; 2], max_step_s: None, always_on: false }
+    Common { count_mm: Some([1e-4; 2]), ..Common::default() }
 }
 
 #[test]
@@ -58,38 +58,41 @@ fn the_text_of_every_controller() {
         let comment = |l: &&str| !["' ", "; ", "# ", "("].iter().any(|c| l.starts_with(c));
         text.lines().filter(comment).collect::<Vec<_>>().join("\n")
     };
-    // 10000.4 counts in 51.2 ticks; 3 s are more than 2048 samples less one tick: two parts.
-    let expected = "PVA=0,0,-1\nPVB=0,0,-1\nPVA=10000,0,102\nPVB=0,0,102\nPVA=0,0,1536\nPVB=0,0,1536\n\
-                    PVA=0,0,1536\nPVB=0,0,1536\nBTAB\nPVA=0,0,0\nPVB=0,0,0";
-    assert_eq!(body(Controller::Galil(galil::Settings::default())), expected);
-    let expected = "0.1, 1, 0, 0, 0\n3, 0, 0, 0, 0";
-    assert_eq!(body(Controller::Xps(xps::Settings::default())), expected);
-    let expected = "ABS\nPVT100\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0";
+    // 10000.4 counts in 64 ticks; 3 s are more than 2048 samples: two parts.
+    let expected = "PVA=0,0,-1\nPVB=0,0,-1\nPVA=10000,0,128\nPVB=0,0,128\nPVA=0,0,2048\nPVB=0,0,2048\n\
+                    PVA=0,0,1024\nPVB=0,0,1024\nBTAB\nPVA=0,0,0\nPVB=0,0,0";
+    assert_eq!(body(Controller::Galil), expected);
+    let expected = "0.125, 1, 0, 0, 0\n3, 0, 0, 0, 0";
+    assert_eq!(body(Controller::Xps), expected);
+    let expected = "ABS\nPVT125\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0";
     assert_eq!(body(Controller::Pmac(pmac::Settings::default())), expected);
     let switched = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
-    let expected = "M7=0\nABS\nRAPID\nX1 Y-2\nDWELL0\nM7==1\nPVT100\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0\nM7==0\nDWELL0";
+    let expected = "M7=0\nABS\nRAPID\nX1 Y-2\nDWELL0\nM7==1\nPVT125\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0\nM7==0\nDWELL0";
     assert_eq!(body(Controller::Pmac(switched)), expected);
-    let expected = "M65 P0\nG21 G90 G17 G40 G49 G94\nG64 P0.001 Q0\nG0 X1 Y-2\nG93\nM62 P0\n\
-                    G1 X2 Y-2 F600\nG4 P3\nM65 P0\nG94 F60\nM2";
-    assert_eq!(body(Controller::Gcode(gcode::Settings::default())), expected);
+    // Lines, then a dwell: the tool switches with the first, and at once after the last.
+    let gcode = body(Controller::Gcode(gcode::Settings::default()));
+    let head = "M65 P0\nG21 G90 G17 G40 G49 G94\nG64 P0.005 Q0\nG0 X1 Y-2\nG93\nM62 P0\nG1 X";
+    assert!(gcode.starts_with(head), "{gcode}");
+    let end: Vec<&str> = gcode.lines().rev().take(5).collect();
+    assert_eq!(end[..3], ["M2", "G94 F60", "M65 P0"]);
+    assert!(end[3].starts_with("G4 P") && end[4].starts_with("G1 X2 Y-2 F"), "{end:?}");
     let settings = gcode::Settings { feed: gcode::Feed::PerMinute, ..gcode::Settings::default() };
-    assert!(body(Controller::Gcode(settings)).contains("\nG94\nM62 P0\nG1 X2 Y-2 F600\nG4 P3\n"));
-    let expected = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n\
-                    3.1,2,0,-2,0,0";
-    assert_eq!(body(Controller::Csv(csv::Settings::default())), expected);
+    assert!(body(Controller::Gcode(settings)).contains("\nG94\nM62 P0\nG1 X"));
+    let expected = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.125,2,0,-2,0,1\n\
+                    3.125,2,0,-2,0,0";
+    assert_eq!(body(Controller::Csv), expected);
 }
 
 #[test]
 fn the_header_says_what_it_is() {
-    let text =
-        write(&motion([true; 2]), &Controller::Galil(Default::default()), &common()).unwrap();
+    let text = write(&motion([true; 2]), &Controller::Galil, &common()).unwrap();
     for part in [
         "' galil for bench _1_, written by hand",
         "' made from: a test",
         "' units: A = x in counts of 0.0001 mm",
         "TM 1000",
         "' start: x 1 mm, y -2 mm",
-        "' 3 segments, total time 3.099609375 s",
+        "' 3 segments, total time 3.125 s",
         "' start: A 10000, B -20000 counts",
     ] {
         assert!(text.contains(part), "{part}: {text}");
@@ -98,7 +101,7 @@ fn the_header_says_what_it_is() {
 
 #[test]
 fn what_a_controller_cannot_do_is_refused() {
-    let galil = Controller::Galil(galil::Settings::default());
+    let galil = Controller::Galil;
     let refused =
         |t: &Trajectory, c: &Controller, common: &Common| write(t, c, common).unwrap_err();
     let lifted = motion([true, false]);
@@ -107,7 +110,7 @@ fn what_a_controller_cannot_do_is_refused() {
     assert!(write(&lifted, &galil, &on).unwrap().contains("' warning: the tool is on"));
     let text = write(&lifted, &Controller::Gcode(Default::default()), &common()).unwrap();
     // G4 is no motion, so M63 would wait beyond it.
-    assert!(text.contains("G1 X2 Y-2 F600\nM65 P0\nG4 P3\n"), "{text}");
+    assert!(text.contains("\nM65 P0\nG4 P3\n"), "{text}");
 
     let line = |c: Vec<[[f64; 4]; 2]>, step: f64| {
         let n = c.len();
@@ -119,7 +122,7 @@ fn what_a_controller_cannot_do_is_refused() {
     let moving = line(vec![at(0.0, 1.0)], 1.0);
     let step = line(vec![at(0.0, 0.0), at(0.0, 1.0)], 1.0);
     let jump = line(vec![at(0.0, 0.0), at(0.5, 0.0)], 1.0);
-    for controller in [&galil, &gcode, &Controller::Csv(Default::default())] {
+    for controller in [&galil, &gcode, &Controller::Csv] {
         let said = refused(&moving, controller, &common());
         assert!(
             said.contains("segment[0]: begins with a step of 1.000000 mm/s in the velocity of x")
@@ -133,10 +136,8 @@ fn what_a_controller_cannot_do_is_refused() {
             "{said}"
         );
     }
-    let short = line(vec![at(0.0, 0.0)], 0.0004);
-    assert!(refused(&short, &galil, &common()).contains("not one tick of 0.001953125 s"));
     // 50 mm/s of 1e-6 mm are 50 000 000 counts/s.
-    let fine = Common { count_mm: [1e-6; 2], ..common() };
+    let fine = Common { count_mm: Some([1e-6; 2]), ..common() };
     let rest = [[0.0, 0.0, 50.0, 0.0], [0.0; 4]];
     let stop = [[50.0, 100.0, -50.0, 0.0], [0.0; 4]];
     let fast = line(vec![rest, stop], 1.0);
@@ -144,23 +145,28 @@ fn what_a_controller_cannot_do_is_refused() {
     let over =
         line(vec![[[0.0, 0.0, 75.0, 0.0], [0.0; 4]], [[75.0, 150.0, -75.0, 0.0], [0.0; 4]]], 1.0);
     assert!(refused(&over, &gcode, &common()).contains("x velocity reaches 150.000000 mm/s"));
-    let zero = Common { count_mm: [0.0; 2], ..common() };
+    let zero = Common { count_mm: Some([0.0; 2]), ..common() };
     assert!(refused(&motion([true; 2]), &gcode, &zero).contains("count_mm: is 0"));
-    let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
-    let slow =
-        program(&motion([true; 2]), &machine(0.2).into(), &gcode, &common(), &origin).unwrap_err();
-    let slow = slow.to_string();
-    assert!(slow.contains("segment[0]: lasts") && slow.contains("wants 0.2 s"), "{slow}");
+    // 1e-10 mm would be written as G64 P0: any deviation.
+    let settings = gcode::Settings { path_tolerance_mm: Some(1e-10), ..Default::default() };
+    let said = refused(&motion([true; 2]), &Controller::Gcode(settings), &common());
+    assert!(said.contains("path_tolerance_mm: is 0.0000000001, and G64 P0"), "{said}");
 }
 
 #[test]
 fn a_long_program_says_how_fast_its_buffer_runs_empty() {
-    let n = 600;
-    let c = vec![[[0.0; 4]; 2]; n];
-    let times = (0..=n).map(|k| 0.01 * k as f64).collect();
-    let still = Trajectory::new(times, c, vec![true; n], vec![Some(0); n]).unwrap();
-    let text = write(&still, &Controller::Galil(Default::default()), &common()).unwrap();
-    assert!(text.contains("' buffer: 255 segments, which last 2.548828 s at least"), "{text}");
+    // To and fro by 1 mm in 0.1 s, 300 times: the acceleration steps between two moves keep them apart.
+    let n = 300;
+    let there = |k: usize| {
+        let (from, d) = if k.is_multiple_of(2) { (0.0, 1.0) } else { (1.0, -1.0) };
+        [[from, 0.0, 3.0 * d / 0.01, -2.0 * d / 0.001], [0.0; 4]]
+    };
+    let times = (0..=n).map(|k| 0.1 * k as f64).collect();
+    let motion =
+        Trajectory::new(times, (0..n).map(there).collect(), vec![true; n], vec![Some(0); n])
+            .unwrap();
+    let text = write(&motion, &Controller::Galil, &common()).unwrap();
+    assert!(text.contains("' buffer: 255 segments, which last "), "{text}");
     let before = text.split("\nBTAB").next().unwrap();
     // The line that clears the buffer, then 255 segments.
     assert_eq!(before.matches("PVA=").count(), 1 + 255);

@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use planish_types::{DwellTime, Limits, Machine, Surface, Tif, ToolPath, Trajectory, Transform};
 
-use crate::{Artifact, HandoffError, Inputs, Manifest, OutputFile, kind::MACHINE_FRAME};
+use crate::{
+    Artifact, HandoffError, Inputs, Manifest, OutputFile, kind::MACHINE_FRAME, shell::warn,
+};
 
 /// The mirror: what is to be removed, and the tool that removes it.
 #[derive(Clone, Debug, Args)]
@@ -125,14 +127,27 @@ impl TrajectoryArgs {
 
     /// Reads a motion and a machine, and takes the motion to the axes; one that was taken to a machine already, by
     /// planish-register, stays as it is.
+    ///
+    /// Refuses a motion that was made for another machine than that of `machine`, unless the user asks for it.
     pub fn read_on_axes(
         &self,
-        machine: &MachineArgs,
+        machine: &AxesArgs,
         inputs: &mut Inputs,
     ) -> Result<OnAxes, HandoffError> {
         let (motion, manifest): (Trajectory, _) =
             inputs.read_with_manifest("trajectory", &self.trajectory)?;
-        let machine = inputs.read_machine(&machine.machine)?;
+        let other = machine.other_machine;
+        let machine = inputs.read_machine(&machine.machine.machine)?;
+        if let Some(problem) = inputs.made_for_another_machine(manifest.as_ref()) {
+            if !other {
+                let problem = format!(
+                    "{problem}; give the machine file that it was planned with, plan again, or give --other-machine if \
+                     you mean another one"
+                );
+                return Err(HandoffError::new(&self.trajectory, problem));
+            }
+            warn(format!("{}: {problem}", self.trajectory.display()));
+        }
         let was_there = manifest.as_ref().is_some_and(|m| m.frame == MACHINE_FRAME);
         let made_by = manifest.map(|m| format!("{} {}", m.tool, m.method));
         let part_to_axes = machine.part_to_axes().filter(|_| !was_there).cloned();
@@ -181,6 +196,17 @@ pub struct MachineArgs {
     /// Machine and its limits [JSON]
     #[arg(long, value_name = "FILE")]
     pub machine: PathBuf,
+}
+
+/// The machine whose axes run a motion.
+#[derive(Clone, Debug, Args)]
+pub struct AxesArgs {
+    /// File.
+    #[command(flatten)]
+    pub machine: MachineArgs,
+    /// Take a motion that was made for another machine file
+    #[arg(long)]
+    pub other_machine: bool,
 }
 
 impl MachineArgs {

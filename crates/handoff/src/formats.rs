@@ -71,7 +71,7 @@ pub fn formats_markdown() -> String {
 }
 
 /// Keys of a machine file, with their units; those of an axis stand under `axes`.
-const MACHINE_KEYS: [(&str, &str, &str); 11] = [
+const MACHINE_KEYS: [(&str, &str, &str); 20] = [
     ("name", "-", "Name of the machine."),
     ("axes", "-", "Exactly two objects with the keys below, x first, then y."),
     ("axes[].name", "-", "`x` or `y`."),
@@ -107,6 +107,36 @@ const MACHINE_KEYS: [(&str, &str, &str); 11] = [
         "part_origin_mm",
         "mm",
         "What the axes [x, y] read where the tool is over the origin of the part; [0, 0] when left out.",
+    ),
+    (
+        "controller",
+        "-",
+        "Object with the keys below: the grids of the programs for this machine. Left out, or a key left out: the \
+         defaults of the kind ([table](instruments.md#the-controller)).",
+    ),
+    ("controller.kind", "-", "`galil`, `xps`, `pmac`, `gcode` or `csv`."),
+    ("controller.tick_s", "s", "Clock: times of nodes are multiples of it."),
+    (
+        "controller.count_mm",
+        "mm",
+        "Count of the axes [x, y]: positions of nodes are multiples of it.",
+    ),
+    ("controller.velocity_mm_per_s", "mm/s", "Resolution of a velocity."),
+    ("controller.min_segment_s", "s", "Shortest segment of a program."),
+    (
+        "controller.max_segments",
+        "-",
+        "Largest number of segments of a program; any number when left out.",
+    ),
+    (
+        "controller.interpolation",
+        "-",
+        "`hermite` (cubic through positions and velocities) or `linear` (`gcode`): a check, no choice.",
+    ),
+    (
+        "controller.switches_tool",
+        "-",
+        "`false` if no output of the controller is wired to the tool.",
     ),
 ];
 

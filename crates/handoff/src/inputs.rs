@@ -217,6 +217,29 @@ impl Inputs {
         Some(format!("--{role} was made from another {kind} than --{flag} {}", from.path))
     }
 
+    /// A sentence where the motion of the manifest `made` was made for another machine file than the one that was read;
+    /// none where it names no machine, as arrays without a manifest.
+    pub fn made_for_another_machine(&self, made: Option<&Manifest>) -> Option<String> {
+        let is_machine = |i: &&InputRecord| i.role == "machine";
+        let here = self.records.iter().find(is_machine)?;
+        let made = made?;
+        let ancestors = made.lineage.iter().filter(|a| a.kind == "machine").map(|a| &a.blake3);
+        // The stage that made the motion counts, and of one that only took it elsewhere what it was made from.
+        let known: Vec<&String> = match made.inputs.iter().find(is_machine) {
+            Some(direct) => vec![&direct.blake3],
+            None => ancestors.collect(),
+        };
+        let first = known.first()?;
+        (!known.contains(&&here.blake3)).then(|| {
+            format!(
+                "was made for another machine file (BLAKE3 {}...) than --machine {} ({}...)",
+                &first[..first.len().min(8)],
+                here.path,
+                &here.blake3[..8]
+            )
+        })
+    }
+
     /// Refuses to write what is an input, contains one, or lies in one.
     pub(crate) fn refuse_overlap(&self, flag: &str, path: &Path) -> Result<(), HandoffError> {
         for input in &self.records {

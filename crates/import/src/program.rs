@@ -8,7 +8,7 @@
 //! | [`galil`] | `PVA=dP,V,T` in counts and samples | cubic (Hermite) |
 //! | [`xps`] | `dt, dx, vx, dy, vy` | cubic (Hermite) |
 //! | [`pmac`] | `PVT<ms>`, `X<p>:<v> Y<p>:<v>` | cubic (Hermite) |
-//! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed |
+//! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed; joined by parabolas after `G64 P` |
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
 //!
 //! What a program does not say, where the axes stand before it and what a count is, is given by
@@ -254,6 +254,33 @@ mod tests {
         is_the_move(&read(Controller::Csv, csv), false);
     }
 
+    /// Two lines of 1 s, 1 mm and 3 mm: parabolas of 1 s around the three nodes, 1, 2 and -3 mm/s^2, from rest to rest.
+    #[test]
+    fn joined_lines_are_parabolas_at_continuous_velocity() {
+        let text = |mode: &str| format!("{mode}\nG0 X0 Y0\nG93\nG1 X1 F60\nG1 X4 F60\nM2\n");
+        let read = |mode: &str| {
+            read(Controller::Gcode, text(mode).as_bytes(), &Configuration::default()).unwrap()
+        };
+        let joined = read("G64 P0.375 Q0");
+        assert_eq!((joined.len(), joined.total_time_s()), (6, 3.0));
+        let mut before = [0.0, 0.0];
+        for (k, expected) in [1.0, 1.0, 2.0, 2.0, -3.0, -3.0].into_iter().enumerate() {
+            let segment = joined.segment(k);
+            let [p, v, half_a, none] = segment.coefficient_mm[0];
+            assert_eq!(([p, v], 2.0 * half_a, none), (before, expected, 0.0), "{k}");
+            let u = segment.duration_s;
+            before = [p + u * (v + u * half_a), v + 2.0 * u * half_a];
+        }
+        assert_eq!(before, [4.0, 0.0]);
+        // The largest change of velocity, 3 mm/s over 1 s, leaves its corner by 3/8 mm; less is not allowed here.
+        for mode in ["G64 P0.374", "G61", "G64"] {
+            let lines = read(mode);
+            assert_eq!((lines.len(), lines.total_time_s()), (2, 2.0), "{mode}");
+        }
+        let changed = "G64 P1\nG0 X0 Y0\nG93\nG1 X1 F60\nG61\nG1 X4 F60\nM2\n";
+        assert!(message(Controller::Gcode, changed).contains("line[5]: changes the path mode"));
+    }
+
     #[test]
     fn the_tool_is_off_where_the_program_says_so() {
         let text = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM63 P0\nG1 X2 F60\nM2\n";
@@ -346,7 +373,7 @@ mod tests {
             assert!(said.contains("line[3]") && said.contains(expected), "{line}: {said}");
         }
         let long = gcode(&format!("G1 X5 F60 ({})", "a".repeat(256)));
-        assert!(message(Gcode, &long).contains("has 268 characters, the controller takes 256"));
+        assert!(message(Gcode, &long).contains("has 268 characters, the controller takes 252"));
         // A comment may hold what is no comment elsewhere.
         let fine = gcode("N10 (a;b%c/d) G1 X5 Y7 F60 (e) ; f (g");
         let program = read(Gcode, fine.as_bytes(), &Configuration::default()).unwrap();

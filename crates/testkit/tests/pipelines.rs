@@ -448,9 +448,8 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
     );
     let program = fs::read_to_string(dir.path().join("g/program.galil")).unwrap();
     assert!(program.contains("methods/pvt+refined/trajectory"), "{program}");
-    // What the report marks is exported where the controller can be given it, and the next where not. The steps in velocity
-    // at the ends of lines of G-code are no verdict on the plan.
-    for (controller, plan) in [("gcode", "feed"), ("csv", "pvt+refined")] {
+    // The plan that the report marks is exported, whatever it is: the program keeps the limits on every controller.
+    for controller in ["gcode", "csv"] {
         let export = format!("export={controller}");
         let out = format!("out={controller}");
         let more = ["plan_feed=yes", export.as_str(), out.as_str(), "frames=0"];
@@ -458,12 +457,11 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
             &run(dir.path(), &[&["run", "raster", "fixture=coupon"], &more[..]].concat()),
             0,
         );
-        assert!(text.contains(&format!("program.{controller} is of the plan {plan};")), "{text}");
+        assert!(text.contains(&format!("program.{controller} is of the plan feed;")), "{text}");
         let tables = text.matches("raster, coupon: initial surface").count();
         assert_eq!(tables, 1, "the table stands there once: {text}");
         assert!(text.contains("the report recommends") && text.contains("feed, because"), "{text}");
-        let refused = text.contains("the plan marked as the best, feed, is none for csv: segment[");
-        assert_eq!(refused, controller == "csv", "{text}");
+        assert!(!text.contains("is none for"), "{text}");
     }
     for (more, said) in [
         (

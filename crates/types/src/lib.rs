@@ -12,12 +12,14 @@
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | what the machine's axes can do | - |
 //! | [`Machine`] | a machine: limits, travel, and how a part lies on it | - |
+//! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
 //! | [`Transform`] | where a part lies on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
 pub mod budget;
+mod controller;
 pub mod doubts;
 mod dwell_density;
 mod dwell_time;
@@ -35,6 +37,7 @@ mod trajectory;
 mod transform;
 
 pub use aperture::ClearAperture;
+pub use controller::{ControllerFile, ControllerKind, ControllerModel, Interpolation};
 pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Invalid;
+use crate::{ControllerFile, Invalid};
 
 /// Names of the axes, in their order.
 pub(crate) const AXES: [&str; 2] = ["x", "y"];
@@ -56,6 +56,9 @@ pub struct MachineFile {
     /// Angle by which the part is turned from x towards y, degrees; 0 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_rotation_deg: Option<f64>,
+    /// The controller; its usual grids when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<ControllerFile>,
 }
 
 /// An axis as the JSON file of a machine states it, not checked yet.

@@ -24,7 +24,10 @@
 //!
 //! which for axes along x and y is each axis's own limit.
 
-use crate::{AxisLimits, Invalid, Limits, MachineFile, Transform, is_plausible_mm, limits::AXES};
+use crate::{
+    AxisLimits, ControllerKind, ControllerModel, Invalid, Limits, MachineFile, Transform,
+    is_plausible_mm, limits::AXES,
+};
 
 /// A machine: limits of its axes, their travel, and how a part lies on it.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,12 +35,13 @@ pub struct Machine {
     limits: Limits,
     travel_mm: [Option<[f64; 2]>; 2],
     part_to_axes: Option<Transform>,
+    controller: Option<ControllerModel>,
 }
 
 /// Axes that read the coordinates of the part and travel as far as anybody likes.
 impl From<Limits> for Machine {
     fn from(limits: Limits) -> Self {
-        Self { limits, travel_mm: [None; 2], part_to_axes: None }
+        Self { limits, travel_mm: [None; 2], part_to_axes: None, controller: None }
     }
 }
 
@@ -58,7 +62,19 @@ impl Machine {
             }
         }
         let part_to_axes = part_to_axes(&file)?;
-        Ok(Self { limits, travel_mm, part_to_axes })
+        let controller = file.controller.as_ref().map(|c| c.checked()).transpose()?;
+        Ok(Self { limits, travel_mm, part_to_axes, controller })
+    }
+
+    /// The controller as the machine file states it, if it states one.
+    pub fn controller(&self) -> Option<&ControllerModel> {
+        self.controller.as_ref()
+    }
+
+    /// The grids of a program for `kind`: those of the machine's own controller if it is of this kind, else the
+    /// defaults of the kind.
+    pub fn controller_for(&self, kind: ControllerKind) -> ControllerModel {
+        self.controller.filter(|c| c.kind == kind).unwrap_or_else(|| kind.model())
     }
 
     /// Name of the machine.
@@ -200,7 +216,7 @@ fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::MachineFileAxis;
+    use crate::{ControllerFile, MachineFileAxis};
 
     fn file() -> MachineFile {
         let axis = |name: &str, factor: f64| MachineFileAxis {
@@ -334,6 +350,21 @@ mod tests {
         let jerk =
             Machine::new(one).unwrap().limits_on_part().axes().map(|a| a.max_jerk_mm_per_s3());
         assert_eq!(jerk, [None, Some(1e4)]);
+    }
+
+    #[test]
+    fn a_machine_states_its_controller_or_has_the_defaults() {
+        let stated = ControllerFile {
+            count_mm: Some([1e-3; 2]),
+            ..ControllerFile::new(ControllerKind::Galil)
+        };
+        let machine = Machine::new(MachineFile { controller: Some(stated), ..file() }).unwrap();
+        assert_eq!(machine.controller_for(ControllerKind::Galil).count_mm, [1e-3; 2]);
+        assert_eq!(machine.controller_for(ControllerKind::Xps), ControllerKind::Xps.model());
+        let wrong =
+            ControllerFile { tick_s: Some(0.0), ..ControllerFile::new(ControllerKind::Csv) };
+        let said = Machine::new(MachineFile { controller: Some(wrong), ..file() }).unwrap_err();
+        assert!(said.to_string().contains("controller.tick_s: is 0"), "{said}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use planish_handoff::{
     Begin, Inputs, Output, Status,
-    flags::{MachineArgs, OutputArgs, TrajectoryArgs},
+    flags::{AxesArgs, OutputArgs, TrajectoryArgs},
     kind, say, task,
 };
 use planish_types::TransformNumbers;
@@ -26,7 +26,7 @@ struct Cli {
     #[command(flatten)]
     trajectory: TrajectoryArgs,
     #[command(flatten)]
-    machine: MachineArgs,
+    machine: AxesArgs,
     /// Largest jump in position that is taken for rounding, mm
     #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
     position_step_mm: f64,

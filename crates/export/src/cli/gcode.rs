@@ -8,26 +8,24 @@ use super::CommonArgs;
 
 #[derive(Debug, Args)]
 pub struct Gcode {
-    /// What F is
+    /// Convention of the F word
     #[arg(long, value_enum, default_value = "inverse-time")]
     feed: gcode::Feed,
-    /// What a time is rounded to, s
-    #[arg(long, value_name = "T", default_value_t = 1e-6, allow_negative_numbers = true)]
-    tick_s: f64,
-    /// How far the path may leave the corners, mm; 0 for an exact path
-    #[arg(long, value_name = "P", default_value_t = 0.001, allow_negative_numbers = true)]
-    path_tolerance_mm: f64,
+    /// Clock, s: times are rounded to it [default: that of the machine's controller, else 1e-6]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    tick_s: Option<f64>,
+    /// Largest distance of the path from the corners between lines, mm (G64 P); 0 for an exact path (G61) [default: the
+    /// path deviation]
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
+    path_tolerance_mm: Option<f64>,
     #[command(flatten)]
     common: CommonArgs,
 }
 
 impl Gcode {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = gcode::Settings {
-            feed: self.feed,
-            tick_s: self.tick_s,
-            path_tolerance_mm: self.path_tolerance_mm,
-        };
-        self.common.export(&Controller::Gcode(settings))
+        let settings =
+            gcode::Settings { feed: self.feed, path_tolerance_mm: self.path_tolerance_mm };
+        self.common.export(&Controller::Gcode(settings), self.tick_s)
     }
 }

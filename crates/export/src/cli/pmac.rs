@@ -8,9 +8,10 @@ use super::CommonArgs;
 
 #[derive(Debug, Args)]
 pub struct Pmac {
-    /// What a time is rounded to, s: 1 ms on a PMAC, down to 2.5e-7 on a Turbo PMAC
-    #[arg(long, value_name = "T", default_value_t = 1e-3, allow_negative_numbers = true)]
-    tick_s: f64,
+    /// Clock, s: times are rounded to it [default: that of the machine's controller, else 1 ms, which every PMAC has;
+    /// a Turbo PMAC goes down to 2.5e-7]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    tick_s: Option<f64>,
     /// Unit of time of the velocities, s: Isx90 / 1000
     #[arg(long, value_name = "T", default_value_t = 1.0, allow_negative_numbers = true)]
     feedrate_time_unit_s: f64,
@@ -24,10 +25,9 @@ pub struct Pmac {
 impl Pmac {
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = pmac::Settings {
-            tick_s: self.tick_s,
             feedrate_time_unit_s: self.feedrate_time_unit_s,
             tool_output: self.tool_output,
         };
-        self.common.export(&Controller::Pmac(settings))
+        self.common.export(&Controller::Pmac(settings), self.tick_s)
     }
 }

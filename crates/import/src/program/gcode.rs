@@ -4,18 +4,23 @@
 //! |---|---|
 //! | G0 | to the start; later only where the axes stand already |
 //! | G1 X Y F | straight at constant speed; G93: in 60/F s, F in every line; G94: at F mm/min |
+//! | G64 P | lines are joined: near a node the motion is the parabola over half of the shorter line on both sides |
 //! | G4 P | stand for P seconds |
 //! | M62 P0, M63 P0 | tool on, tool off with the next motion (G0, G1; a G4 is none) |
 //! | M64 P0, M65 P0 | tool on, tool off at once, after the motion before |
 //! | G17 G21 G40 G49 G54 G61 G64 G90 | accepted: plane, mm, no compensation, path mode, absolute |
 //! | M2, M30, or a second % | end; a program without one was cut off |
 //!
-//! The times are nominal: a planner that blends corners or is held by its limits takes longer.
+//! Joined lines run at continuous velocity, from rest to rest: half a line before the first node begins the motion. With
+//! a_k = (m_k - m_{k-1}) / b_k, b_k = min(T_{k-1}, T_k) and the mean velocity m of a line, the joined motion stays within
+//! |m_k - m_{k-1}| b_k / 8 of the corner. Where that is more than P, or the path mode is G61 or G64 without P, the lines
+//! are read as they stand, with steps of the velocity. The times are nominal: a planner that joins lines otherwise, or
+//! is held by its limits, takes longer.
 //!
 //! What LinuxCNC refuses is refused, with the line, and so is what would change the motion without a trace:
 //! a word twice, two words of one modal group, a word without a number or that nothing on the line uses, a
 //! comment within a comment, one that does not end, a bracket without a comment, a line that a switch of the
-//! machine may leave out (/), more than 256 characters. A program without M62 to M65 has the tool on
+//! machine may leave out (/), more than 252 characters (the interpreter ends at 253). A program without M62 to M65 has the tool on
 //! always; one with them must say so before it moves, and must end with the tool off.
 //!
 //! Source: LinuxCNC documentation: G-codes, M-codes (M62 - M65 Digital Output Control), G-code Overview
@@ -50,11 +55,10 @@ pub fn read(text: &str) -> Result<Trajectory, Invalid> {
         return Err(Invalid::whole("program", problem, "write the program again"));
     }
     machine.end()?;
-    let n = machine.segments.len();
-    if n == 0 {
+    if machine.segments.is_empty() {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
     }
-    Trajectory::new(machine.times, machine.segments, machine.tool, vec![None; n])
+    machine.motion()
 }
 
 struct Machine {
@@ -68,6 +72,8 @@ struct Machine {
     queued: Option<bool>,
     /// Whether the program switches the output.
     switches: bool,
+    /// P of G64, mm; zero for lines that are not joined.
+    tolerance_mm: f64,
     times: Vec<f64>,
     segments: Vec<[[f64; 4]; 2]>,
     tool: Vec<bool>,
@@ -83,6 +89,7 @@ impl Default for Machine {
             tool_on: true,
             queued: None,
             switches: false,
+            tolerance_mm: 0.0,
             times: vec![0.0],
             segments: Vec::new(),
             tool: Vec::new(),
@@ -104,6 +111,12 @@ impl Machine {
                 ('G', Some(40)) => dwell = true,
                 ('G', Some(930)) => self.inverse_time = true,
                 ('G', Some(940)) => self.inverse_time = false,
+                ('G', Some(mode @ (610 | 640))) => {
+                    if !self.segments.is_empty() {
+                        return Err(wrong(number, "changes the path mode within the motion"));
+                    }
+                    self.tolerance_mm = if mode == 640 { value('P').unwrap_or(0.0) } else { 0.0 };
+                }
                 ('M', Some(20 | 300)) => end = true,
                 ('M', Some(620)) => output = Some((true, true)),
                 ('M', Some(630)) => output = Some((false, true)),
@@ -181,6 +194,65 @@ impl Machine {
         let seconds = if self.inverse_time { 60.0 / feed } else { 60.0 * length / feed };
         self.tool_on = self.queued.take().unwrap_or(self.tool_on);
         self.push(number, here, [x, y], seconds)
+    }
+
+    /// The motion of all lines.
+    fn motion(self) -> Result<Trajectory, Invalid> {
+        let n = self.segments.len();
+        let time_s: Vec<f64> = self.times.windows(2).map(|t| t[1] - t[0]).collect();
+        let velocity: Vec<[f64; 2]> = self.segments.iter().map(|c| [c[0][1], c[1][1]]).collect();
+        // Of the node between the lines k - 1 and k: b, and the change of the velocity. At rest before and after.
+        let span = |k: usize| match k {
+            0 => time_s[0],
+            k if k == n => time_s[n - 1],
+            k => time_s[k - 1].min(time_s[k]),
+        };
+        let v = |k: Option<usize>| k.and_then(|k| velocity.get(k)).copied().unwrap_or_default();
+        let around = |k: usize| [v(k.checked_sub(1)), v(Some(k))];
+        let reach = |k: usize| {
+            let [before, after] = around(k);
+            (after[0] - before[0]).hypot(after[1] - before[1]) * span(k) / 8.0
+        };
+        // Nine decimals of P, and of the positions.
+        let is_joined = self.tolerance_mm > 0.0
+            && (0..=n).all(|k| reach(k) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
+        if !is_joined {
+            return Trajectory::new(self.times, self.segments, self.tool, vec![None; n]);
+        }
+        let (mut times, mut pieces, mut tool) = (Vec::new(), Vec::new(), Vec::new());
+        let begin_s = self.times[0] - 0.5 * span(0);
+        for k in 0..=n {
+            let [before, after] = around(k);
+            let (b, node_s) = (span(k), self.times[k]);
+            let node = match k {
+                0 => [self.segments[0][0][0], self.segments[0][1][0]],
+                _ => {
+                    let (c, t) = (&self.segments[k - 1], time_s[k - 1]);
+                    [c[0][0] + c[0][1] * t, c[1][0] + c[1][1] * t]
+                }
+            };
+            // From the node - m b/2, over b: velocity before + (after - before) t / b.
+            let first = [0, 1].map(|a| {
+                [node[a] - 0.5 * b * before[a], before[a], 0.5 * (after[a] - before[a]) / b, 0.0]
+            });
+            let second = first.map(|c| {
+                let u = 0.5 * b;
+                [c[0] + u * (c[1] + u * c[2]), c[1] + 2.0 * u * c[2], c[2], 0.0]
+            });
+            times.extend([node_s - 0.5 * b - begin_s, node_s - begin_s]);
+            pieces.extend([first, second]);
+            tool.extend([self.tool[k.saturating_sub(1)], self.tool[k.min(n - 1)]]);
+            let straight_s = if k < n { time_s[k] - 0.5 * (b + span(k + 1)) } else { 0.0 };
+            // What is less is rounding of equal times.
+            if straight_s > 1e-9 * b {
+                times.push(node_s + 0.5 * b - begin_s);
+                pieces.push([0, 1].map(|a| [node[a] + 0.5 * b * after[a], after[a], 0.0, 0.0]));
+                tool.push(self.tool[k]);
+            }
+        }
+        times.push(self.times[n] + 0.5 * span(n) - begin_s);
+        let n = pieces.len();
+        Trajectory::new(times, pieces, tool, vec![None; n])
     }
 
     /// Refuses a program that leaves the tool on.
@@ -287,8 +359,8 @@ fn check_words(number: usize, words: &[(char, f64)]) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Most characters of a line.
-const MOST_CHARACTERS: usize = 256;
+/// Most characters of a line: `rs274` ends with "Command too long" at one more.
+const MOST_CHARACTERS: usize = 252;
 
 /// Letters with their numbers, comments left out.
 fn words(number: usize, line: &str) -> Result<Vec<(char, f64)>, Invalid> {

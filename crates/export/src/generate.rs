@@ -1,0 +1,656 @@
+//! From a plan to the nodes that a controller runs: on its clock, in its counts, within the limits of the machine.
+//!
+//! 1. The plan gets its clock (`slowed`): its own, slower only where it uses a limit fully.
+//! 2. `nodes` chooses the times of the nodes, multiples of the tick, and the plan is sampled there.
+//! 3. Positions are rounded to counts.
+//! 4. `velocities` finds the velocities of the nodes, multiples of their unit, with times and positions fixed.
+//! 5. The motion that the controller executes is proven within the limits and the travel, on the whole of every
+//!    segment, and compared with the plan. Where it is not, the plan is slowed down a little more there, and all of it
+//!    is done again.
+//!
+//! Between two lines that are joined (`linear`) the motion is a parabola over the half of the shorter line on both
+//! sides of the node, which the planner of a controller that blends can run:
+//!
+//! ```text
+//! a_k = (m_k - m_{k-1}) / b_k,   b_k = min(T_{k-1}, T_k)      m = dp / T; before and after the motion m = 0
+//! ```
+//!
+//! So the executed motion of joined lines begins half a line before the first node and ends half a line after the last.
+
+use planish_numerics::polynomial::{derivative, range};
+use planish_types::{
+    ControllerModel, Interpolation, Invalid, Limits, Machine, Trajectory, budget::affordable,
+};
+
+use crate::{
+    nodes::{self, Choice},
+    slowed::{Cells, Inwards, Slowed},
+    velocities::{Axis, hermite},
+};
+
+/// Beyond this a float has no whole numbers between its neighbours.
+const LARGEST_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
+
+/// Positions are written with nine decimals, mm.
+const SMALLEST_COUNT_MM: f64 = 1e-9;
+
+/// Memory of a segment: nodes as floats and as counts, programs, and two lines of text of up to 60 bytes.
+const BYTES_PER_SEGMENT: usize = 1024;
+
+/// Most rounds. A round that does not end raises the time where a limit is exceeded; 3 to 15 are usual.
+const MOST_ROUNDS: usize = 80;
+
+/// Part of a limit that is rounding of the arithmetic, as the judge has it.
+const LIMIT_ROUNDING: f64 = 1e-9;
+
+/// Part of the path deviation beyond which an excess of the travel is mended by shorter segments, which follow the plan
+/// more closely where it turns; below it the path is moved inwards.
+const FAR_BEYOND: f64 = 0.2;
+
+/// Part of a segment's length that it has in the next round if it leaves the path.
+const LESS_LONG: f64 = 0.6;
+
+/// Part of the path deviation that the choice of the nodes may use; rounding and the velocities use the rest.
+const CHOSEN_DEVIATION: f64 = 0.6;
+
+/// Most that a plan may be slowed down somewhere. A plan that needs more is not one for this controller.
+const MOST_FACTOR: f64 = 64.0;
+
+/// Points of a segment at which the program is compared with the plan.
+const COMPARED: usize = 12;
+
+/// How a plan is made a program.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Grids and law of the controller.
+    pub controller: ControllerModel,
+    /// Ticks of a segment, most.
+    pub most_ticks: i64,
+    /// Largest distance of the program's path from the plan's, mm.
+    pub path_deviation_mm: f64,
+    /// False if the tool stays on whatever the plan says.
+    pub follows_tool: bool,
+}
+
+/// Nodes on the grids of a controller.
+#[derive(Clone, Debug)]
+pub struct Nodes {
+    /// Count of (x, y), mm.
+    pub count_mm: [f64; 2],
+    /// Tick, s.
+    pub tick_s: f64,
+    /// Ticks since the start (n+1).
+    pub ticks: Vec<i64>,
+    /// Absolute position of (x, y) in counts (n+1).
+    pub counts: Vec<[i64; 2]>,
+    /// Velocity [x, y] (n+1), mm/s, a multiple of its unit; zero for lines.
+    pub velocity_mm_per_s: Vec<[f64; 2]>,
+    /// True where the tool removes (n).
+    pub tool_on: Vec<bool>,
+    /// Law between two nodes.
+    pub interpolation: Interpolation,
+    /// Largest distance of the executed path from the plan's, mm.
+    pub deviation_mm: f64,
+    /// Time that the program takes longer than the plan, s.
+    pub added_s: f64,
+}
+
+impl Nodes {
+    /// Position [x, y] of node `k`, mm.
+    pub fn position_mm(&self, k: usize) -> [f64; 2] {
+        [0, 1].map(|a| self.counts[k][a] as f64 * self.count_mm[a])
+    }
+
+    /// Time of node `k` since the start, s.
+    pub fn time_s(&self, k: usize) -> f64 {
+        self.ticks[k] as f64 * self.tick_s
+    }
+
+    /// Distance of segment `k` in counts.
+    pub fn distance(&self, k: usize) -> [i64; 2] {
+        [0, 1].map(|a| self.counts[k + 1][a] - self.counts[k][a])
+    }
+
+    /// Ticks of segment `k`.
+    pub fn duration(&self, k: usize) -> i64 {
+        self.ticks[k + 1] - self.ticks[k]
+    }
+
+    /// Number of segments n.
+    pub fn segments(&self) -> usize {
+        self.tool_on.len()
+    }
+
+    /// The motion that the controller executes, from the time 0.
+    pub fn motion(&self) -> Trajectory {
+        let pieces = self.pieces();
+        let mut times = vec![0.0];
+        let start_s = pieces[0].start_s;
+        times.extend(pieces.iter().map(|p| p.start_s + p.time_s - start_s));
+        let n = pieces.len();
+        Trajectory::new(
+            times,
+            pieces.iter().map(|p| p.coefficient_mm).collect(),
+            pieces.iter().map(|p| self.tool_on[p.segment]).collect(),
+            vec![None; n],
+        )
+        .expect("nodes are on ascending ticks")
+    }
+
+    /// Makes one of the lines without length that follow each other, each a dwell.
+    fn stand_at_once(&mut self, most_ticks: i64) {
+        let stands = |k: usize| self.distance(k) == [0, 0];
+        let mut kept = vec![0];
+        for k in 1..self.segments() {
+            let last: usize = kept[kept.len() - 1];
+            let is_one = stands(k - 1)
+                && stands(k)
+                && self.tool_on[k - 1] == self.tool_on[k]
+                && self.ticks[k + 1] - self.ticks[last] <= most_ticks;
+            if !is_one {
+                kept.push(k);
+            }
+        }
+        self.tool_on = kept.iter().map(|k| self.tool_on[*k]).collect();
+        kept.push(self.ticks.len() - 1);
+        self.ticks = kept.iter().map(|k| self.ticks[*k]).collect();
+        self.counts = kept.iter().map(|k| self.counts[*k]).collect();
+        self.velocity_mm_per_s = kept.iter().map(|k| self.velocity_mm_per_s[*k]).collect();
+    }
+
+    /// The cubics that the controller runs.
+    pub(crate) fn pieces(&self) -> Vec<Piece> {
+        match self.interpolation {
+            Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
+            Interpolation::Linear => self.joined(),
+        }
+    }
+
+    fn cubic(&self, k: usize) -> Piece {
+        let (start_s, time_s) = (self.time_s(k), self.duration(k) as f64 * self.tick_s);
+        let from = self.position_mm(k);
+        let coefficient_mm = [0, 1].map(|a| {
+            let distance = self.distance(k)[a] as f64 * self.count_mm[a];
+            let v = [self.velocity_mm_per_s[k][a], self.velocity_mm_per_s[k + 1][a]];
+            let mut c = hermite(distance, v, time_s);
+            c[0] = from[a];
+            c
+        });
+        Piece { segment: k, start_s, time_s, coefficient_mm }
+    }
+
+    /// Lines and the parabolas between them.
+    fn joined(&self) -> Vec<Piece> {
+        let n = self.segments();
+        let time = |k: usize| self.duration(k) as f64 * self.tick_s;
+        let mean =
+            |k: usize| [0, 1].map(|a| self.distance(k)[a] as f64 * self.count_mm[a] / time(k));
+        let at_rest = [0.0; 2];
+        let mut pieces = Vec::with_capacity(2 * n + 1);
+        for k in 0..=n {
+            let before = if k > 0 { Some((mean(k - 1), time(k - 1))) } else { None };
+            let after = if k < n { Some((mean(k), time(k))) } else { None };
+            let shorter = match (before, after) {
+                (Some((_, s)), Some((_, t))) => s.min(t),
+                (Some((_, t)), None) | (None, Some((_, t))) => t,
+                (None, None) => continue,
+            };
+            let (m, next) = (before.map_or(at_rest, |b| b.0), after.map_or(at_rest, |a| a.0));
+            let (node, at_s) = (self.position_mm(k), self.time_s(k));
+            let half = 0.5 * shorter;
+            // Half of it belongs to the segment before, half to the one after: the tool switches at the node.
+            let a = [0, 1].map(|i| (next[i] - m[i]) / shorter);
+            let first = [0, 1].map(|i| [node[i] - half * m[i], m[i], 0.5 * a[i], 0.0]);
+            let middle = [0, 1].map(|i| {
+                let v = m[i] + a[i] * half;
+                [node[i] - half * m[i] + half * (m[i] + 0.5 * a[i] * half), v, 0.5 * a[i], 0.0]
+            });
+            pieces.push(Piece {
+                segment: k.saturating_sub(1),
+                start_s: at_s - half,
+                time_s: half,
+                coefficient_mm: first,
+            });
+            pieces.push(Piece {
+                segment: k.min(n - 1),
+                start_s: at_s,
+                time_s: half,
+                coefficient_mm: middle,
+            });
+            // The straight rest of the line until the next parabola.
+            if let Some((m, t)) = after {
+                let following = if k + 1 < n { time(k + 1).min(t) } else { t };
+                let rest_s = t - half - 0.5 * following;
+                if rest_s > 1e-12 {
+                    let c = [0, 1].map(|i| [node[i] + half * m[i], m[i], 0.0, 0.0]);
+                    let start_s = at_s + half;
+                    pieces.push(Piece { segment: k, start_s, time_s: rest_s, coefficient_mm: c });
+                }
+            }
+        }
+        pieces
+    }
+}
+
+/// A cubic of the executed motion.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Piece {
+    /// Segment of the program to which it belongs.
+    pub segment: usize,
+    /// Time since the first node, s.
+    pub start_s: f64,
+    pub time_s: f64,
+    pub coefficient_mm: [[f64; 4]; 2],
+}
+
+/// The nodes of `plan`, in the coordinates of the axes, on `machine`.
+///
+/// The plan is continuous, keeps the limits of the machine and rests at both ends ([`crate::limits::check_plan`]).
+pub fn generate(
+    plan: &Trajectory,
+    machine: &Machine,
+    settings: &Settings,
+) -> Result<Nodes, Invalid> {
+    Generator::new(plan, machine, settings)?.run()
+}
+
+struct Generator<'a> {
+    plan: &'a Trajectory,
+    machine: &'a Machine,
+    settings: &'a Settings,
+    least_ticks: i64,
+    inwards: Inwards,
+    /// Times of the plan at which the tool switches, s.
+    switches_s: Vec<f64>,
+}
+
+/// Where a program is not good enough.
+#[derive(Default)]
+struct Faults {
+    /// Segment and the factor by which its time has to grow.
+    slow: Vec<(usize, f64)>,
+    /// Segments that leave the path, and can be shorter.
+    long: Vec<usize>,
+    /// Largest excess of the travel below and above, mm, along (x, y).
+    beyond_mm: [[f64; 2]; 2],
+    deviation_mm: f64,
+}
+
+impl Faults {
+    fn is_none(&self) -> bool {
+        self.slow.is_empty() && self.long.is_empty() && self.beyond_mm == [[0.0; 2]; 2]
+    }
+}
+
+impl<'a> Generator<'a> {
+    fn new(
+        plan: &'a Trajectory,
+        machine: &'a Machine,
+        settings: &'a Settings,
+    ) -> Result<Self, Invalid> {
+        let model = &settings.controller;
+        check_counts(plan, model.count_mm)?;
+        if !(settings.path_deviation_mm.is_finite() && settings.path_deviation_mm > 0.0) {
+            let problem = format!("is {}", settings.path_deviation_mm);
+            return Err(Invalid::whole("path_deviation_mm", problem, "give a length in mm"));
+        }
+        let rounding_s = match model.interpolation {
+            Interpolation::Hermite => {
+                least_for_rounding_s(model, machine.limits()).min(LONGEST_LEAST_S)
+            }
+            // The deviation from the plan's path decides on the length of lines.
+            Interpolation::Linear => 0.0,
+        };
+        let least_s = model
+            .min_segment_s
+            .max(machine.limits().min_segment_s())
+            .max(rounding_s.min(settings.most_ticks as f64 * model.tick_s));
+        // A hair less is the rounding of a number that was typed.
+        let least_ticks = ((least_s / model.tick_s) * (1.0 - 1e-9)).ceil().max(1.0);
+        if least_ticks > settings.most_ticks as f64 {
+            let problem = format!(
+                "is {least_s} s, the longest segment {} s",
+                settings.most_ticks as f64 * model.tick_s
+            );
+            let remedy = "give a longer `max_step_s`, or a smaller tick";
+            return Err(Invalid::whole("min_segment_s", problem, remedy));
+        }
+        let half = 0.5 * settings.path_deviation_mm;
+        if let Some(axis) = (0..2).find(|a| model.count_mm[*a] > half) {
+            let problem = format!(
+                "is {}, more than half the path deviation of {} mm",
+                model.count_mm[axis], settings.path_deviation_mm
+            );
+            return Err(Invalid::whole(
+                "count_mm",
+                problem,
+                "give a smaller count or a larger `path_deviation_mm`",
+            ));
+        }
+        let on = plan.tool_on();
+        let start_s = plan.break_time_s()[0];
+        let switches = (1..plan.len()).filter(|k| settings.follows_tool && on[*k] != on[*k - 1]);
+        Ok(Self {
+            plan,
+            machine,
+            settings,
+            least_ticks: least_ticks as i64,
+            inwards: Inwards { travel_mm: *machine.travel_mm(), by_mm: [[0.0; 2]; 2] },
+            switches_s: switches.map(|k| plan.break_time_s()[k] - start_s).collect(),
+        })
+    }
+
+    fn run(mut self) -> Result<Nodes, Invalid> {
+        let mut cells = Cells::new(self.plan, self.machine.limits());
+        let mut last = (0, 1.0_f64);
+        let mut deviation_mm = 0.0;
+        for _ in 0..MOST_ROUNDS {
+            let motion = Slowed::new(self.plan, &cells, self.inwards);
+            let mut nodes = self.nodes(&motion, &cells)?;
+            let faults = self.finish(&motion, &mut nodes);
+            nodes.deviation_mm = faults.deviation_mm;
+            deviation_mm = faults.deviation_mm;
+            if faults.is_none() {
+                return Ok(nodes);
+            }
+            // The others move the nodes, and with them how far the motion goes between two of them.
+            let is_settled = faults.slow.is_empty() && faults.long.is_empty();
+            for axis in (0..2).filter(|_| is_settled) {
+                // Half a count more, because a node is a whole count.
+                let count = self.settings.controller.count_mm[axis];
+                for (by, beyond) in self.inwards.by_mm[axis].iter_mut().zip(faults.beyond_mm[axis])
+                {
+                    if beyond > 0.0 {
+                        *by += beyond + 0.5 * count;
+                    }
+                }
+            }
+            if self.inwards.most_mm() > self.settings.path_deviation_mm {
+                break;
+            }
+            for k in &faults.long {
+                let longest_s = LESS_LONG * nodes.duration(*k) as f64 * nodes.tick_s;
+                let span =
+                    [*k, *k + 1].map(|node| cells.of(motion.plan_time(nodes.time_s(node)).0));
+                for i in span[0]..=span[1] {
+                    cells.longest_s[i] = cells.longest_s[i].min(longest_s);
+                }
+            }
+            for (k, excess) in &faults.slow {
+                last = (*k, *excess);
+                // The segment and its neighbours: an excess is mended where the velocities change.
+                let from = motion.plan_time(nodes.time_s(k.saturating_sub(1))).0;
+                let to = motion.plan_time(nodes.time_s((k + 2).min(nodes.segments()))).0;
+                let grow = 1.0 + (excess - 1.0).clamp(2e-3, 0.1);
+                for i in cells.of(from)..=cells.of(to) {
+                    let target = cells.raised[i] * grow;
+                    cells.raised[i] = target.min(MOST_FACTOR);
+                }
+            }
+        }
+        let (k, excess) = last;
+        let (problem, remedy) = if excess > 1.0 {
+            (
+                format!(
+                    "still asks for {:.2} times what the machine can do, or leaves the path by more than {} mm \
+                     (largest now: {:.4} mm), on a clock of {} s with counts of {} mm",
+                    excess * excess,
+                    self.settings.path_deviation_mm,
+                    deviation_mm,
+                    self.settings.controller.tick_s,
+                    self.settings.controller.count_mm[0].max(self.settings.controller.count_mm[1])
+                ),
+                "give a smaller tick or count, or a larger `path_deviation_mm`",
+            )
+        } else {
+            (
+                "leaves the travel of an axis between two nodes".to_string(),
+                "move the part (part_origin_mm of the machine), or plan with a smaller overscan",
+            )
+        };
+        Err(Invalid::at("segment", k, problem, remedy))
+    }
+
+    /// A program on the clock of `motion`, not proven yet.
+    fn nodes(&self, motion: &Slowed, cells: &Cells) -> Result<Nodes, Invalid> {
+        let model = &self.settings.controller;
+        let choice = Choice {
+            limits: self.machine.limits(),
+            count_mm: model.count_mm,
+            velocity_mm_per_s: model.velocity_mm_per_s,
+            tick_s: model.tick_s,
+            ticks: [self.least_ticks, self.settings.most_ticks],
+            deviation_mm: CHOSEN_DEVIATION * self.settings.path_deviation_mm,
+            interpolation: model.interpolation,
+        };
+        let end = motion.total_s() / model.tick_s;
+        if end.is_nan() || end >= LARGEST_EXACT_INTEGER {
+            let problem = format!("is {} s, {end:e} ticks", motion.total_s());
+            return Err(Invalid::whole("time_s", problem, "give a larger tick"));
+        }
+        // As long as the plan but for the rounding of its times.
+        let end = (end - 1e-6).ceil().max(1.0) as i64;
+        let mut fixed: Vec<i64> = Vec::with_capacity(self.switches_s.len() + 1);
+        let far_enough = |fixed: &[i64], tick: i64| {
+            tick.max(fixed.last().copied().unwrap_or(0) + self.least_ticks)
+        };
+        for s in &self.switches_s {
+            let tick = (motion.program_time(*s) / model.tick_s).round() as i64;
+            fixed.push(far_enough(&fixed, tick));
+        }
+        fixed.push(far_enough(&fixed, end));
+        let at_least = fixed[fixed.len() - 1] as f64 / self.settings.most_ticks as f64;
+        affordable(
+            "program segments",
+            at_least,
+            BYTES_PER_SEGMENT,
+            "give a longer `max_step_s`, or a larger tick",
+        )?;
+        let ticks = nodes::choose(motion, cells, &fixed, &choice);
+        let n = ticks.len() - 1;
+        let states: Vec<_> = ticks.iter().map(|t| motion.at(*t as f64 * model.tick_s)).collect();
+        let mut counts = Vec::with_capacity(n + 1);
+        for (k, state) in states.iter().enumerate() {
+            counts
+                .push([self.count(k, 0, state.position_mm)?, self.count(k, 1, state.position_mm)?]);
+        }
+        let mut on = Vec::with_capacity(n);
+        let mut state = self.plan.tool_on()[0];
+        let mut next = 0;
+        for tick in &ticks[..n] {
+            while next < self.switches_s.len() && fixed[next] <= *tick {
+                state = !state;
+                next += 1;
+            }
+            on.push(state || !self.settings.follows_tool);
+        }
+        let mut nodes = Nodes {
+            count_mm: model.count_mm,
+            tick_s: model.tick_s,
+            ticks,
+            counts,
+            velocity_mm_per_s: states.iter().map(|s| s.velocity).collect(),
+            tool_on: on,
+            interpolation: model.interpolation,
+            deviation_mm: 0.0,
+            added_s: 0.0,
+        };
+        if model.interpolation == Interpolation::Linear {
+            nodes.stand_at_once(self.settings.most_ticks);
+        }
+        let n = nodes.segments();
+        nodes.added_s = nodes.time_s(n) - self.plan.total_time_s();
+        nodes.velocity_mm_per_s[0] = [0.0; 2];
+        nodes.velocity_mm_per_s[n] = [0.0; 2];
+        Ok(nodes)
+    }
+
+    /// A position in counts, within the travel.
+    fn count(&self, k: usize, axis: usize, position_mm: [f64; 2]) -> Result<i64, Invalid> {
+        let count = self.settings.controller.count_mm[axis];
+        let counts = position_mm[axis] / count;
+        if counts.is_nan() || counts.abs() >= LARGEST_EXACT_INTEGER {
+            let remedy = "give a larger count";
+            return Err(Invalid::at("node", k, format!("is at {counts:e} counts"), remedy));
+        }
+        let mut counts = counts.round();
+        if let Some(travel) = self.machine.travel_mm()[axis] {
+            // A hair is the rounding of the division.
+            let [low, high] = travel.map(|mm| mm / count);
+            counts = counts.min((high + 1e-7).floor()).max((low - 1e-7).ceil());
+        }
+        Ok(counts as i64)
+    }
+
+    /// Solves for the velocities, and says where the program is not good enough.
+    fn finish(&self, motion: &Slowed, nodes: &mut Nodes) -> Faults {
+        let n = nodes.segments();
+        let mut excess = vec![1.0_f64; n];
+        if nodes.interpolation == Interpolation::Hermite {
+            let time_s: Vec<f64> =
+                (0..n).map(|k| nodes.duration(k) as f64 * nodes.tick_s).collect();
+            let mut rests = vec![false; n + 1];
+            (rests[0], rests[n]) = (true, true);
+            for (a, limits) in self.machine.limits().axes().iter().enumerate() {
+                let along = |k: usize| nodes.distance(k)[a] as f64 * nodes.count_mm[a];
+                let distance_mm: Vec<f64> = (0..n).map(along).collect();
+                let planned: Vec<f64> = nodes.velocity_mm_per_s.iter().map(|v| v[a]).collect();
+                let unit = self.settings.controller.velocity_mm_per_s[a];
+                let axis = Axis {
+                    distance_mm: &distance_mm,
+                    time_s: &time_s,
+                    planned: &planned,
+                    limits,
+                    unit,
+                    rests: &rests,
+                };
+                let (velocity, over) = axis.velocities();
+                for (node, v) in nodes.velocity_mm_per_s.iter_mut().zip(velocity) {
+                    node[a] = v;
+                }
+                excess.iter_mut().zip(over).for_each(|(e, o)| *e = e.max(o));
+            }
+        } else {
+            nodes.velocity_mm_per_s.fill([0.0; 2]);
+        }
+        let mut faults = Faults::default();
+        let most = 1.0 + LIMIT_ROUNDING;
+        for piece in nodes.pieces() {
+            let i = piece.segment;
+            let over = use_of_limits(&piece, self.machine.limits(), nodes.interpolation);
+            if over > most {
+                excess[i] = excess[i].max(over);
+            }
+            for (axis, travel) in self.machine.travel_mm().iter().enumerate() {
+                let Some([low, high]) = *travel else { continue };
+                let r = range(&piece.coefficient_mm[axis], piece.time_s);
+                for (side, mm) in [low - r.min, r.max - high].into_iter().enumerate() {
+                    let is_far = mm > FAR_BEYOND * self.settings.path_deviation_mm;
+                    if is_far && nodes.duration(i) > self.least_ticks {
+                        faults.long.push(i);
+                    } else if mm > TRAVEL_ROUNDING_MM {
+                        let beyond = &mut faults.beyond_mm[axis][side];
+                        *beyond = beyond.max(mm);
+                    }
+                }
+            }
+            let mut off_mm = 0.0_f64;
+            for j in 0..=COMPARED {
+                let u = piece.time_s * j as f64 / COMPARED as f64;
+                let position = piece
+                    .coefficient_mm
+                    .each_ref()
+                    .map(|c| planish_numerics::polynomial::evaluate(c, u));
+                off_mm = off_mm.max(motion.distance_mm(piece.start_s + u, position)[0]);
+            }
+            // The motion is that of the path that was moved inwards.
+            off_mm += self.inwards.most_mm();
+            faults.deviation_mm = faults.deviation_mm.max(off_mm);
+            let too_far = off_mm / self.settings.path_deviation_mm;
+            if too_far > 1.0 && nodes.duration(i) > self.least_ticks {
+                if faults.long.last() != Some(&i) {
+                    faults.long.push(i);
+                }
+            } else if too_far > 1.0 {
+                excess[i] = excess[i].max(1.0 + 0.1 * (too_far - 1.0));
+            }
+        }
+        let over = excess.iter().enumerate().filter(|(_, e)| **e > 1.0);
+        faults.slow = over.map(|(k, e)| (k, *e)).collect();
+        faults
+    }
+}
+
+/// Time of a segment in which the rounding of its positions uses [`ROUNDING`] of the acceleration limit or the jerk limit:
+///
+/// ```text
+/// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J
+/// ```
+fn least_for_rounding_s(model: &ControllerModel, limits: &Limits) -> f64 {
+    let mut least_s = 0.0_f64;
+    for (axis, limits) in limits.axes().iter().enumerate() {
+        let (count, unit) = (model.count_mm[axis], model.velocity_mm_per_s[axis]);
+        let a = ROUNDING * limits.max_acceleration_mm_per_s2();
+        // The larger of two terms, doubled, is at least their sum.
+        least_s = least_s.max((6.0 * count / a).sqrt()).max(3.0 * unit / a);
+        if let Some(jerk) = limits.max_jerk_mm_per_s3() {
+            let j = ROUNDING * jerk;
+            least_s = least_s.max((12.0 * count / j).cbrt()).max((6.0 * unit / j).sqrt());
+        }
+    }
+    least_s
+}
+
+/// Part of a limit that rounding to counts may use in the shortest segments. Larger: shorter segments, nearer to the
+/// plan at steps of the acceleration, but slower where the plan is at its limit.
+const ROUNDING: f64 = 0.1;
+
+/// Segments are not made longer than this for the sake of rounding, s: slower axes have less to round.
+const LONGEST_LEAST_S: f64 = 0.05;
+
+/// A position leaves its travel beyond this, mm: the rounding of a coordinate.
+const TRAVEL_ROUNDING_MM: f64 = 1e-9;
+
+/// The largest use of a limit by a cubic, as the factor by which its time has to grow; at most 1 where all are kept.
+fn use_of_limits(piece: &Piece, limits: &Limits, interpolation: Interpolation) -> f64 {
+    let mut most = 0.0_f64;
+    for (c, limits) in piece.coefficient_mm.iter().zip(limits.axes()) {
+        let v = derivative(c);
+        let a = derivative(&v);
+        let peak = |c: &[f64; 4]| range(c, piece.time_s).peak().0;
+        most = most
+            .max(peak(&v) / limits.max_velocity_mm_per_s())
+            .max((peak(&a) / limits.max_acceleration_mm_per_s2()).sqrt());
+        // The acceleration of joined lines has steps, as that of every parabola between lines.
+        if interpolation == Interpolation::Hermite
+            && let Some(jerk) = limits.max_jerk_mm_per_s3()
+        {
+            most = most.max((derivative(&a)[0].abs() / jerk).cbrt());
+        }
+    }
+    most
+}
+
+/// Refuses counts that no program can hold, or that are no encoder's for this motion.
+fn check_counts(plan: &Trajectory, count_mm: [f64; 2]) -> Result<(), Invalid> {
+    let remedy = "give the size of an encoder count in mm";
+    let extent = |axis: usize| {
+        let reached = plan.segments().map(|s| range(&s.coefficient_mm[axis], s.duration_s));
+        let [low, high] = reached
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], r| [l.min(r.min), h.max(r.max)]);
+        high - low
+    };
+    let extent_mm = extent(0).max(extent(1));
+    for c in count_mm {
+        crate::positive("count_mm", c)?;
+        if c < SMALLEST_COUNT_MM {
+            let problem = format!("is {c}, a program has nine decimals of a mm");
+            return Err(Invalid::whole("count_mm", problem, remedy));
+        }
+        if c > extent_mm && extent_mm > 0.0 {
+            let problem = format!("is {c}, the whole motion goes {extent_mm} mm");
+            return Err(Invalid::whole("count_mm", problem, remedy));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,218 @@
+//! The times of the nodes, on the clock of the controller, before anything is rounded.
+//!
+//! From node to node the longest segment is taken whose motion stays near the plan and leaves room for rounding:
+//!
+//! | law | segment of T s | room |
+//! |---|---|---|
+//! | Hermite | the cubic through the plan's positions and velocities is within the deviation of the plan, and within A and J reduced by the room | A: 6 c/T^2 + 3 q/T, J: 12 c/T^3 + 6 q/T^2 |
+//! | linear | the parabola that joins two lines leaves the plan by a T^2/8 | - |
+//!
+//! with the count c and the unit q of a velocity. Where no segment does, the one that comes nearest is taken, and the
+//! generator slows the plan down there.
+
+use planish_numerics::polynomial::derivative;
+use planish_types::{AxisLimits, Interpolation, Limits};
+
+use crate::{
+    slowed::{Cells, Slowed, State},
+    velocities::hermite,
+};
+
+/// Points within a segment at which it is compared with the plan, besides the plan's own breaks.
+const POINTS: usize = 7;
+
+/// Most breaks of the plan within a segment that are looked at one by one.
+const MOST_BREAKS: usize = 64;
+
+/// How far a node may be along the path from where the plan is then, in path deviations. It is a time of microseconds,
+/// which no removal feels.
+const ALONG_PATH: f64 = 2.0;
+
+/// Growth of the segments that are tried.
+const GROWTH: f64 = 1.4;
+
+/// Segments of lines grow and shrink by this part of their length at most: the parabola between two lines takes the
+/// time of the shorter one.
+const CHANGE_OF_LINES: f64 = 0.04;
+
+/// What a choice of nodes is made for.
+pub(crate) struct Choice<'a> {
+    pub limits: &'a Limits,
+    pub count_mm: [f64; 2],
+    pub velocity_mm_per_s: [f64; 2],
+    pub tick_s: f64,
+    /// Ticks of a segment, least and most.
+    pub ticks: [i64; 2],
+    /// Largest distance from the plan's path, mm.
+    pub deviation_mm: f64,
+    pub interpolation: Interpolation,
+}
+
+/// Ticks of the nodes, from 0 to the last of `fixed`, through all of `fixed` (ascending, at least the shortest
+/// segment apart).
+pub(crate) fn choose(motion: &Slowed, cells: &Cells, fixed: &[i64], choice: &Choice) -> Vec<i64> {
+    let mut ticks = vec![0];
+    let caps = (choice.interpolation == Interpolation::Linear).then(|| Caps::new(motion, choice));
+    for stop in fixed {
+        let mut at = ticks[ticks.len() - 1];
+        while at < *stop {
+            let rest = stop - at;
+            let n = match &caps {
+                // Lines of the neighbours are alike; a shorter one here would make a steeper parabola.
+                Some(caps) => caps.at(at),
+                None => choice.longest(motion, cells, at, rest),
+            };
+            at += choice.landing(n, rest);
+            ticks.push(at);
+        }
+    }
+    ticks
+}
+
+impl Choice<'_> {
+    /// `n` ticks, or what is near it and leaves either nothing or a whole segment until the next fixed node.
+    fn landing(&self, n: i64, rest: i64) -> i64 {
+        let [least, most] = self.ticks;
+        let n = n.clamp(least, most);
+        match rest {
+            _ if n >= rest => rest,
+            _ if rest - n >= least => n,
+            // Two equal halves rather than a long segment and one that is too short.
+            _ if rest >= 2 * least => rest / 2,
+            _ if rest <= most => rest,
+            _ => n,
+        }
+    }
+
+    /// The longest segment of a cubic from the tick `at`, at most `rest` ticks.
+    fn longest(&self, motion: &Slowed, cells: &Cells, at: i64, rest: i64) -> i64 {
+        let [least, most] = self.ticks;
+        let most = most.min(rest);
+        let from = motion.at(at as f64 * self.tick_s);
+        // The cells between are those of shorter segments, which are tried first.
+        let longest_s =
+            |tick: i64| cells.longest_s[cells.of(motion.plan_time(tick as f64 * self.tick_s).0)];
+        let from_here_s = longest_s(at);
+        let misfit = |n: i64| {
+            let is_long = n as f64 * self.tick_s > from_here_s.min(longest_s(at + n));
+            if is_long && n > least { f64::INFINITY } else { self.misfit(motion, &from, at, n) }
+        };
+        let (mut good, mut bad) = (None, None);
+        let mut nearest = (f64::INFINITY, least.min(rest));
+        let mut n = least.min(most);
+        let mut tries = 0;
+        loop {
+            let m = misfit(n);
+            if m <= 1.0 {
+                good = Some(n);
+            } else {
+                if m < nearest.0 {
+                    nearest = (m, n);
+                }
+                tries += 1;
+                if good.is_some() {
+                    bad = Some(n);
+                }
+            }
+            if bad.is_some() || n == most || (good.is_none() && tries > TRIES) {
+                break;
+            }
+            n = ((n as f64 * GROWTH).ceil() as i64).min(most);
+        }
+        let Some(mut good) = good else { return nearest.1 };
+        if let Some(mut bad) = bad {
+            while bad - good > 1 + good / 64 {
+                let middle = good + (bad - good) / 2;
+                match misfit(middle) <= 1.0 {
+                    true => good = middle,
+                    false => bad = middle,
+                }
+            }
+        }
+        // A node where the plan has one keeps its rests and its switches as they are.
+        let (start_s, end_s) = (at as f64 * self.tick_s, (at + good) as f64 * self.tick_s);
+        let nearest = motion.breaks_within(0.5 * (start_s + end_s), end_s).last();
+        let at_break = nearest.map_or(good, |s| (s / self.tick_s).round() as i64 - at);
+        match at_break >= least && at_break < good && misfit(at_break) <= 1.0 {
+            true => at_break,
+            false => good,
+        }
+    }
+
+    /// How far the cubic from `at` over `n` ticks is beyond what it may be; at most 1 where it is good.
+    fn misfit(&self, motion: &Slowed, from: &State, at: i64, n: i64) -> f64 {
+        let (start_s, t) = (at as f64 * self.tick_s, n as f64 * self.tick_s);
+        let end_s = start_s + t;
+        let to = motion.at(end_s);
+        let c = [0, 1].map(|a| {
+            let v = [from.velocity[a], to.velocity[a]];
+            hermite(to.position_mm[a] - from.position_mm[a], v, t)
+        });
+        let limited = |axis: usize, limits: &AxisLimits| {
+            let second = derivative(&derivative(&c[axis]));
+            let largest = second[0].abs().max((second[0] + second[1] * t).abs());
+            let (count, unit) = (self.count_mm[axis], self.velocity_mm_per_s[axis]);
+            let room = 6.0 * count / (t * t) + 3.0 * unit / t;
+            let mut use_of = (largest + room) / limits.max_acceleration_mm_per_s2();
+            if let Some(jerk) = limits.max_jerk_mm_per_s3() {
+                let room = 12.0 * count / (t * t * t) + 6.0 * unit / (t * t);
+                use_of = use_of.max((second[1].abs() + room) / jerk);
+            }
+            use_of
+        };
+        let axes = self.limits.axes();
+        let mut misfit = limited(0, &axes[0]).max(limited(1, &axes[1]));
+        let mut compare = |time_s: f64| {
+            let u = time_s - start_s;
+            let position = [0, 1]
+                .map(|a| from.position_mm[a] + planish_numerics::polynomial::evaluate(&c[a], u));
+            let [from_path, at_once] = motion.distance_mm(time_s, position);
+            misfit = misfit
+                .max(from_path / self.deviation_mm)
+                .max(at_once / (ALONG_PATH * self.deviation_mm));
+        };
+        for k in 1..=POINTS {
+            compare(start_s + t * k as f64 / (POINTS + 1) as f64);
+        }
+        motion.breaks_within(start_s, end_s).take(MOST_BREAKS).for_each(&mut compare);
+        misfit
+    }
+}
+
+/// Segments without a fit that are tried before the nearest is taken.
+const TRIES: usize = 8;
+
+/// The longest lines, tick by tick of a coarse grid.
+struct Caps {
+    step: i64,
+    ticks: Vec<f64>,
+}
+
+impl Caps {
+    fn new(motion: &Slowed, choice: &Choice) -> Self {
+        let [least, most] = choice.ticks;
+        let step = least;
+        let m = (motion.total_s() / (step as f64 * choice.tick_s)).ceil() as usize + 2;
+        let cap = |k: usize| {
+            let time_s = k as f64 * step as f64 * choice.tick_s;
+            let a = motion.at(time_s).acceleration;
+            let longest_s = (8.0 * choice.deviation_mm / a[0].hypot(a[1])).sqrt();
+            (longest_s / choice.tick_s).clamp(least as f64, most as f64)
+        };
+        let mut ticks: Vec<f64> = (0..m).map(cap).collect();
+        // A line begins where it may still be as long as what comes within it.
+        let change = CHANGE_OF_LINES * step as f64;
+        for k in 0..m - 1 {
+            ticks[k + 1] = ticks[k + 1].min(ticks[k] + change);
+        }
+        for k in (0..m - 1).rev() {
+            ticks[k] = ticks[k].min(ticks[k + 1] + change);
+        }
+        Self { step, ticks }
+    }
+
+    fn at(&self, tick: i64) -> i64 {
+        let k = ((tick / self.step) as usize).min(self.ticks.len() - 1);
+        self.ticks[k] as i64
+    }
+}

@@ -1,0 +1,188 @@
+//! Velocities of the nodes of one axis, with positions and times fixed.
+//!
+//! The sampled plan v* is taken where it keeps the limits. Elsewhere the velocities are the solution of a quadratic
+//! program on the chain of nodes, whose objective is the integral of the squared difference of the accelerations:
+//!
+//! ```text
+//! min 1/2 (v - v*)' H (v - v*)      H_kk = 4/T_{k-1} + 4/T_k,  H_{k,k+1} = 2/T_k
+//! |6 m - 4 v_k - 2 v_{k+1}| <= A T,   |2 v_k + 4 v_{k+1} - 6 m| <= A T,   |v| <= V
+//! |6 (v_k + v_{k+1}) - 12 m| <= J T^2                                 m = dp / T
+//! ```
+//!
+//! The limits are reduced by what rounding the velocities to their unit q can add: 3 q / T of the acceleration,
+//! 6 q / T^2 of the jerk, q of the velocity.
+
+use planish_numerics::{
+    polynomial::{derivative, range},
+    qp::chain,
+};
+use planish_types::AxisLimits;
+
+/// Part of a limit left to the tolerance of the interior point method.
+const MARGIN: f64 = 1e-6;
+
+/// Price of an excess, relative to the largest energy of a node.
+const PRICE: f64 = 1e4;
+
+/// Most programs until the largest velocity within every segment keeps its limit.
+const MOST_PROGRAMS: usize = 12;
+
+/// An axis between fixed nodes.
+pub(crate) struct Axis<'a> {
+    /// Distance of every segment (n), mm.
+    pub distance_mm: &'a [f64],
+    /// Time of every segment (n), s.
+    pub time_s: &'a [f64],
+    /// Velocity of the plan at every node (n+1), mm/s; zero at both ends.
+    pub planned: &'a [f64],
+    pub limits: &'a AxisLimits,
+    /// Unit of a velocity, mm/s.
+    pub unit: f64,
+    /// Nodes at which the axis rests (n+1).
+    pub rests: &'a [bool],
+}
+
+impl Axis<'_> {
+    /// Rounded velocities (n+1), and the use of the limits by every segment (n) that exceeds them: the factor by
+    /// which its time has to grow; 1 elsewhere.
+    pub fn velocities(&self) -> (Vec<f64>, Vec<f64>) {
+        let n = self.time_s.len();
+        let mut planned: Vec<f64> = self.planned.iter().map(|v| self.rounded(*v)).collect();
+        for k in (0..=n).filter(|k| self.rests[*k]) {
+            planned[k] = 0.0;
+        }
+        let excess = self.excesses(&planned);
+        if excess.iter().all(|e| *e <= 1.0) {
+            return (planned, excess);
+        }
+        let rounded = |v: Vec<f64>| {
+            let v: Vec<f64> = (v.iter().enumerate())
+                .map(|(k, v)| if self.rests[k] { 0.0 } else { self.rounded(*v) })
+                .collect();
+            let excess = self.excesses(&v);
+            (v, excess)
+        };
+        match self.program(false) {
+            Some(v) => rounded(v),
+            // The least excess says where more time is needed.
+            None => self.program(true).map_or((planned, excess), rounded),
+        }
+    }
+
+    fn rounded(&self, v: f64) -> f64 {
+        (v / self.unit).round() * self.unit
+    }
+
+    fn excesses(&self, v: &[f64]) -> Vec<f64> {
+        (0..self.time_s.len()).map(|k| self.excess(k, [v[k], v[k + 1]])).collect()
+    }
+
+    /// Use of the limits by segment `k`; 1 where they are kept.
+    fn excess(&self, k: usize, v: [f64; 2]) -> f64 {
+        let t = self.time_s[k];
+        let c = hermite(self.distance_mm[k], v, t);
+        let first = derivative(&c);
+        let second = derivative(&first);
+        let limits = self.limits;
+        let speed = range(&first, t).peak().0 / limits.max_velocity_mm_per_s();
+        let acceleration = range(&second, t).peak().0 / limits.max_acceleration_mm_per_s2();
+        let jerk = limits.max_jerk_mm_per_s3().map_or(0.0, |j| second[1].abs() / j);
+        speed.max(acceleration.sqrt()).max(jerk.cbrt()).max(1.0)
+    }
+
+    /// The quadratic program; none where it has no solution.
+    fn program(&self, elastic: bool) -> Option<Vec<f64>> {
+        let (n, t) = (self.time_s.len(), self.time_s);
+        let most_v = (1.0 - MARGIN) * self.limits.max_velocity_mm_per_s() - self.unit;
+        // Where the largest velocity of a segment is bounded, beside its ends, in units of its time.
+        let mut within: Vec<Vec<f64>> = vec![Vec::new(); n];
+        for _ in 0..MOST_PROGRAMS {
+            let sum = |k: usize| {
+                let before = if k > 0 { 4.0 / t[k - 1] } else { 0.0 };
+                before + if k < n { 4.0 / t[k] } else { 0.0 }
+            };
+            let diagonal: Vec<f64> = (0..=n).map(sum).collect();
+            let beside: Vec<f64> = t.iter().map(|t| 2.0 / t).collect();
+            let planned = |k: usize| if self.rests[k] { 0.0 } else { self.planned[k] };
+            let linear = (0..=n).map(|k| {
+                let mut c = diagonal[k] * planned(k);
+                if k > 0 {
+                    c += beside[k - 1] * planned(k - 1);
+                }
+                if k < n {
+                    c += beside[k] * planned(k + 1);
+                }
+                c
+            });
+            let linear = linear.collect();
+            let free = self.rests.iter().map(|rests| !rests).collect();
+            let price = match elastic {
+                false => Vec::new(),
+                true => {
+                    let stiffest = diagonal.iter().copied().fold(0.0, f64::max);
+                    let fastest = self.limits.max_velocity_mm_per_s();
+                    let mean_s = t.iter().sum::<f64>() / n as f64;
+                    let unit = PRICE * stiffest * fastest * fastest / mean_s;
+                    t.iter().map(|t| unit * t).collect()
+                }
+            };
+            let program = chain::Program { diagonal, beside, linear, free, price };
+            let rows = |k: usize, rows: &mut chain::Rows| self.rows(k, &within[k], most_v, rows);
+            let mut v = chain::solve(program, rows).ok()?;
+            for k in (0..=n).filter(|k| self.rests[*k]) {
+                v[k] = 0.0;
+            }
+            let mut complete = true;
+            for (k, within) in within.iter_mut().enumerate() {
+                let first = derivative(&hermite(self.distance_mm[k], [v[k], v[k + 1]], t[k]));
+                let (peak, at_s) = range(&first, t[k]).peak();
+                let u = at_s / t[k];
+                let is_new = within.iter().all(|known| (known - u).abs() > 1e-6);
+                if peak > most_v && u > 0.0 && u < 1.0 && is_new && !elastic {
+                    within.push(u);
+                    complete = false;
+                }
+            }
+            if complete {
+                return Some(v);
+            }
+        }
+        None
+    }
+
+    /// Rows of segment `k`.
+    fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::Rows) {
+        let (t, m, q) = (self.time_s[k], self.distance_mm[k] / self.time_s[k], self.unit);
+        let limits = self.limits;
+        let mut both = |row: [f64; 2], constant: f64, slack: f64, bound: f64| {
+            rows.add(row, slack, bound - constant);
+            rows.add(row.map(|v| -v), slack, bound + constant);
+        };
+        let a = (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2() * t - 3.0 * q;
+        let slack = limits.max_acceleration_mm_per_s2() * t;
+        both([-4.0, -2.0], 6.0 * m, slack, a);
+        both([2.0, 4.0], -6.0 * m, slack, a);
+        both([1.0, 0.0], 0.0, most_v, most_v);
+        both([0.0, 1.0], 0.0, most_v, most_v);
+        if let Some(jerk) = limits.max_jerk_mm_per_s3() {
+            let j = (1.0 - MARGIN) * jerk * t * t - 6.0 * q;
+            both([6.0, 6.0], -12.0 * m, jerk * t * t, j);
+        }
+        for u in within {
+            // v(u) = (1-u)^2 v0 + 2u(1-u) (3 m - v0 - v1) + u^2 v1
+            let (w, mixed) = (1.0 - u, 2.0 * u * (1.0 - u));
+            both([w * w - mixed, u * u - mixed], 3.0 * mixed * m, most_v, most_v);
+        }
+    }
+}
+
+/// The cubic (position from 0) over `distance` in `time_s` with the velocities `v` at its ends.
+pub(crate) fn hermite(distance: f64, v: [f64; 2], time_s: f64) -> [f64; 4] {
+    let mean = distance / time_s;
+    [
+        0.0,
+        v[0],
+        (3.0 * mean - 2.0 * v[0] - v[1]) / time_s,
+        (v[0] + v[1] - 2.0 * mean) / (time_s * time_s),
+    ]
+}
