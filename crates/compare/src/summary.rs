@@ -382,6 +382,20 @@ impl Summary {
         }
     }
 
+    /// Recommends the row `name`, a program that was read back: it is the motion that will run. No row is recommended
+    /// where that program breaks a limit of the machine.
+    ///
+    /// # Errors
+    /// A row that is not there, with the names of those that are.
+    pub fn recommend(&mut self, name: &str) -> Result<(), String> {
+        let Some((_, method)) = self.methods.iter().find(|(row, _)| row == name) else {
+            let rows: Vec<&str> = self.methods.iter().map(|(row, _)| row.as_str()).collect();
+            return Err(format!("there is no row {name}; the rows are {}", rows.join(", ")));
+        };
+        self.best = method.is_candidate().then(|| name.into());
+        Ok(())
+    }
+
     /// Why the run has no plan to recommend without reserve; empty when it has one.
     pub fn reserves(&self) -> Vec<String> {
         let mut found = Vec::new();
@@ -646,6 +660,21 @@ mod tests {
         stagnated.plan = state(State::Unconverged);
         let summary = summary_of(vec![("pvt".into(), stagnated)]);
         assert!(summary.reserves()[0].contains("pvt is the best, but not optimal"));
+    }
+
+    #[test]
+    fn the_program_that_will_run_is_recommended_if_it_keeps_the_limits() {
+        let (plan, mut broken) = (method().unwrap(), method().unwrap());
+        broken.limits_respected = false;
+        let rows = [("pvt", &plan), ("pvt+galil", &plan), ("pvt+csv", &broken)]
+            .map(|(n, m)| (n.into(), m.clone()));
+        let mut summary = summary_of(rows.to_vec());
+        summary.recommend("pvt+galil").unwrap();
+        assert_eq!(summary.best.as_deref(), Some("pvt+galil"));
+        summary.recommend("pvt+csv").unwrap();
+        assert_eq!(summary.best, None);
+        let said = summary.recommend("feed+galil").unwrap_err();
+        assert!(said.contains("no row feed+galil; the rows are pvt"), "{said}");
     }
 
     #[test]

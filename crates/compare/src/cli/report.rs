@@ -40,6 +40,10 @@ pub struct Report {
     /// Tool of the runs, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: Option<PathBuf>,
+    /// Row of a program that was read back, such as feed+galil: the report recommends it in the place of its plan [of one
+    /// run only; default: the report chooses among all rows]
+    #[arg(long, value_name = "ROW")]
+    program: Option<String>,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -56,11 +60,13 @@ enum Plots {
 
 impl Report {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Report { runs, pipeline, fixture, measured, tif, plots, output } = self;
+        let Report { runs, pipeline, fixture, measured, tif, program, plots, output } = self;
         let mut inputs = Inputs::new();
         let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
-        let task =
-            task!("report", json!({ "pipeline": pipeline, "fixture": fixture, "runs": names }));
+        let task = task!(
+            "report",
+            json!({ "pipeline": pipeline, "fixture": fixture, "runs": names, "program": program })
+        );
         let called = Names {
             pipeline: pipeline.as_deref(),
             fixture,
@@ -74,7 +80,14 @@ impl Report {
         }
         let read = runs.iter().enumerate();
         let read = read.map(|(i, dir)| files::read_run(&mut inputs, i, dir, &called));
-        let read = read.collect::<Result<Vec<_>, _>>()?;
+        let mut read = read.collect::<Result<Vec<_>, _>>()?;
+        match (program, &mut read[..]) {
+            (None, _) => {}
+            (Some(row), [run]) => run.summary.recommend(row).map_err(Failure::new)?,
+            (Some(_), _) => {
+                return Err(Failure::new("--program is of one run; give one run, or leave it out"));
+            }
+        }
         let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
         let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();
         let status = negative(&runs).map_or(Status::Done, Status::Negative);

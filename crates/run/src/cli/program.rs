@@ -70,12 +70,6 @@ impl Program {
             "program: {} is of the plan {of}; {read_back} is that program, read back and judged",
             program.display()
         ));
-        if controller == "gcode" {
-            say(
-                "program: the lines of G-code have steps in velocity at their ends, which are not judged: the planner \
-                 of the controller rounds them within its limits, and may take longer for it",
-            );
-        }
         match answer.method.as_deref() {
             Some(best) if plan_of(best) == of => {
                 say(format!(
@@ -85,7 +79,7 @@ impl Program {
             }
             Some(best) => warn(format!(
                 "the program is of the plan {of}, and the report recommends {best}: {} For a program of it give \
-                 program_of={best}, where its segments are long enough for the counts and ticks of the controller",
+                 program_of={best}",
                 answer.why
             )),
             None => warn(format!("the report recommends no plan of this run: {}", answer.why)),
