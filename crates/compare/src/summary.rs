@@ -328,8 +328,9 @@ impl Summary {
         for (name, method) in methods.iter_mut().filter(|(_, m)| m.plan.word == PROGRAM) {
             let base_name = name.rsplit_once('+').map(|(base, _)| base);
             if let Some((base, plan)) = plans.iter().find(|(n, _)| Some(n.as_str()) == base_name) {
-                method.plan = plan.clone();
-                method.plan.text = format!("the program of {base}: {}", plan.text);
+                // The proof is about the plan; the word says whose motion this is.
+                let text = format!("of {base}, {}: {}", plan.word, plan.text);
+                method.plan = Plan { word: PROGRAM.into(), text, ..plan.clone() };
             }
         }
         methods.sort_by_cached_key(|(name, _)| {
@@ -689,8 +690,8 @@ mod tests {
         };
         let found = summary_of(methods("pvt+refined")).methods.pop().unwrap().1.plan;
         assert_eq!(
-            (found.state, found.text.as_str()),
-            (State::Certified, "the program of pvt+refined: near")
+            (found.state, found.word.as_str(), found.text.as_str()),
+            (State::Certified, PROGRAM, "of pvt+refined, certified: near")
         );
         let alone = summary_of(methods("trig-spline")).methods.remove(0).1.plan;
         assert_eq!(alone.state, State::Unknown);
