@@ -284,7 +284,7 @@ fn shown(value: &Value) -> String {
     }
 }
 
-/// A word for a cell. A spreadsheet takes what begins with one of these characters for a formula and evaluates it; behind
+/// A word for a cell. A spreadsheet takes what begins with one of these characters for a formula and evaluates it; after
 /// an apostrophe it is a text, of which a spreadsheet does not show the apostrophe.
 fn text_cell(word: &str) -> String {
     match word.starts_with(['=', '+', '-', '@', '\t', '\r']) {

@@ -12,7 +12,7 @@ use planish_types::budget;
 
 use crate::{
     describe,
-    shell::{complain, shortened},
+    message::{complain, shortened},
     words,
 };
 

@@ -65,6 +65,7 @@ pub mod flags;
 pub mod formats;
 mod inputs;
 pub mod kind;
+mod message;
 mod nouns;
 pub mod npy;
 mod output;

@@ -404,7 +404,7 @@ const FLAGS: [(&str, &str); 24] = [
     ("tif t.csv --unit nm --dwell-s 30 --half-size-mm 3 --baseline piston --pitch-mm ?", "1"),
     ("tif t.csv --before z.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm ? --negate", "3"),
     (
-        "tif t.csv --before w.csv --align shift --unit nm --pitch-mm 1 --dwell-s ? --half-size-mm 3 --negate",
+        "tif s.csv --before w.csv --align shift --unit nm --pitch-mm 1 --dwell-s ? --half-size-mm 3",
         "3",
     ),
     ("program p.trj --controller xps --start-mm ?", "1"),
@@ -426,6 +426,8 @@ fn inputs(dir: &Path) {
     fs::write(dir.join("t.csv"), text(&spot)).unwrap();
     fs::write(dir.join("z.csv"), text(&|_, _| 0.0)).unwrap();
     fs::write(dir.join("w.csv"), text(&waves)).unwrap();
+    // What the spot left of the waves: the two maps can be aligned.
+    fs::write(dir.join("s.csv"), text(&|x, y| waves(x, y) - spot(x, y))).unwrap();
     fs::write(dir.join("p.trj"), "0.1, 1, 0.5, 0, 0\n0.2, 0, 0, 0, 0\n").unwrap();
     let galil = "PVA=0,0,-1\nPVB=0,0,-1\nPVA=100,5,100\nPVB=0,0,100\nPVA=0,0,0\nPVB=0,0,0\nBTAB\n";
     fs::write(dir.join("p.dmc"), galil).unwrap();

@@ -205,7 +205,7 @@ mod tests {
         for p in &cut {
             assert_eq!(p.coefficient_mm[1], [0.0; 4]);
         }
-        // x follows 0.01 mm behind once the drive has gone so far: after 2 ms. One piece is cut, once.
+        // x follows 0.01 mm later once the drive has gone so far: after 2 ms. One piece is cut, once.
         assert_eq!(cut.len(), 11);
         assert_eq!(cut[0].coefficient_mm[0], [0.0; 4]);
         assert!((cut[0].duration_s - 0.002).abs() < 1e-12);

@@ -372,7 +372,7 @@ fn a_motion_that_never_touches_the_map_is_a_negative_verdict() {
         &[][..],
         &["--method=direct"],
         &["--frames=3"],
-        &["--process=process.json", "--measured=after", "--out=removal"],
+        &["--process=process.json", "--measured=after"],
     ] {
         let tmp = tempfile::tempdir().unwrap();
         prepare(tmp.path());

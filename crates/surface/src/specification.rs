@@ -118,7 +118,7 @@ impl Specification {
     /// Judges `subject`, whose heights have white noise of `noise_nm` RMS, limit by limit.
     ///
     /// ```text
-    /// RMS height    s, in a band s (share of the frequencies in the band)^1/2
+    /// RMS height    s, in a band s (fraction that the band has of all frequencies)^1/2
     /// RMS slope     2^1/2 s / base, in a band the root of the sum of (2 pi f)^2 S df with S the density of the noise
     /// largest       PV 2 s (2 ln N)^1/2, slope 2^1/2 s / base (2 ln 2N)^1/2: above what is expected of N values
     /// ```

@@ -157,7 +157,11 @@ fn heights_and_slopes_of_the_same_line_say_the_same() {
     // Differences over 0.2 mm of waves of at least 3.4 mm: 1 - sinc = 0.6 % of the shortest, which has 1.6 %
     // of the mean square.
     let near = |a: f64, b: f64, fraction: f64| assert!((a / b - 1.0).abs() < fraction, "{a} {b}");
-    near(from_heights.slope_x.rms_nrad, from_slopes.slope_x.rms_nrad, 2e-3);
+    // The best shape of slopes is fitted to slopes and leaves the least of them; that of heights is fitted to heights and
+    // leaves more. The 3 % that they differ by here are a regression bound of 5 %.
+    let [of_heights, of_slopes] = [&from_heights, &from_slopes].map(|q| q.slope_x.rms_nrad);
+    assert!(of_slopes <= of_heights * (1.0 + 2e-3), "{of_slopes} {of_heights}");
+    near(of_heights, of_slopes, 0.05);
     assert_eq!(from_slopes.slope_x.base_mm, 0.0);
     // Trapezoids over 0.1 mm; the line that is taken off is that of the heights in both.
     near(from_heights.height.rms_nm, from_slopes.height.rms_nm, 2e-3);

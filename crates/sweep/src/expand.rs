@@ -2,11 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use serde_json::{Value, json};
-
 use crate::{
     description::Block,
-    plan::{Ground, Plan, hash},
+    plan::{Ground, Plan, plan},
     setting::{Given, SETTINGS},
 };
 
@@ -39,52 +37,6 @@ pub fn expand(blocks: &[Block], ground: &Ground) -> Result<Vec<Plan>, String> {
 
 fn too_many() -> String {
     format!("the sweep has more than {MOST_PLANS} plans; give shorter lists")
-}
-
-/// A plan with these settings, and its names.
-pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
-    let settings = with_defaults(path, given);
-    let part = |of_paths: bool| -> Vec<&(String, Given)> {
-        let belongs =
-            |key: &str| SETTINGS.iter().any(|s| s.key == key && s.is_of_paths() == of_paths);
-        settings.iter().filter(|(key, _)| belongs(key)).collect()
-    };
-    let tool = settings.iter().find(|(key, _)| key == "tool").map(|(_, given)| given.to_string());
-    let tool = tool.unwrap_or_default();
-    let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash);
-    let path_id = name(path, &json!(["path", path, ground.surface, tif, part(true)]));
-    let floor: Vec<_> = settings.iter().filter(|(key, _)| key.starts_with("min_dwell_s")).collect();
-    // Without one it is that of the machine.
-    let of_machine = floor.is_empty().then_some(&ground.machine);
-    let dwell_id = (method == "pvt+refined")
-        .then(|| name(path, &json!(["dwell", path_id, floor, of_machine])));
-    let whole = json!(["plan", path_id, method, ground.machine, ground.process, part(false)]);
-    let id = name(&format!("{path}-{method}"), &whole);
-    Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
-}
-
-/// What `just run` takes where nothing is given and a stage must be told.
-fn with_defaults(path: &str, mut settings: Vec<(String, Given)>) -> Vec<(String, Given)> {
-    let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
-    if !has(&settings, "pitch_mm") {
-        let pitch_mm = if path == "spiral" { 1.3 } else { 1.0 };
-        settings.push(("pitch_mm".into(), Given::Number(pitch_mm)));
-    }
-    if !has(&settings, "step_mm") {
-        let pitch =
-            settings.iter().find(|(key, _)| key == "pitch_mm").map(|(_, given)| given.clone());
-        let step = if path == "raster" { None } else { pitch };
-        settings.push(("step_mm".into(), step.unwrap_or(Given::Number(1.0))));
-    }
-    settings.sort_by_key(|(key, _)| SETTINGS.iter().position(|s| s.key == *key));
-    settings
-}
-
-/// A name that begins with a word and ends with the hash of its content.
-///
-/// 12 digits: of 1e5 plans two have the same hash with a probability of 2e-5, and their names differ by word, too.
-fn name(word: &str, content: &Value) -> String {
-    format!("{word}-{}", hash(content))
 }
 
 /// Every combination of the settings that concern this path and this method; the last varies fastest.

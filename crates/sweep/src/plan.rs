@@ -4,11 +4,10 @@
 //! made once, and what is there is never out of date.
 
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::{
     description::Constraints,
-    expand,
     setting::{Given, METHODS, PATHS, SETTINGS, Setting},
 };
 
@@ -144,7 +143,7 @@ impl Round {
 }
 
 /// The first 12 digits of the BLAKE3 of a value, and of the version that made it.
-pub fn hash(content: &serde_json::Value) -> String {
+pub fn hash(content: &Value) -> String {
     let versioned = json!([env!("CARGO_PKG_VERSION"), content]);
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
 }
@@ -197,11 +196,11 @@ impl Sweep {
         if let Some(round) = self.rounds.iter().find(|round| !is_name(&round.id)) {
             return Err(format!("a round is named '{}'", round.id));
         }
-        let named = |plan: &Plan| {
-            let (path, method) = (plan.path.as_str(), plan.method.as_str());
+        let named = |given: &Plan| {
+            let (path, method) = (given.path.as_str(), given.method.as_str());
             PATHS.contains(&path)
                 && METHODS.contains(&method)
-                && *plan == expand::plan(path, method, plan.settings.clone(), &self.ground)
+                && *given == plan(path, method, given.settings.clone(), &self.ground)
         };
         match self.plans().find(|plan| !named(plan)) {
             Some(plan) => Err(format!("the name '{}' is not that of its plan", plan.id)),
@@ -387,10 +386,55 @@ impl Plan {
     }
 }
 
+/// A plan with these settings, and its names.
+pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
+    let settings = with_defaults(path, given);
+    let part = |of_paths: bool| -> Vec<&(String, Given)> {
+        let belongs =
+            |key: &str| SETTINGS.iter().any(|s| s.key == key && s.is_of_paths() == of_paths);
+        settings.iter().filter(|(key, _)| belongs(key)).collect()
+    };
+    let tool = settings.iter().find(|(key, _)| key == "tool").map(|(_, given)| given.to_string());
+    let tool = tool.unwrap_or_default();
+    let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash);
+    let path_id = name(path, &json!(["path", path, ground.surface, tif, part(true)]));
+    let floor: Vec<_> = settings.iter().filter(|(key, _)| key.starts_with("min_dwell_s")).collect();
+    // Without one it is that of the machine.
+    let of_machine = floor.is_empty().then_some(&ground.machine);
+    let dwell_id = (method == "pvt+refined")
+        .then(|| name(path, &json!(["dwell", path_id, floor, of_machine])));
+    let whole = json!(["plan", path_id, method, ground.machine, ground.process, part(false)]);
+    let id = name(&format!("{path}-{method}"), &whole);
+    Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
+}
+
+/// What `just run` takes where nothing is given and a stage must be told.
+fn with_defaults(path: &str, mut settings: Vec<(String, Given)>) -> Vec<(String, Given)> {
+    let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
+    if !has(&settings, "pitch_mm") {
+        let pitch_mm = if path == "spiral" { 1.3 } else { 1.0 };
+        settings.push(("pitch_mm".into(), Given::Number(pitch_mm)));
+    }
+    if !has(&settings, "step_mm") {
+        let pitch =
+            settings.iter().find(|(key, _)| key == "pitch_mm").map(|(_, given)| given.clone());
+        let step = if path == "raster" { None } else { pitch };
+        settings.push(("step_mm".into(), step.unwrap_or(Given::Number(1.0))));
+    }
+    settings.sort_by_key(|(key, _)| SETTINGS.iter().position(|s| s.key == *key));
+    settings
+}
+
+/// A name that begins with a word and ends with the hash of its content.
+///
+/// 12 digits: of 1e5 plans two have the same hash with a probability of 2e-5, and their names differ by word, too.
+fn name(word: &str, content: &Value) -> String {
+    format!("{word}-{}", hash(content))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::expand::plan;
 
     fn sweep(process: Option<&str>) -> Sweep {
         let named = |own: &str, other: &str| {

@@ -10,8 +10,7 @@ use std::collections::BTreeSet;
 use planish_numerics::pareto::{dominated_area, front};
 
 use crate::{
-    expand::plan,
-    plan::{Ground, Plan},
+    plan::{Ground, Plan, plan},
     setting::{Given, SETTINGS},
 };
 

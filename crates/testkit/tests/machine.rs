@@ -85,7 +85,7 @@ fn json_of(path: &Path) -> Value {
 /// The verdict, without what names its inputs.
 fn verdict(dir: &Path, motion: &str, machine: &str, code: i32) -> Value {
     let command = format!(
-        "verify --trajectory {motion} --machine {machine}.json --out {motion}-on-{machine} --force"
+        "verify --trajectory {motion} --machine {machine}.json --other-machine --out {motion}-on-{machine} --force"
     );
     expect(dir, code, &command);
     let mut outcome =
@@ -117,7 +117,7 @@ fn a_quarter_turn_and_exchanged_axes_are_one_machine() {
     for controller in ["galil", "xps", "pmac", "gcode", "csv"] {
         let text = ["turned", "exchanged"].map(|machine| {
             let command = format!(
-                "export {controller} --trajectory turned-motion --machine {machine}.json --out {machine}.txt --force"
+                "export {controller} --trajectory turned-motion --machine {machine}.json --other-machine --out {machine}.txt --force"
             );
             expect(dir, 0, &command);
             fs::read_to_string(dir.join(format!("{machine}.txt"))).unwrap()
@@ -133,6 +133,25 @@ fn a_quarter_turn_and_exchanged_axes_are_one_machine() {
             assert!(text[0].contains("# reach: x from 96 to 99 mm"), "{}", text[0]);
         }
     }
+}
+
+/// A motion as chords, 64 in every segment: on segments of 0.1 s at 1000 mm/s^2 a chord is 0.3 nm off its curve.
+fn chords(motion: &Trajectory) -> Vec<[[f64; 2]; 2]> {
+    let of = |k: usize| {
+        let s = motion.segment(k);
+        let at = move |i: u8| s.position_mm(s.duration_s * f64::from(i) / 64.0);
+        (0..64).map(move |i| [at(i), at(i + 1)])
+    };
+    (0..motion.len()).flat_map(of).collect()
+}
+
+/// Distance of `p` from the chord between `a` and `b`, mm.
+fn distance_mm(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let (d, e) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let length2 = d[0] * d[0] + d[1] * d[1];
+    let along =
+        if length2 > 0.0 { ((d[0] * e[0] + d[1] * e[1]) / length2).clamp(0.0, 1.0) } else { 0.0 };
+    (e[0] - along * d[0]).hypot(e[1] - along * d[1])
 }
 
 /// Out by the writer, back by the reader, which shares no code with it: the motion of the part.
@@ -161,19 +180,13 @@ fn what_is_exported_and_read_back_is_the_plan_of_the_part() {
             let back = artifact::read::<Trajectory>(&dir.join("back")).unwrap();
             assert!(back.manifest.unwrap().frame.starts_with("part coordinates"));
             let back = back.value;
-            // A Galil cuts long segments: the end that is nearest in time, to its tick of 2 ms.
-            assert!(back.len() >= planned.len(), "{machine} {controller}");
+            // The nodes of a program are others than those of the plan; its path is within the 5 um that export allows.
+            let chords = chords(&back);
             for k in 0..planned.len() {
-                let from_start =
-                    |t: &Trajectory, k: usize| t.break_time_s()[k] - t.break_time_s()[0];
-                let late = |j: &usize| (from_start(&back, *j) - from_start(&planned, k)).abs();
-                let j = (0..back.len()).min_by(|i, j| late(i).total_cmp(&late(j))).unwrap();
-                assert!(late(&j) <= 2e-3, "{machine} {controller} {k}");
-                let (p, q) =
-                    (planned.segment(k).position_mm(0.0), back.segment(j).position_mm(0.0));
-                // Half a count of 0.1 um along both axes.
-                let apart = (p[0] - q[0]).hypot(p[1] - q[1]);
-                assert!(apart <= 0.71e-4, "{machine} {controller} {k}: {p:?} {q:?}");
+                let p = planned.segment(k).position_mm(0.0);
+                let apart =
+                    chords.iter().map(|[a, b]| distance_mm(p, *a, *b)).fold(f64::MAX, f64::min);
+                assert!(apart <= 5e-3, "{machine} {controller} {k}: {p:?} is {apart} mm off");
             }
         }
     }
@@ -261,7 +274,11 @@ fn travel_is_judged_and_nothing_is_written_beyond_it() {
     );
     let judged = verdict(dir, "turned-motion", "fits", 0);
     assert_eq!(judged["axes"][0]["travel_mm"], json!([96.0, 99.0]));
-    expect(dir, 0, "export csv --trajectory turned-motion --machine fits.json --out fits.csv");
+    expect(
+        dir,
+        0,
+        "export csv --trajectory turned-motion --machine fits.json --other-machine --out fits.csv",
+    );
     let judged = verdict(dir, "turned-motion", "short", 1);
     assert_eq!(judged["axes"][1]["position_mm"]["exceeded"], true);
     let said = judged["violations"][0].as_str().unwrap().to_string();
@@ -271,7 +288,9 @@ fn travel_is_judged_and_nothing_is_written_beyond_it() {
         let said = expect(
             dir,
             2,
-            &format!("export {controller} --trajectory turned-motion --machine short.json --out p"),
+            &format!(
+                "export {controller} --trajectory turned-motion --machine short.json --other-machine --out p"
+            ),
         );
         assert!(said.contains("y reaches -10.0000 mm, 0.5000 mm beyond its travel"), "{said}");
         assert!(!dir.join("p").exists() && !dir.join("p.json").exists());

@@ -27,7 +27,9 @@ fn write_inputs(dir: &Path) {
     save_axis(&surface, "y_mm", 0.0, 0.5, 21);
     let tif = dir.join("tif");
     let at = |i: usize| -3.0 + 0.25 * i as f64;
-    let rate = Array2::from_shape_fn((25, 25), |(r, c)| (-at(r).powi(2) - at(c).powi(2)).exp());
+    // 2.1 standard deviations wide on each side: it removes out to its last samples, which the overscan follows.
+    let rate =
+        Array2::from_shape_fn((25, 25), |(r, c)| (-(at(r).powi(2) + at(c).powi(2)) / 4.0).exp());
     save(&tif, "rate_nm_per_s", rate);
     save_axis(&tif, "x_mm", -3.0, 0.25, 25);
     save_axis(&tif, "y_mm", -3.0, 0.25, 25);

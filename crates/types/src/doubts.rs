@@ -267,7 +267,7 @@ mod tests {
     fn an_ordinary_map_with_its_tool_and_machine_is_in_no_doubt() {
         let (surface, tif) = (map(|z, _| z), tool(5.0, |rate| rate));
         assert_eq!(of_map(&surface), None);
-        // Counts of 0.1 nm, a pit of the depth of the map, and a dead corner.
+        // Counts of 0.1 nm, a pit of the depth of the map, and a corner without data.
         assert_eq!(of_map(&map(|z, _| (10.0 * z).round() / 10.0)), None);
         assert_eq!(of_map(&map(|z, at| if at == (7, 9) { -30.0 } else { z })), None);
         assert_eq!(of_map(&map(|z, (r, c)| if r < 9 && c < 9 { f64::NAN } else { z })), None);

@@ -21,7 +21,7 @@ pub struct Verdict {
     plan: Vec<PathBuf>,
 }
 
-/// What stands behind the verdict on a plan: its artifacts of these names, where they are there.
+/// Names of the artifacts that the verdict on a plan rests on, where they are there.
 const JUDGED: [&str; 4] = ["trajectory", "removal", "verdict", "specification"];
 
 /// What a trajectory needs beside it before it is a plan.
