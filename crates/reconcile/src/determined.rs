@@ -172,7 +172,8 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
-    let is_clear = error < CLEAR * scale;
+    // More terms of the metrology than the usual four take up errors of the model, and the rest says less of them.
+    let is_clear = error < CLEAR * scale && fit.terms.len() <= crate::metrology::NAMES.len();
     let largest = if is_clear { LARGEST_CLEAR_INFLATION } else { LARGEST_INFLATION };
     if fit.inflation[i] > largest {
         let inflation = match fit.inflation[i].is_finite() {

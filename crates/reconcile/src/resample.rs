@@ -96,9 +96,9 @@ mod tests {
                 assert!((a - b).abs() < 1e-9, "{a} {b}");
             }
         }
-        // Along x 25 of 30 have three samples on each side. Along y 0.3 k / 0.25 = 1.2 k: k = 0, 5, 10 and 15 are on
-        // samples, and k = 2 to 13 have three on each side.
-        assert_eq!(valid, 25 * 14);
+        // Along x 25 of 30 have three samples on each side. Along y the place 0.3 k / 0.25 = 1.2 k has them for
+        // k = 2 to 14, and k = 0 and 15 are on samples.
+        assert_eq!(valid, 25 * 15);
         assert!(are_same(&from, &from) && !are_same(&from, &to));
     }
 }

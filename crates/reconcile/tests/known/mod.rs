@@ -53,13 +53,12 @@ impl Tool {
         8.0 * shape * (1.0 + t.rate) / (w * w * (1.0 - e * e - d * d))
     }
 
-    fn sampled(&self) -> Tif {
+    fn sampled(&self, errors: &Truth) -> Tif {
         // Out to 5.5 sigma, where the tool has ended; the pitch of the map, at which a simulation is fastest
         let step = PITCH_MM;
         let n = (5.5 * self.sigma_mm / step).ceil() as usize;
         let axis = Axis::new(-(n as f64) * step, step, 2 * n + 1).unwrap();
-        let none = Truth::default();
-        let rate = |(r, c): (usize, usize)| self.rate(axis.at(c), axis.at(r), &none);
+        let rate = |(r, c): (usize, usize)| self.rate(axis.at(c), axis.at(r), errors);
         Tif::new(Grid { x: axis, y: axis }, Array2::from_shape_fn((2 * n + 1, 2 * n + 1), rate))
             .unwrap()
     }
@@ -141,7 +140,7 @@ impl Case {
         let shape = grid.shape();
         let noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
         let after_noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
-        let tif = tool.sampled();
+        let tif = tool.sampled(&Truth::default());
         let real = figure.map(&grid);
         let before = Surface::new(grid, &real + &noise).unwrap();
         let seconds = planned(&grid, &path, &real, &|x, y| tool.rate(x, y, &Truth::default()));
@@ -218,7 +217,7 @@ impl Case {
         let measured = &real + &self.noise;
         // No plan corrects a drift, so the machine of the known tool has it, too.
         let shape = Truth { drift: 0.0, ..self.truth };
-        let none = Truth::default();
+        let true_tool = self.tool.sampled(&shape);
         let residual = |rate: &dyn Fn(f64, f64) -> f64, place: &dyn Fn([f64; 2]) -> [f64; 2]| {
             let seconds = planned(&self.grid, &self.path, &measured, rate);
             let corners: Vec<[f64; 2]> = self.path.iter().map(|p| place(*p)).collect();
@@ -234,8 +233,8 @@ impl Case {
         };
         [
             residual(&|x, y| found.tif.rate_at(x, y), &|p| found.transform.point(p)),
-            residual(&|x, y| self.tool.rate(x, y, &none), &|p| p),
-            residual(&|x, y| self.tool.rate(x, y, &shape), &known),
+            residual(&|x, y| self.tif.rate_at(x, y), &|p| p),
+            residual(&|x, y| true_tool.rate_at(x, y), &known),
         ]
     }
 }
