@@ -50,7 +50,8 @@ pub struct Feed {
     /// minutes, fewer are
     #[arg(long, value_name = "K", default_value_t = Settings::default().refinements)]
     refinements: usize,
-    /// End where the objective is proven to be within this fraction of the least one
+    /// Relative gap at which the solver ends: a bound for fixed tangents of the limits, whose exact rows are not convex.
+    /// Rounds with new tangents follow until one gains less than a quarter of it
     #[arg(long, value_name = "G", default_value_t = Settings::default().relative_gap)]
     relative_gap: f64,
     /// Most steps of the solver
@@ -129,7 +130,8 @@ impl Feed {
             ));
         }
         say(format!(
-            "feed: {} after {} steps, proven within {:.1e} of the least objective; {:.4} nm in {:.2} s at {:.3e} \
+            "feed: {} after {} steps, proven within {:.1e} of the least objective for fixed tangents of the limits (the \
+             limits are not convex: a local optimum); {:.4} nm in {:.2} s at {:.3e} \
              nm^2/s; {} nodes, points moved by at most {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",
             r.end,
             r.iterations,

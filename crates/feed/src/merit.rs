@@ -23,9 +23,16 @@
 //! removal(D) = B D + M(D_k) - B D_k                                                      (3)
 //! ```
 //!
-//! takes the place of B D. The motion is simulated at every iterate at which the mean square is computed exactly, up to the
-//! one of which something is proven: the residual that is minimised in the end is that of what will be executed, by the
-//! gradient of the linear model.
+//! takes the place of B D, and the linear term
+//!
+//! ```text
+//! g' (D - D_k),   g = (M'(D_k) - B)' times the gradient by the removal at D_k            (4)
+//! ```
+//!
+//! is added to the mean square, whose gradient at D_k is then that of the motion. (4) does not change the curvature, so the
+//! program stays convex. The solver simulates the motion at every iterate at which it computes the mean square exactly, up
+//! to the first one of which it proves something. Up to there g is zero, because steps by another curvature than that of
+//! the motion need a line search; the rounds after it have one ([`crate::problem`]).
 
 use ndarray::Array2;
 use planish_dwell::residual::{Evaluation, Normal, Residual};
@@ -110,10 +117,30 @@ pub struct Merit<'a> {
     price_is_found: bool,
     reference: Reference,
     executed: Option<Executed<'a>>,
-    /// M(D_k) - B D_k of (3), nm, once the motion was simulated.
-    beyond_nm: Option<Array2<f64>>,
+    /// (3) and (4), once the motion was simulated.
+    beyond: Option<Beyond>,
+    /// Whether these stay what they are, see [`Self::keep_motion_of`].
+    motion_is_kept: bool,
     /// Half the mean square where (1) was computed last.
     last_half_mean_square_nm2: f64,
+}
+
+/// How the removal of the motion differs from that of the densities at D_k.
+struct Beyond {
+    /// M(D_k) - B D_k of (3), nm.
+    removal_nm: Array2<f64>,
+    /// D_k (nodes), s/mm.
+    density: Vec<f64>,
+    /// g of (4) (nodes).
+    gradient: Vec<f64>,
+}
+
+impl Beyond {
+    /// (4), nm^2.
+    fn linear_nm2(&self, density: &[f64]) -> f64 {
+        let by = self.gradient.iter().zip(density.iter().zip(&self.density));
+        by.map(|(g, (d, k))| g * (d - k)).sum()
+    }
 }
 
 /// Where the mean square f was last computed with the removal itself. Elsewhere it is, with the normal matrix H, which is on
@@ -186,7 +213,8 @@ impl<'a> Merit<'a> {
                 &residual.removal_nm(&mesh.times_s(density)),
             ),
             executed: None,
-            beyond_nm: None,
+            beyond: None,
+            motion_is_kept: false,
             last_half_mean_square_nm2: f64::INFINITY,
         }
     }
@@ -221,8 +249,10 @@ impl<'a> Merit<'a> {
     ) -> Result<(), FeedError> {
         let near = at.complementarity <= SIMULATED_BELOW * self.last_half_mean_square_nm2;
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
-        if let Some(executed) = self.executed.filter(|_| near && !stays) {
-            self.beyond_nm = Some(executed(density)? - &model_nm);
+        if let Some(executed) = self.executed.filter(|_| near && !stays && !self.motion_is_kept) {
+            let removal_nm = executed(density)? - &model_nm;
+            let gradient = vec![0.0; density.len()];
+            self.beyond = Some(Beyond { removal_nm, density: density.to_vec(), gradient });
             // The residual is another one now.
             self.price_is_found &= !matches!(self.wanted, Price::Elasticity(_));
         }
@@ -241,19 +271,52 @@ impl<'a> Merit<'a> {
         Ok(())
     }
 
-    /// By (3).
+    /// By (3) and (4).
     fn reference_at(&self, density: &[f64], model_nm: Array2<f64>) -> Reference {
-        let mut removal_nm = model_nm;
-        if let Some(beyond_nm) = &self.beyond_nm {
-            removal_nm += beyond_nm;
+        let Some(beyond) = &self.beyond else {
+            return Reference::new(self.residual, self.mesh, density, &model_nm);
+        };
+        let removal_nm = model_nm + &beyond.removal_nm;
+        let mut reference = Reference::new(self.residual, self.mesh, density, &removal_nm);
+        reference.half_mean_square_nm2 += beyond.linear_nm2(density);
+        reference.gradient.iter_mut().zip(&beyond.gradient).for_each(|(g, beyond)| *g += beyond);
+        reference
+    }
+
+    /// From here on (3) and (4) are those at these densities, and the price is what it is.
+    pub fn keep_motion_of(&mut self, density: &[f64]) -> Result<(), FeedError> {
+        let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
+        if let Some(executed) = self.executed {
+            let executed_nm = executed(density)?;
+            let at = self.residual.evaluate_removal(&executed_nm);
+            self.beyond = Some(Beyond {
+                removal_nm: executed_nm - &model_nm,
+                density: density.to_vec(),
+                gradient: self.mesh.collect_beyond(&at.gradient_nm2_per_s, density),
+            });
         }
-        Reference::new(self.residual, self.mesh, density, &removal_nm)
+        (self.motion_is_kept, self.price_is_found) = (true, true);
+        self.reference = self.reference_at(density, model_nm);
+        Ok(())
+    }
+
+    /// (1) of the simulated motion, nm^2.
+    pub fn of_execution_nm2(&self, density: &[f64]) -> Result<f64, FeedError> {
+        let removal_nm = match self.executed {
+            Some(executed) => executed(density)?,
+            None => self.residual.removal_nm(&self.mesh.times_s(density)),
+        };
+        let left = self.residual.evaluate_removal(&removal_nm);
+        Ok(self.priced(density, left.half_mean_square_nm2, vec![0.0; density.len()]).value)
     }
 
     /// Half the mean square of the residual by (3), nm^2.
     pub fn half_mean_square_nm2(&self, density: &[f64]) -> f64 {
-        let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
-        self.reference_at(density, model_nm).half_mean_square_nm2
+        let mut removal_nm = self.residual.removal_nm(&self.mesh.times_s(density));
+        if let Some(beyond) = &self.beyond {
+            removal_nm += &beyond.removal_nm;
+        }
+        self.residual.evaluate_removal(&removal_nm).half_mean_square_nm2
     }
 
     /// Half the mean square and its gradient, by the normal matrix since the reference.
@@ -271,8 +334,7 @@ impl<'a> Merit<'a> {
 
     /// (1) and its gradient, and whether the price is found: while it is looked for it changes from step to step.
     pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
-        let Evaluation { half_mean_square_nm2, gradient_nm2_per_s: mut gradient } =
-            self.by_cells(density);
+        let Evaluation { half_mean_square_nm2, gradient_nm2_per_s } = self.by_cells(density);
         self.last_half_mean_square_nm2 = half_mean_square_nm2;
         let total_s = dot(&self.lengths_mm, density);
         if let (Price::Elasticity(x), false) = (self.wanted, self.price_is_found) {
@@ -283,6 +345,18 @@ impl<'a> Merit<'a> {
                 near && change <= PRICE_FOUND * next || at.iteration >= PRICE_STEPS;
             self.price = next;
         }
+        let objective = self.priced(density, half_mean_square_nm2, gradient_nm2_per_s);
+        (objective, self.price_is_found)
+    }
+
+    /// (1) and its gradient from those of half the mean square.
+    fn priced(
+        &self,
+        density: &[f64],
+        half_mean_square_nm2: f64,
+        mut gradient: Vec<f64>,
+    ) -> Objective {
+        let total_s = dot(&self.lengths_mm, density);
         gradient.iter_mut().zip(&self.lengths_mm).for_each(|(g, l)| *g += self.price * l);
         let mut penalty = 0.0;
         for ((g, d), lo) in gradient.iter_mut().zip(density).zip(self.lo) {
@@ -296,7 +370,7 @@ impl<'a> Merit<'a> {
             gradient[*a] -= self.beta * d;
         }
         let value = half_mean_square_nm2 + self.price * total_s + penalty;
-        (Objective { value, gradient }, self.price_is_found)
+        Objective { value, gradient }
     }
 
     /// A matrix that is nowhere above the curvature of (1), and nowhere below alpha, times densities.

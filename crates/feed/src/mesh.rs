@@ -224,6 +224,9 @@ struct Point {
     /// Length of the path for which each node stands here, mm.
     weight: [f64; 2],
     nodes: [Option<usize>; 2],
+    span: usize,
+    /// Length from the start of the span, mm.
+    s_mm: f64,
 }
 
 /// Nodes and spans of all curves.
@@ -280,7 +283,7 @@ impl Mesh {
         }
         let rule = gauss_legendre::<GAUSS_POINTS>();
         let (mut points, mut points_mm) = (Vec::new(), Vec::new());
-        for span in &spans {
+        for (i, span) in spans.iter().enumerate() {
             let (curve, l) = (&curves[span.curve], span.length_mm());
             for (u, omega) in rule {
                 let (f, weight) = match span.nodes {
@@ -290,7 +293,7 @@ impl Mesh {
                 };
                 let s = span.from_mm + f * l;
                 if path.tool_on()[curve.piece_at(s).segment] {
-                    points.push(Point { weight, nodes: span.nodes });
+                    points.push(Point { weight, nodes: span.nodes, span: i, s_mm: f * l });
                     points_mm.push(curve.at(s).point_mm);
                 }
             }
@@ -315,6 +318,41 @@ impl Mesh {
             for (node, weight) in point.nodes.iter().zip(point.weight) {
                 if let Some(j) = node {
                     by_density[*j] += weight * g;
+                }
+            }
+        }
+        by_density
+    }
+
+    /// By how much the derivatives of a function of the removal of the motion (3) differ from those of [`Self::collect`].
+    ///
+    /// At a place the motion takes `1 / s'` per length, whose derivatives by the two densities are `-s'_k / s'^2` and not
+    /// `1 - f` and `f`. At rest they are the same. The time of a span is linear in the densities, so on every span the
+    /// sum of the differences is zero; what the Gauss points leave of it is subtracted.
+    pub fn collect_beyond(&self, by_time: &[f64], density: &[f64]) -> Vec<f64> {
+        let mut by_density = vec![0.0; self.nodes];
+        let of_spans = self.points.chunk_by(|a, b| a.span == b.span);
+        let mut from = 0;
+        for points in of_spans {
+            let by_time = &by_time[from..from + points.len()];
+            from += points.len();
+            let [Some(j), Some(k)] = points[0].nodes else { continue };
+            let (span, densities) = (&self.spans[points[0].span], [density[j], density[k]]);
+            let differences: Vec<[f64; 2]> = points
+                .iter()
+                .map(|point| {
+                    let at = span.at_place(point.s_mm, densities.map(Some));
+                    let length_mm = point.weight[0] + point.weight[1];
+                    let slowness_by = at.feed_by.map(|by| -by / at.feed_mm_per_s.powi(2));
+                    [0, 1].map(|e| length_mm * slowness_by[e] - point.weight[e])
+                })
+                .collect();
+            for (e, node) in [j, k].into_iter().enumerate() {
+                let sum: f64 = differences.iter().map(|d| d[e]).sum();
+                let over_length = sum / span.length_mm();
+                for ((d, point), g) in differences.iter().zip(points).zip(by_time) {
+                    let length_mm = point.weight[0] + point.weight[1];
+                    by_density[node] += (d[e] - over_length * length_mm) * g;
                 }
             }
         }

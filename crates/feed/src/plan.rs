@@ -81,7 +81,8 @@ pub struct Report {
     pub price_nm2_per_s: f64,
     /// How the solver ended: `optimal` or `iteration-limit`.
     pub end: End,
-    /// Proven bound on how far the objective is above the least one of the last convex program, over it.
+    /// Proven bound on how far the objective is above the least one of the last convex program, over it. That program has
+    /// fixed tangents in the place of the limits, which are not convex: it bounds no other motion.
     pub relative_gap: f64,
     /// Steps of the solver, of all its rounds, without those that find out where an elasticity is best met.
     pub iterations: usize,
@@ -140,7 +141,8 @@ impl Plan {
         let r = &self.report;
         let unfinished = (r.end != End::Optimal).then(|| {
             format!(
-                "{}: after {} steps the objective may be {:.1e} of itself above the least one; raise \
+                "{}: after {} steps the objective may be {:.1e} of itself above the least one for fixed tangents of the \
+                 limits; raise \
                  `max_iterations` or `relative_gap`",
                 r.end,
                 r.iterations,

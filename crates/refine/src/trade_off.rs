@@ -14,7 +14,7 @@
 use planish_draw::{Frame, Scale, Svg, frame::range};
 use planish_feed::{FeedError, Price, plan};
 use planish_types::{
-    End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, progress, text::fixed,
+    DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, progress, text::fixed,
 };
 use serde::Serialize;
 
@@ -89,7 +89,38 @@ pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, In
     Ok(std::iter::once(0.0).chain(priced).collect())
 }
 
-/// A refinement per price, each from the dwell times of the one before.
+/// Most passes over the prices from one neighbour to the next; a pass that finds no better plan is the last one.
+const MAX_PASSES: usize = 4;
+
+/// Fraction of the objective by which the plan of a neighbour must be better for a price to begin anew with it.
+const CLEARLY_BETTER: f64 = 1e-3;
+
+/// The objective of a plan, nm^2; a plan beyond the limits comes after all others.
+fn rank(plan: &Iterate, price_nm2_per_s: f64) -> (bool, f64) {
+    let objective = 0.5 * plan.rms_nm.powi(2) + price_nm2_per_s * plan.total_time_s;
+    (!plan.limits_respected, objective)
+}
+
+/// Gives every price the best of all plans.
+///
+/// The least objectives of a common set of plans are monotone: with e the RMS, and plans 1 and 2 of the prices p < q,
+/// `e1^2 / 2 + p T1 <= e2^2 / 2 + p T2` and `e2^2 / 2 + q T2 <= e1^2 / 2 + q T1` add up to `T2 <= T1`, and then the
+/// first one says `e1 <= e2`.
+fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
+    for point in points {
+        let price = point.time_weight_nm2_per_s;
+        for (plan, end) in plans {
+            if rank(plan, price) < rank(&point.best, price) {
+                (point.best, point.end) = (plan.clone(), *end);
+                point.best.merit_nm = (2.0 * rank(plan, price).1).sqrt();
+            }
+        }
+    }
+}
+
+/// A refinement per price, each from the dwell times of the one before; then again from those of a neighbour whose plan
+/// is better at this price. Every price has the best of all the rounds that were done, so a dearer second never takes
+/// longer, and a cheaper one never leaves more.
 pub fn trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -98,27 +129,60 @@ pub fn trade_off(
     prices: &[f64],
     settings: &Settings,
 ) -> Result<Vec<Point>, RefineError> {
-    let mut points: Vec<Point> = Vec::new();
+    let (mut points, mut plans): (Vec<Point>, Vec<(Iterate, End)>) = (Vec::new(), Vec::new());
+    let refined = |price: f64, first: Option<DwellTime>, max_rounds: usize| {
+        let mut settings = Settings { max_rounds, ..*settings };
+        settings.dwell.time_weight_nm2_per_s = price;
+        refine(desired, tif, path, limits, first, &settings)
+    };
     let mut first = None;
     for (k, &price) in prices.iter().enumerate() {
-        let mut settings = *settings;
-        settings.dwell.time_weight_nm2_per_s = price;
-        if first.is_none() {
+        let max_rounds = match first {
             // What the other prices begin with.
-            settings.max_rounds = settings.max_rounds.max(Settings::default().max_rounds);
-        }
-        let mut refined = progress::part(k, prices.len(), || {
-            refine(desired, tif, path, limits, first.take(), &settings)
-        })?;
+            None => settings.max_rounds.max(Settings::default().max_rounds),
+            Some(_) => settings.max_rounds,
+        };
+        let of_price = || refined(price, first.take(), max_rounds);
+        let refined = progress::part(k, prices.len(), of_price)?;
         first = Some(refined.dwell);
-        let best = refined.iterates.swap_remove(refined.best);
+        let best = refined.iterates[refined.best].clone();
         let (method, end) = (Method::ClosedLoop, refined.end);
+        plans.extend(refined.iterates.into_iter().map(|plan| (plan, end)));
         points.push(Point { method, time_weight_nm2_per_s: price, best, end });
     }
+    for pass in 0..MAX_PASSES {
+        let mut is_better = false;
+        let order: Vec<usize> = match pass % 2 {
+            0 => (0..points.len()).rev().collect(),
+            _ => (0..points.len()).collect(),
+        };
+        for k in order {
+            let price = prices[k];
+            let own = rank(&points[k].best, price);
+            let neighbours = [k.checked_sub(1), Some(k + 1).filter(|k| *k < points.len())];
+            let ranked =
+                neighbours.into_iter().flatten().map(|n| (rank(&points[n].best, price), n));
+            let best = ranked.min_by(|a, b| a.0.0.cmp(&b.0.0).then(a.0.1.total_cmp(&b.0.1)));
+            let Some((of_neighbour, neighbour)) = best else { continue };
+            if of_neighbour >= (own.0, (1.0 - CLEARLY_BETTER) * own.1) {
+                continue;
+            }
+            is_better = true;
+            let first = DwellTime::new(points[neighbour].best.dwell_s.clone())?;
+            let again = refined(price, Some(first), settings.max_rounds)?;
+            points[k].best = again.iterates[again.best].clone();
+            points[k].end = again.end;
+            plans.extend(again.iterates.into_iter().map(|plan| (plan, again.end)));
+        }
+        if !is_better {
+            break;
+        }
+    }
+    give_the_best(&mut points, &plans);
     Ok(points)
 }
 
-/// A plan of motion and times as one problem per price.
+/// A plan of motion and times as one problem per price; every price has the best of all of them.
 pub fn feed_trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -136,7 +200,9 @@ pub fn feed_trade_off(
             dwell_s: plan.dwell.dwell_s().to_vec(),
             rms_nm: rms.rms_nm,
             detilted_nm: rms.detilted_nm,
-            merit_nm: rms.rms_nm,
+            merit_nm: (rms.rms_nm.powi(2)
+                + 2.0 * plan.report.price_nm2_per_s * plan.trajectory.total_time_s())
+            .sqrt(),
             expected_rms_nm: None,
             total_time_s: plan.trajectory.total_time_s(),
             stretched: 0,
@@ -145,7 +211,11 @@ pub fn feed_trade_off(
         let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
         Ok(Point { method: Method::Feed, time_weight_nm2_per_s, best, end: plan.report.end })
     };
-    prices.iter().enumerate().map(at_price).collect()
+    let mut points: Vec<Point> =
+        prices.iter().enumerate().map(at_price).collect::<Result<_, FeedError>>()?;
+    let plans: Vec<_> = points.iter().map(|p| (p.best.clone(), p.end)).collect();
+    give_the_best(&mut points, &plans);
+    Ok(points)
 }
 
 /// Height of the texts, px of the picture.
@@ -212,6 +282,44 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The front of the coupon, as it was found price by price: six prices with the same plan, then one that is worse than
+    /// the next in both; and a plan beyond the limits that is better than all.
+    #[test]
+    fn every_price_has_the_best_of_all_plans_so_the_front_is_monotone() {
+        let plan = |total_time_s: f64, rms_nm: f64, limits_respected: bool| Iterate {
+            dwell_s: vec![total_time_s],
+            rms_nm,
+            detilted_nm: rms_nm,
+            expected_rms_nm: None,
+            merit_nm: rms_nm,
+            total_time_s,
+            stretched: 0,
+            limits_respected,
+        };
+        let found = [(265.5, 0.33), (265.5, 0.33), (112.9, 0.779), (109.7, 0.763), (80.0, 1.5)];
+        let prices = [0.0, 1e-5, 1e-4, 1e-3, 1e-2];
+        let mut points: Vec<Point> = found
+            .iter()
+            .zip(prices)
+            .map(|((time_s, rms_nm), price)| Point {
+                method: Method::ClosedLoop,
+                time_weight_nm2_per_s: price,
+                best: plan(*time_s, *rms_nm, true),
+                end: End::NoImprovement,
+            })
+            .collect();
+        let mut plans: Vec<_> = points.iter().map(|p| (p.best.clone(), p.end)).collect();
+        plans.push((plan(1.0, 0.01, false), End::RoundLimit));
+        give_the_best(&mut points, &plans);
+        for pair in points.windows(2) {
+            let [cheap, dear] = [&pair[0].best, &pair[1].best];
+            assert!(dear.total_time_s <= cheap.total_time_s && cheap.rms_nm <= dear.rms_nm);
+        }
+        assert!(points.iter().all(|p| p.best.limits_respected && p.best.total_time_s != 112.9));
+        // sqrt(0.763^2 + 2e-4 * 109.7) is less than with the first plan: 0.5 * 0.33^2 + 1e-4 * 265.5 = 0.0810, and 0.302.
+        assert_eq!(points[2].best.total_time_s, 265.5);
+    }
 
     #[test]
     fn every_plan_is_a_dot_and_the_bound_is_where_its_time_is() {

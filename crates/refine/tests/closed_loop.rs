@@ -49,6 +49,52 @@ fn meander() -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
+/// Waves whose lengths, sizes and layer follow from a number by irrational steps.
+fn waves(number: u32) -> Surface {
+    let part = |k: u32| (f64::from(number) * 0.618_034 + f64::from(k) * 0.754_878).fract();
+    let g = Grid { x: Axis::new(0.0, 0.2, 51).unwrap(), y: Axis::new(0.0, 0.2, 41).unwrap() };
+    let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
+        let (x, y) = (g.x.at(c) - 5.0, g.y.at(r) - 4.0);
+        let wave = |k: u32| {
+            let [a, b, phase, size] = [0, 1, 2, 3].map(|i| part(4 * k + i));
+            8.0 * size * ((1.8 * a - 0.9) * x + (1.8 * b - 0.9) * y + 6.3 * phase).sin()
+        };
+        15.0 + 20.0 * part(20) + (0..4).map(wave).sum::<f64>()
+    });
+    Surface::new(g, height).unwrap()
+}
+
+/// One problem; as many as `PLANISH_FRONTS` says where it is set.
+#[test]
+fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
+    let count = std::env::var("PLANISH_FRONTS").ok().and_then(|n| n.parse().ok()).unwrap_or(1);
+    for number in 0..count {
+        let (desired, tif, path) = (waves(number), tif(), meander());
+        let acceleration = [30.0, 100.0, 400.0][number as usize % 3];
+        let machine = machine(20.0, acceleration);
+        let mut how = Settings { max_rounds: 6, ..settings(pvt::Mode::Monotone) };
+        how.dwell.min_dwell = Bound::SecondsPerMm(0.02);
+        let prices = trade_off::prices(&desired, &tif, 5).unwrap();
+        let of_loop = trade_off::trade_off(&desired, &tif, &path, &machine, &prices, &how).unwrap();
+        let of_feed =
+            trade_off::feed_trade_off(&desired, &tif, &path, &machine, &prices, 0.02).unwrap();
+        for points in [of_loop, of_feed] {
+            for p in &points {
+                let (price, best) = (p.time_weight_nm2_per_s, &p.best);
+                println!("{number} {price:.2e} {:.2} s {:.4} nm", best.total_time_s, best.rms_nm);
+                let merit = (best.rms_nm.powi(2) + 2.0 * price * best.total_time_s).sqrt();
+                assert!((best.merit_nm - merit).abs() < 1e-12 * merit);
+            }
+            for pair in points.windows(2) {
+                let [cheap, dear] = [&pair[0].best, &pair[1].best];
+                // Sums over a plan round to 1e-13 of themselves.
+                assert!(dear.total_time_s <= cheap.total_time_s * (1.0 + 1e-12), "{number}");
+                assert!(cheap.rms_nm <= dear.rms_nm * (1.0 + 1e-12), "{number}");
+            }
+        }
+    }
+}
+
 /// Smoothness of a first plan that is far from what the machine could execute, so that the loop has something to do.
 const FROM_A_SMOOTH_PLAN: f64 = 2.31e-6;
 
