@@ -41,7 +41,7 @@ impl Joint {
     }
 
     /// Takes unknown `i` to the plan; the others follow by their correlation with it.
-    fn to_the_plan(&mut self, i: usize) {
+    fn put_at_plan(&mut self, i: usize) {
         let variance = self.covariance[(i, i)];
         if variance > 0.0 {
             let column = self.covariance.column(i).clone_owned();
@@ -92,7 +92,7 @@ pub fn hold(fit: &Fit, may: &[bool]) -> (Vec<Held>, Vec<f64>) {
             shown(fit.parameters[i], alone),
             shown(fit.parameters[i], c[(i, i)].sqrt()),
         );
-        joint.to_the_plan(q);
+        joint.put_at_plan(q);
         held.push(Held { index: q, reason });
     }
     (held, joint.values.iter().copied().collect())
@@ -105,7 +105,7 @@ pub fn applied(fit: &Fit, learnt: &[bool], follows: &[bool]) -> Vec<f64> {
     let mut stays: Vec<bool> = learnt.iter().map(|l| !l).collect();
     for i in (0..learnt.len()).filter(|i| stays[*i]) {
         if follows[i] {
-            joint.to_the_plan(i);
+            joint.put_at_plan(i);
         }
     }
     loop {
@@ -113,7 +113,7 @@ pub fn applied(fit: &Fit, learnt: &[bool], follows: &[bool]) -> Vec<f64> {
         let least = rest.min_by(|a, b| joint.over_error(*a).total_cmp(&joint.over_error(*b)));
         match least {
             Some(i) if joint.over_error(i) <= WORTH => {
-                joint.to_the_plan(i);
+                joint.put_at_plan(i);
                 stays[i] = true;
             }
             _ => break,

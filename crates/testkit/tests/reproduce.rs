@@ -53,7 +53,7 @@ fn a_statement_follows_what_holds() {
 fn the_page_says_what_changed() {
     let text = table(&[number(0.2043), number(0.3), Claim::check("so", "1 nm".into(), true)]);
     let rows: Vec<&str> = text.lines().skip(2).collect();
-    assert_eq!(rows[0], "| residual | 0.204 nm | 0.204 nm | 1.00 | agrees within 0.3 % |");
+    assert_eq!(rows[0], "| residual | 0.204 nm | 0.204 nm | 1.00 | agrees within 1 % |");
     assert_eq!(rows[1], "| residual | 0.204 nm | 0.300 nm | 1.47 | differs; EXPECTED: Agrees |");
     assert_eq!(rows[2], "| so | not given | 1 nm |  | holds |");
 }
