@@ -27,9 +27,7 @@
 //! | Q | `metrology::Term` | (ny, nx) | 1 |
 //! | c | | | nm |
 
-mod applied;
 pub mod bands;
-mod contradictory;
 pub mod correlation;
 pub mod determined;
 pub mod draw;
@@ -41,7 +39,6 @@ pub mod parameter;
 mod place;
 mod reconcile;
 pub mod report;
-pub mod resample;
 mod settings;
 
 pub use crate::{
