@@ -27,9 +27,9 @@ fn write_inputs(dir: &Path) {
     save_axis(&surface, "y_mm", 0.0, 0.5, 21);
     let tif = dir.join("tif");
     let at = |i: usize| -3.0 + 0.25 * i as f64;
-    // 2.1 standard deviations wide on each side: it removes out to its last samples, which the overscan follows.
-    let rate =
-        Array2::from_shape_fn((25, 25), |(r, c)| (-(at(r).powi(2) + at(c).powi(2)) / 4.0).exp());
+    // A paraboloid of radius 3.05 mm removes out to its last samples, which the overscan follows.
+    let rate = |(r, c)| (1.0 - (at(r).powi(2) + at(c).powi(2)) / 3.05_f64.powi(2)).max(0.0);
+    let rate = Array2::from_shape_fn((25, 25), rate);
     save(&tif, "rate_nm_per_s", rate);
     save_axis(&tif, "x_mm", -3.0, 0.25, 25);
     save_axis(&tif, "y_mm", -3.0, 0.25, 25);
