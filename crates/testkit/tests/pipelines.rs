@@ -463,7 +463,7 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
         assert!(text.contains(&format!("program.{controller} is of the plan feed;")), "{text}");
         let tables = text.matches("raster, coupon: initial surface").count();
         assert_eq!(tables, 1, "the table stands there once: {text}");
-        assert!(text.contains("the report recommends") && text.contains("feed, because"), "{text}");
+        assert!(text.contains(&format!("recommends: feed+{controller}, because")), "{text}");
         assert!(!text.contains("is none for"), "{text}");
     }
     for (more, said) in [
