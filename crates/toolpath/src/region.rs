@@ -25,7 +25,7 @@ pub(crate) const SLACK: f64 = 1e-9;
 const BEYOND_SUPPORT: f64 = 5e-4;
 
 /// The usual overscan: half the size of the square around `off_centre_mm`, where the TIF removes, that holds its volume
-/// but for [`BEYOND_SUPPORT`]. It keeps the removal at the edge equal to that inside, mm.
+/// but for 5e-4 of it. It keeps the removal at the edge equal to that inside, mm.
 pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
     let [cx, cy] = off_centre_mm;
     let (grid, rate) = (tif.grid(), tif.rate_nm_per_s());
