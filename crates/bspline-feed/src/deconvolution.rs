@@ -9,7 +9,7 @@
 //!
 //! over the valid pixels; K is the largest diagonal element of the `G_m'G_m`. A TIF wider than the pitch
 //! couples the lines: what one removes its neighbours need not. The convex-concave procedure solves (1) for all
-//! lines at once and proves how good it is ([`crate::joint`]). Knot removal, a procedure for one line, goes by
+//! lines at once and proves how good it is (`joint`). Knot removal, a procedure for one line, goes by
 //! block Gauss-Seidel sweeps: with the residual r of all lines,
 //!
 //! ```text
@@ -121,7 +121,7 @@ pub struct State {
     pub steps: usize,
     /// Whether the gap is within the tolerance, or the objective fell by less than that in the last sweep.
     pub converged: bool,
-    /// Part of the objective that no feed within the tangents of the limits saves ([`crate::joint`]); none of sweeps.
+    /// Part of the objective that no feed within the tangents of the limits saves (`joint`); none of sweeps.
     pub gap: Option<f64>,
     /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
     pub given_up_nm2: Option<f64>,

@@ -32,7 +32,7 @@
 //! is added to the mean square, whose gradient at D_k is then that of the motion. (4) does not change the curvature, so the
 //! program stays convex. The solver simulates the motion at every iterate at which it computes the mean square exactly, up
 //! to the first one of which it proves something. Up to there g is zero, because steps by another curvature than that of
-//! the motion need a line search; the rounds after it have one ([`crate::problem`]).
+//! the motion need a line search; the rounds after it have one (`problem`).
 
 use ndarray::Array2;
 use planish_dwell::residual::{Evaluation, Normal, Residual};
