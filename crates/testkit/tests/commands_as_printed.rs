@@ -22,7 +22,8 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// What is not run here, and why.
-const EXCEPTIONS: [(&str, &str); 12] = [
+const EXCEPTIONS: [(&str, &str); 13] = [
+    ("just run bspline", "two minutes; it ends with 1, its gap is not proven after 200 steps"),
     ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
     (
         "just sweep sweeps/reference.yaml profile=slurm \
