@@ -236,19 +236,22 @@ impl Clone {
         command.output().unwrap_or_else(|e| panic!("{}: {e}", program[0]))
     }
 
-    /// [`Self::run`], which must succeed. Says what runs, and for how long; returns what it prints.
-    fn succeed(&self, place: &str, program: &[&str], text: &str) -> String {
+    /// [`Self::run`]. Says what runs, and for how long; returns what it prints, with the exit status if the command fails.
+    fn attempt(&self, place: &str, program: &[&str], text: &str) -> Result<String, String> {
         let started = Instant::now();
         let output = self.run(program, text);
         println!("{place}, {:.1} s: {text}", started.elapsed().as_secs_f64());
         let (out, err) =
             (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        assert!(
-            output.status.success(),
-            "{place}: {text}\nends with {}\n{out}\n{err}",
-            output.status
-        );
-        format!("{out}{err}")
+        if !output.status.success() {
+            return Err(format!("{place}: {text}\nends with {}\n{out}\n{err}", output.status));
+        }
+        Ok(format!("{out}{err}"))
+    }
+
+    /// [`Self::attempt`], which must succeed.
+    fn succeed(&self, place: &str, program: &[&str], text: &str) -> String {
+        self.attempt(place, program, text).unwrap_or_else(|failure| panic!("{failure}"))
     }
 
     /// RMS before the run and of the row `mine` in the report that README.md makes, nm.
@@ -270,7 +273,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
         .unwrap();
 
     let mut count = 0;
-    let mut stale = Vec::new();
+    let (mut stale, mut failures) = (Vec::new(), Vec::new());
     let mut example = None;
     for (name, page) in pages() {
         let mut printed: HashMap<String, String> = HashMap::new();
@@ -281,10 +284,12 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
                     for command in commands(&block.text) {
                         match exception(&command) {
                             Some(reason) => println!("{name}, left out ({reason}): {command}"),
-                            None => {
-                                let output = clone.succeed(&name, &["bash", "-c"], &command);
-                                printed.insert(bare(&command).into(), output);
-                            }
+                            None => match clone.attempt(&name, &["bash", "-c"], &command) {
+                                Ok(output) => {
+                                    printed.insert(bare(&command).into(), output);
+                                }
+                                Err(failure) => failures.push(failure),
+                            },
                         }
                         count += 1;
                     }
@@ -293,12 +298,18 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
                     clone.succeed(&name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
                 }
                 (_, Some(by)) => {
-                    let output = printed.get(&by.by);
-                    let output = output.unwrap_or_else(|| panic!("{name} runs no `{}`", by.by));
-                    let lines = shown_lines(&block, output);
-                    let lines = lines.unwrap_or_else(|| {
-                        panic!("{name}: `{}` prints nothing like\n{}\n{output}", by.by, block.text)
-                    });
+                    let Some(output) = printed.get(&by.by) else {
+                        failures.push(format!("{name}: `{}` is not run, or fails", by.by));
+                        continue;
+                    };
+                    let Some(lines) = shown_lines(&block, output) else {
+                        let text = &block.text;
+                        failures.push(format!(
+                            "{name}: `{}` prints nothing like\n{text}\n{output}",
+                            by.by
+                        ));
+                        continue;
+                    };
                     for (shown, line) in block.text.lines().zip(&lines) {
                         if !same_line(shown, line, by.varying) {
                             stale.push(format!("{name}, `{}`:\n  {shown}\n  {line}", by.by));
@@ -318,6 +329,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
         }
     }
     assert!(count > 20, "only {count} commands are found");
+    assert!(failures.is_empty(), "commands of the pages fail:\n{}", failures.join("\n"));
     assert!(
         stale.is_empty(),
         "pages show other numbers than their commands print (below each line what is printed now); \
