@@ -189,7 +189,8 @@ impl<'a> Joint<'a> {
                 }
             }
             if held.is_none() {
-                let near = complementarity <= solved;
+                // Not `solved`: tangents that are drawn after every step keep the complementarity above it.
+                let near = complementarity <= tolerance * scale(now.objective);
                 let excess = if near { self.excess(&at.d) } else { Vec::new() };
                 let fell =
                     objective.iter().rev().nth(1).map_or(f64::INFINITY, |f| f - now.objective);
