@@ -105,8 +105,8 @@ impl Manifest {
     /// `None` for a kind that this version does not know.
     pub fn content(&self) -> Option<String> {
         let kind = kind::ALL.iter().find(|kind| kind.name == self.kind)?;
-        if kind.arrays.is_empty() {
-            return Some(content_of_outcome(self));
+        if kind.is_read_by_outcome() {
+            return Some(blake3::hash(self.outcome.to_string().as_bytes()).to_string());
         }
         let stored = kind.arrays.iter().filter_map(|def| Some((def, self.arrays.get(def.name)?)));
         let mut hasher = blake3::Hasher::new();
@@ -122,11 +122,6 @@ impl Manifest {
         let body = text.strip_suffix("\n}").expect("a manifest has keys");
         format!("{body}{SEAL}{}\"\n}}\n", blake3::hash(body.as_bytes()))
     }
-}
-
-/// The content of an artifact whose kind keeps everything in its outcome.
-pub(crate) fn content_of_outcome(manifest: &Manifest) -> String {
-    blake3::hash(manifest.outcome.to_string().as_bytes()).to_string()
 }
 
 /// What stands between the body of a manifest and its hash.

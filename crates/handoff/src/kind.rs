@@ -80,6 +80,12 @@ pub struct Kind {
 }
 
 impl Kind {
+    /// Returns true if the readers of this kind take the numbers of the manifest's outcome, not the arrays. The outcome is
+    /// then the content that they record.
+    pub(crate) fn is_read_by_outcome(&self) -> bool {
+        self.arrays.is_empty() || self.name == SPECIFICATION.name
+    }
+
     /// The version of a layout with the first `arrays` arrays: optional ones may be absent at the end.
     pub(crate) fn version_of(&self, arrays: usize) -> u32 {
         let lacking = &self.arrays[arrays..];

@@ -91,7 +91,7 @@ STAGES = [
     Stage("simulate", "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --out out/a --force",
           "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --method direct --steps 2 --out out/a --force"),
     Stage("verify", "planish-verify --trajectory in/trajectory --machine in/machine.json --out out/a --force",
-          "planish-verify --trajectory in/trajectory --machine in/slow.json --out out/a --force"),
+          "planish-verify --trajectory in/trajectory --machine in/slow.json --other-machine --out out/a --force"),
     Stage("refine", f"planish-refine {MAPS} --tool-path in/path --machine in/machine.json --max-rounds 1 --out out --force",
           f"planish-refine {MAPS} --tool-path in/path --machine in/machine.json --max-rounds 2 --out out --force",
           "planish-verify --trajectory out/trajectory --machine in/machine.json --out read --force"),

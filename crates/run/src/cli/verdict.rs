@@ -95,9 +95,7 @@ impl Whole<'_> {
                 let (at, from) = (at.display(), from.display());
                 return Err(self.mixed(&format!("{at} was made from {from}, which is not there")));
             };
-            // The report reads what a specification says, and records the hash of that in the place of its arrays.
-            let is_whole = input.kind != "specification";
-            if is_whole && made_from.content().is_some_and(|content| content != input.blake3) {
+            if made_from.content().is_some_and(|content| content != input.blake3) {
                 let (at, from) = (at.display(), from.display());
                 return Err(self.mixed(&format!("{at} was made from another {from}")));
             }
