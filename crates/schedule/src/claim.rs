@@ -26,7 +26,7 @@ const ROUNDING: f64 = 1e-9;
 const ACCELERATION_STEP: f64 = 1e-6;
 
 /// What there is to say of a motion that shows what others are measured by.
-pub const IDEAL: &str = "it is an ideal that no machine can do";
+pub const JUMPS: &str = "its position or its velocity jumps, which no machine can do";
 
 /// What a schedule says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

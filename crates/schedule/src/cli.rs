@@ -42,7 +42,7 @@ pub enum Command {
     TrigSpline(trig_spline::TrigSpline),
     /// Constant velocity per segment: what a dwell solver believes; its velocity steps
     AverageVelocity(average_velocity::AverageVelocity),
-    /// Stand at the dwell points and jump between them: the ideal, no machine can do it
+    /// Stand at the dwell points and jump between them, which no machine can do: for comparison only
     Position(position::Position),
     /// Reference positions at every tick of a controller, from a feed or its NC program
     ///

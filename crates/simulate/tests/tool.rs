@@ -93,6 +93,22 @@ fn errors_of_the_shape_of_a_tool_that_ends_by_itself_are_those_of_the_tool() {
     }
 }
 
+/// A spot whose measurement ended at 4.7 % of the peak changes what the whole spot changes: it is stretched after it is led
+/// to zero. Stretched before, its border would stand still while the tool grows, and half of the change would be lost.
+#[test]
+fn errors_of_the_shape_of_a_spot_that_was_cut_are_nearly_those_of_the_whole_spot() {
+    let whole = tif(grid(8.0, 0.1), gaussian);
+    let cut = tif(grid(4.2, 0.1), gaussian);
+    let cut = smooth(&cut, cut.width_mm()).unwrap();
+    for effect in [Scalar::TifWidth, Scalar::TifEllipticity, Scalar::TifRotation] {
+        let (truth, found) = (added(&whole, effect, 0.01), added(&cut, effect, 0.01));
+        let ratio = rms(&found) / rms(&truth);
+        println!("{effect:?}: {} nm, of the cut spot {ratio} of it", rms(&truth));
+        // Between the second moment that the fade leaves and what the cut has lost.
+        assert!((0.8..1.05).contains(&ratio), "{effect:?}: {ratio}");
+    }
+}
+
 /// A TIF on other pixels than the map: what errors add to within the error that is stated.
 #[test]
 fn a_tif_that_is_sampled_anew_adds_the_same() {

@@ -112,8 +112,8 @@ pub fn psd_svg(psd: &Psd) -> String {
     let radial = [along("radial mean", &psd.frequency_radial_per_mm, &psd.psd_radial_nm2_mm2)];
     let (total, size) = (WIDTH + MARGIN[0] + MARGIN[2], [WIDTH, 1.4 * HEIGHT]);
     for (k, (curves_of, unit, title)) in [
-        (&lines[..], "nm^2 mm", "one-sided, along lines"),
-        (&radial[..], "nm^2 mm^2", "two-dimensional"),
+        (&lines[..], "nm² mm", "one-sided, along lines"),
+        (&radial[..], "nm² mm²", "two-dimensional"),
     ]
     .into_iter()
     .enumerate()

@@ -525,7 +525,7 @@ fn a_negative_verdict_on_the_plan_ends_the_run_with_1_after_the_report() {
     let dir = tempfile::tempdir().unwrap();
     let settings = [&["run", "raster", "out=o"], &QUICK_RUN[..]].concat();
     let text = ended_with(&run(dir.path(), &settings), 0);
-    assert!(text.contains("verdict: x position steps by"), "the ideal keeps no limits: {text}");
+    assert!(text.contains("verdict: x position steps by"), "position keeps no limits: {text}");
 
     // One sweep is too few for the deconvolution: its feed has not converged. It is judged all the same,
     // and the report is made.

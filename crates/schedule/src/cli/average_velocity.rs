@@ -3,7 +3,7 @@
 use clap::Args;
 use planish_schedule::{
     ScheduleError, average_velocity,
-    claim::{Claim, IDEAL},
+    claim::{Claim, JUMPS},
 };
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
@@ -42,6 +42,6 @@ impl Scheduler for AverageVelocity {
     }
 
     fn advice(_: &NoSettings, _: &Claim) -> Option<String> {
-        Some(IDEAL.into())
+        Some(JUMPS.into())
     }
 }

@@ -3,7 +3,7 @@
 use clap::Args;
 use planish_schedule::{
     ScheduleError,
-    claim::{Claim, IDEAL},
+    claim::{Claim, JUMPS},
     position,
 };
 use planish_types::{DwellTime, Limits, ToolPath};
@@ -42,6 +42,6 @@ impl Scheduler for Position {
     }
 
     fn advice(_: &NoSettings, _: &Claim) -> Option<String> {
-        Some(IDEAL.into())
+        Some(JUMPS.into())
     }
 }
