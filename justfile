@@ -257,6 +257,16 @@ check:
     cargo clippy --locked $changed --all-targets -- -D warnings
     cargo test --locked $changed
 
+# The summary alone: just prose --summary; some pages or sources: just prose --only README.md crates/dwell/src
+#
+# Check the prose: length of sentences and paragraphs, doc comments without a subject, spelling
+[group('3 development')]
+[positional-arguments]
+prose *words:
+    @test -d target/prose || python3 -m venv target/prose
+    @target/prose/bin/python -m pip install --quiet harper-py==0.2.0 || echo "harper-py cannot be installed here"
+    @target/prose/bin/python docs/prose/check.py --harper "$@"
+
 # Everything that must pass before a change lands
 [group('3 development')]
 ci: test checks
