@@ -31,7 +31,7 @@ SOURCES = ["crates/*/src/**/*.rs"]
 ABBREVIATIONS = set(
     """e.g i.e et al etc cf vs eq eqs fig figs no nos sec ch vol p pp ca approx resp st dr prof incl excl max min
     opt j int appl proc trans phys lett math comput mech tech precis eng mater sci am soc ind numer anal acta rev
-    ann conf ed eds manuf process laser photon adv res nat commun syst control mach tools""".split()
+    ann conf ed eds manuf""".split()
 )
 
 # First words of a fragment, whatever follows.
