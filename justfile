@@ -291,6 +291,7 @@ checks:
     cargo fmt --all --check
     cargo clippy --release --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
+    python3 docs/prose/links.py
     just docs
     just reproduce
     git diff --exit-code docs
