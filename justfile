@@ -257,6 +257,16 @@ check:
     cargo clippy --locked $changed --all-targets -- -D warnings
     cargo test --locked $changed
 
+# The summary alone: just prose --summary; some pages or sources: just prose --only README.md crates/dwell/src
+#
+# Check the prose: length of sentences and paragraphs, doc comments without a subject, spelling
+[group('3 development')]
+[positional-arguments]
+prose *words:
+    @test -d target/prose || python3 -m venv target/prose
+    @target/prose/bin/python -m pip install --quiet harper-py==0.2.0 || echo "harper-py cannot be installed here"
+    @target/prose/bin/python docs/prose/check.py --harper "$@"
+
 # Everything that must pass before a change lands
 [group('3 development')]
 ci: test checks
@@ -281,6 +291,7 @@ checks:
     cargo fmt --all --check
     cargo clippy --release --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
+    python3 docs/prose/links.py
     just docs
     just reproduce
     git diff --exit-code docs
@@ -336,7 +347,16 @@ same-bytes revision:
 [group('5 pages and tables')]
 docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semicircle") (picture "raster-angle" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --angle-deg 30") (picture "maze" "maze" "coupon" "--pitch-mm 1") (picture "maze-disk" "maze" "disk-100" "--pitch-mm 3 --overscan-mm 3 --corner-radius-mm 1.5 --step-mm 0.5 --seed 2") (picture "multi-pitch" "multi-pitch" "square-200" "--max-velocity-mm-per-s 3 --classes 4 --step-mm 4 --overscan-mm 7") (picture "random-adaptive" "random-adaptive" "coupon" "--pitch-mm 1") (picture "random-adaptive-tour" "random-adaptive" "coupon" "--pitch-mm 1 --construction tour --rounding-passes 2") (picture "spiral" "spiral" "disk-100" "--pitch-mm 3 --overscan-mm 3 --step-mm 1")
     @cargo run --quiet --release --locked --example formats > docs/formats.md
+    @python3 docs/prose/programs.py target/release > docs/programs.md
     @just surface-pictures
+
+# Build the book of docs/ in target/book, and check its links; installs mdbook in target/tools the first time (minutes)
+[group('5 pages and tables')]
+book:
+    python3 docs/prose/links.py
+    @test -x target/tools/bin/mdbook || cargo install --quiet --locked --root target/tools \
+        --no-default-features --features search mdbook --version 0.4.52
+    target/tools/bin/mdbook build
 
 # Draw a path over a fixture to docs/paths/NAME.svg
 [group('5 pages and tables')]

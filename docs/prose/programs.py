@@ -1,0 +1,57 @@
+#!/usr/bin/env python3
+"""Prints docs/programs.md from the descriptions of the programs: programs.py target/release > docs/programs.md."""
+
+import json
+import pathlib
+import subprocess
+import sys
+
+
+def cell(text):
+    """Returns a text as a cell of a table."""
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def heading(text):
+    """Returns the description of a program or a command with lines of at most 120 characters."""
+    lines = []
+    for paragraph in text.strip().split("\n\n"):
+        line = ""
+        for word in paragraph.split():
+            if line and len(line) + 1 + len(word) > 120:
+                lines.append(line)
+                line = word
+            else:
+                line = f"{line} {word}".strip()
+        lines += [line, ""]
+    return "\n".join(lines).strip()
+
+
+def main():
+    print("# Programs\n")
+    print("This page lists every program, command and flag, for looking up. `just docs` writes it from `--describe`.\n")
+    print("```sh\nplanish-verify --help\n```\n")
+    print("Every program also takes `--help`, `--version`, `--completions`, `--man` and `--describe`.")
+    programs = sorted(p for p in pathlib.Path(sys.argv[1]).glob("planish-*") if not p.suffix and p.is_file())
+    for program in programs:
+        described = subprocess.run([program, "--describe"], check=True, capture_output=True, text=True)
+        about = json.loads(described.stdout)
+        print(f"\n## {about['program']}\n\n{heading(about['about'])}")
+        for command in about["commands"]:
+            if command["name"]:
+                print(f"\n### {about['program']} {command['name']}\n\n{heading(command['about'])}")
+            flags = [flag for flag in command["flags"] if flag["name"] not in ("help", "version")]
+            if not flags:
+                continue
+            print("\n| flag | default | description |\n|---|---|---|")
+            for flag in flags:
+                name = flag["name"] if flag["positional"] else f"--{flag['name']}"
+                value = f" {flag['value']}" if flag["value"] and not flag["positional"] else ""
+                default = "required" if flag["required"] else (f"`{cell(str(flag['default']))}`" if flag["default"] else "-")
+                choices = [c if isinstance(c, str) else c["name"] for c in flag["choices"]]
+                chosen = f" [{', '.join(choices)}]" if choices else ""
+                print(f"| `{name}{value}` | {default} | {cell((flag['help'] or '') + chosen)} |")
+
+
+if __name__ == "__main__":
+    main()
