@@ -335,8 +335,8 @@ proptest! {
         const STEPS: u32 = 400;
         let verdict = judge(&both(&h, &x, &y), &machine(1.0, 1.0, None, 0.0));
         for (axis, c) in verdict.axes.iter().zip([&x, &y]) {
-            // Sampled extremes of position, velocity, acceleration, and how much further the
-            // true ones can be: (step)^2 / 8 times the largest second derivative.
+            // Extremes of the sampled position, velocity and acceleration, and a bound on their
+            // distance from the true ones: (step)^2 / 8 times the largest second derivative.
             let mut sampled = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
             let mut bound = [0.0_f64; 3];
             for (c, h) in c.iter().zip(&h) {
