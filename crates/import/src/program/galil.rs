@@ -11,12 +11,14 @@ use planish_types::{Invalid, Trajectory};
 
 use super::{Configuration, Knot, needed, positive, through, wrong};
 
-/// Most samples, counts and counts/s of a segment.
+/// Largest time of a segment, samples (Galil DMC-40x0 command reference, PV).
 const MOST_SAMPLES: i64 = 2048;
+/// Largest distance of a segment, counts (Galil DMC-40x0 command reference, PV).
 const MOST_DISTANCE: i64 = 44_000_000;
+/// Largest velocity at the end of a segment, counts/s (Galil DMC-40x0 command reference, PV).
 const MOST_VELOCITY: i64 = 22_000_000;
 
-/// What a line asks for.
+/// Command of a line.
 enum Command {
     /// A segment of an axis.
     Segment(usize, [i64; 3]),

@@ -15,13 +15,15 @@ use crate::{
     text,
 };
 
-/// Lines above the samples at most.
+/// Largest number of lines above the samples. Larger: more time on text that is no log. Smaller: refuses
+/// logs with long headers.
 const MOST_LINES_ABOVE: usize = 200;
 
-/// Most columns of a table.
+/// Largest number of columns that are counted in a table. Larger: more time and memory for a hostile file.
+/// Smaller: columns further to the right are not found.
 const MOST_COLUMNS: usize = 1000;
 
-/// What separates the fields of a line.
+/// Separator of the fields of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Separator {
     Character(char),
@@ -77,7 +79,7 @@ impl Separator {
     }
 }
 
-/// Whether a line is a row of numbers; cells may be empty, but not all of them.
+/// Returns true if a line is a row of numbers; cells may be empty, but not all of them.
 fn is_row(line: &str) -> bool {
     let (mut numbers, mut others) = (0, 0);
     Separator::of(line).fields(line, |_, field| {
@@ -167,15 +169,16 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Colu
     Ok(columns.collect())
 }
 
-/// Most samples that may be read: they fit into the memory too.
+/// Largest number of samples that may be read: at most [`MOST_SAMPLES`], and no more than fit into the
+/// memory of the process.
 pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
 }
 
-/// What a line holds.
+/// Result of reading a line.
 enum Row {
     Whole,
-    /// A cell that is read is empty.
+    /// A cell of a wanted column is empty: the log ends.
     Ended,
 }
 
