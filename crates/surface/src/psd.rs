@@ -1,7 +1,7 @@
 //! Power spectral densities of a rectangle of a map: along x, along y, in two dimensions, radial.
 //!
-//! The mathematics is [`planish_numerics::spectrum`], in nm and mm; the plane or the mean of the
-//! rectangle is taken off first.
+//! The mathematics is [`planish_numerics::spectrum`], in nm and mm; the plane or the mean of the rectangle
+//! is subtracted first.
 //!
 //! ```text
 //! radial           mean of S over the ring |f| = (k +- 1/2) df,  nm^2 mm^2
@@ -27,12 +27,12 @@ use planish_numerics::{
 use planish_types::{Grid, Invalid, Surface};
 use serde::Serialize;
 
-/// How the spectrum is taken.
+/// Settings of the spectrum.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdSettings {
     /// The window, along both axes.
     pub window: Window,
-    /// What is taken off the rectangle first.
+    /// Function that is subtracted from the rectangle first.
     pub detrend: Detrend,
     /// Bands [f_0, f_1) whose RMS is wanted, 1/mm.
     pub band_per_mm: Vec<[f64; 2]>,
@@ -49,7 +49,7 @@ pub enum Window {
     Rectangular,
 }
 
-/// What is taken off.
+/// Function that is subtracted from the rectangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -85,7 +85,7 @@ pub struct Psd {
     pub report: PsdReport,
 }
 
-/// What was measured, in numbers.
+/// Numbers of the spectrum.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdReport {
     /// The rectangle: smallest and largest x, mm.
@@ -109,11 +109,11 @@ pub struct PsdReport {
 pub struct BandRms {
     /// [f_0, f_1), 1/mm.
     pub band_per_mm: [f64; 2],
-    /// From the two-dimensional PSD, |f| in the band, nm.
+    /// RMS from the two-dimensional PSD, |f| in the band, nm.
     pub rms_nm: f64,
-    /// From the PSD along x, nm.
+    /// RMS from the PSD along x, nm.
     pub rms_x_nm: f64,
-    /// From the PSD along y, nm.
+    /// RMS from the PSD along y, nm.
     pub rms_y_nm: f64,
 }
 
