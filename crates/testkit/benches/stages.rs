@@ -25,7 +25,7 @@ use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 use rand::RngExt;
 
-/// That of the programs.
+/// Allocator of the programs.
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -70,7 +70,7 @@ fn dwell_bounded_least_squares() {
     black_box(bounded_least_squares::solve(&c.surface, &c.tif, &c.path, None, &solver()).unwrap());
 }
 
-/// A raster on the same mirror: 1, 4 and 16 x the points, the same least time for an area; above
+/// A raster on the same mirror with 1, 4 and 16 times the points and the same smallest time per area; above
 /// 6000 points by the two-level method.
 #[divan::bench(args = [1.0, 0.5, 0.25], sample_count = 1)]
 fn dwell_bounded_least_squares_by_pitch(bencher: Bencher, pitch_mm: f64) {
@@ -143,7 +143,7 @@ fn simulate_gridded() {
     black_box(simulate(&c.trajectory, &c.tif, &c.surface, Settings::Gridded).unwrap());
 }
 
-/// The plan of the TIF and the map is made before.
+/// Simulation alone: the plan of the TIF and the map is made before.
 #[divan::bench(sample_count = 20)]
 fn simulate_planned(bencher: Bencher) {
     let c = &*CASE;
@@ -249,7 +249,7 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     (path, DwellTime::new(dwell).unwrap())
 }
 
-/// The search for the shortest times in many places.
+/// PVT schedule that searches for the shortest times in many places.
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);
@@ -383,8 +383,8 @@ fn maze_of_a_large_part(tree: &str) {
     black_box(maze(&part, &settings).unwrap());
 }
 
-/// What the memory of the machine gives: `a[i] = b[i] + 3 c[i]` over three arrays of 256 MiB, larger
-/// than any cache. 768 MiB are moved, 1024 MiB where a write first reads its line.
+/// Bandwidth of the memory of the machine: `a[i] = b[i] + 3 c[i]` over three arrays of 256 MiB, larger than
+/// any cache. The loop moves 768 MiB, or 1024 MiB if a write first reads its cache line.
 #[divan::bench(args = [1, 2], sample_count = 7, sample_size = 1)]
 fn memory_triad(bencher: Bencher, threads: usize) {
     const LENGTH: usize = 1 << 25;

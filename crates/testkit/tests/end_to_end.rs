@@ -13,7 +13,7 @@ use planish_testkit::{program::binaries, workspace};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Name of the run's directory for a scheduler, and how it is called.
+/// Name of the directory of a run, and the arguments of `planish-schedule` for it.
 const METHODS: [(&str, &str); 4] = [
     ("position", "position"),
     ("constant-acceleration", "constant-acceleration"),
@@ -73,7 +73,7 @@ impl Line {
         said
     }
 
-    /// From the map to the dwell times.
+    /// Runs the stages from the map to the dwell times; returns what they say.
     fn plan(&self, map: &str, tif: &str, run: &str) -> Vec<String> {
         [
             format!("surface prepare --surface {map} --out {run}/surface"),
@@ -90,7 +90,7 @@ impl Line {
         .to_vec()
     }
 
-    /// From the dwell times to the verdict.
+    /// Runs the stages from the dwell times to the verdict; returns what they say.
     fn method(&self, name: &str, scheduler: &str, tif: &str, run: &str) -> Vec<String> {
         let dir = format!("{run}/methods/{name}");
         // Position mode jumps; its schedule and the judge say so.

@@ -1,4 +1,5 @@
-//! What an imperfect process adds, on the reference mirror where `PLANISH_REFERENCE` names its folder.
+//! Residuals that an imperfect process adds, on the reference mirror, if `PLANISH_REFERENCE` names its
+//! folder.
 
 use planish_schedule::pvt;
 use planish_testkit::{ion_beam, mirror::mirror};
@@ -34,9 +35,10 @@ fn halves(dwell: &DwellTime) -> DwellTime {
     DwellTime::new(there.clone().chain(there.rev()).collect()).unwrap()
 }
 
-/// What the published plans lose by single errors, nm RMS without the best plane, of the raster and of the maze,
-/// from dwell times that were put at the dwell points and convolved with the bilinear TIF, the error in them,
-/// independently of this program (NumPy); the noise of the rate is one draw there.
+/// Residuals that single errors add to the published plans, nm RMS without the best plane, on the raster
+/// and on the maze. The expected values were computed independently of this program (NumPy): dwell times at
+/// the dwell points, with the error in them, convolved with the bilinear TIF. The noise of the rate is one
+/// draw there.
 #[test]
 fn single_errors_add_what_was_found_independently() {
     let Some(mirror) = mirror() else { return };

@@ -13,7 +13,7 @@ use planish_toolpath::{
 };
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath, Trajectory};
 
-/// What is removed along `path` at the dwell-time density `s_per_mm(segment)`; nothing by lifts.
+/// Removal along `path` at the dwell-time density `s_per_mm(segment)`; lifts remove nothing.
 fn removal_nm(
     path: &ToolPath,
     tif: &Tif,
@@ -38,7 +38,7 @@ fn uniform(pitch_mm: f64, overscan_mm: f64, line_origin_mm: Option<f64>) -> Rast
     RasterSettings { line_origin_mm, ..RasterSettings::new(pitch_mm, 1.0, overscan_mm) }
 }
 
-/// Largest minus smallest value and mean of what is chosen.
+/// Largest minus smallest value, and mean, of the chosen pixels.
 fn spread(map: &Array2<f64>, chosen: impl Fn(usize, usize) -> bool) -> (f64, f64) {
     let values: Vec<f64> =
         map.indexed_iter().filter(|((r, c), _)| chosen(*r, *c)).map(|(_, v)| *v).collect();
@@ -173,8 +173,8 @@ fn multi_pitch_keeps_the_ripple_in_a_band_and_removes_less_too_much() {
     assert!(m < 0.2 * n && n > 200.0, "{m} {n}");
 }
 
-/// The loop changes its dwell times by steps that may fail, and ends where they gain nothing more: whether it ends too early
-/// is seen beside paths that differ little.
+/// The loop changes its dwell times by steps that may fail, and ends when they gain nothing more. Paths
+/// that differ little show whether it ends too early.
 #[test]
 fn a_closed_loop_does_not_end_early_on_one_path_among_others() {
     let text = fs::read_to_string(workspace().join("fixtures/coupon-ring.json")).unwrap();

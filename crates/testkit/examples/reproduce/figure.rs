@@ -8,7 +8,7 @@ use planish_types::{Axis as Pixels, Grid, Surface};
 
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 320.0;
-/// Left, right, top, bottom.
+/// Margins at the left, right, top and bottom of a chart, px of the picture.
 const MARGIN: [f64; 4] = [64.0, 16.0, 16.0, 44.0];
 const COLOURS: [&str; 5] = ["#888888", "#c2410c", "#1d4ed8", "#15803d", "#7e22ce"];
 

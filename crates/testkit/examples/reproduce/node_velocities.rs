@@ -27,7 +27,8 @@ use planish_types::{DwellTime, ToolPath};
 
 use crate::claim::{Claim, significant};
 
-/// Of (1), in metres and seconds: the decade that comes nearest to the stored velocities.
+/// Weight of (1), in metres and seconds. Larger: the coefficients C_j are pulled towards zero more.
+/// Smaller: (1) has less effect. Chosen: the decade that comes nearest to the stored velocities.
 const PULL: f64 = 1e-10;
 
 /// The run of the authors, per axis [x, y].
@@ -104,7 +105,8 @@ impl Stored {
             .fold(0.0, |sum, (i, ([p, q], right))| sum + (p * a[i] + q * a[i + 1] + right).powi(2))
     }
 
-    /// Eqs 9 to 16 with the bounds of Eq. 18 by the segment before the node and (1): the velocities of nodes 1 to N.
+    /// Velocities of nodes 1 to N by Eqs 9 to 16 and (1), with the bounds of Eq. 18 by the segment before
+    /// the node.
     fn pulled(&self, axis: usize) -> Vec<f64> {
         let (h, dp) = (self.durations_s(), self.displacements_mm(axis));
         let (n, limits) = (h.len(), ion_beam());
