@@ -13,8 +13,8 @@
 
 use ndarray::Array2;
 
-/// Values of the four cubic B-splines with knots at distance 1 that are not 0 on a cell, at the
-/// offset `f` in [0, 1] from the start of the cell.
+/// Values of the four cubic B-splines that are not 0 on a cell, for knots at distance 1. The
+/// argument `f` in [0, 1] is the offset from the start of the cell.
 #[inline]
 pub fn on_a_cell(f: f64) -> [f64; 4] {
     let g = 1.0 - f;

@@ -74,12 +74,12 @@ mod tests {
     #[test]
     fn the_area_is_that_of_rectangles_in_the_logarithms() {
         let e = f64::exp;
-        // One point: a rectangle of 2 by 3. Two: what the second adds is 1 by 1.
+        // The area of one point is a rectangle of 2 by 3. The second point adds 1 by 1.
         let corner = [e(2.0), e(3.0)];
         assert!((dominated_area(&[[1.0, 1.0]], corner) - 6.0).abs() < 1e-12);
         let two = [[e(1.0), e(1.0)], [1.0, e(2.0)]];
         assert!((dominated_area(&two, corner) - (1.0 + 2.0)).abs() < 1e-12);
-        // What is dominated, or outside, adds nothing.
+        // A point that is dominated, or outside of the corner, adds nothing.
         let more = [&two[..], &[[e(1.5), e(1.5)], [e(9.0), 1.0]]].concat();
         assert_eq!(dominated_area(&more, corner), dominated_area(&two, corner));
     }

@@ -325,7 +325,7 @@ mod tests {
             for map in [map.view(), map.t()] {
                 let valid: Vec<f64> = map.iter().copied().filter(|v| !v.is_nan()).collect();
                 let s = statistics(map).unwrap();
-                // Sums of integers are exact; of the squares of what is left, but for rounding.
+                // Sums of integers are exact. The squares of the remainder round.
                 let mean = valid.iter().sum::<f64>() / valid.len() as f64;
                 let squares: f64 = valid.iter().map(|v| (v - mean).powi(2)).sum();
                 assert_eq!((s.valid_count, s.mean), (valid.len(), mean));

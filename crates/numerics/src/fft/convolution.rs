@@ -331,8 +331,8 @@ mod tests {
             let bound = |n: usize| 20.0 * (n as f64).log2() * unit_roundoff * g.sum();
             let exact = double.valid(s.view());
             let error = rms(&(&single.valid(s.view()) - &exact));
-            // (1) for the elements of all of the source, of which a tile is a part. What is found has the size of the
-            // rounding of single precision.
+            // Bound (1) for the number of elements of the whole source, of which a tile is a part.
+            // The error found is of the size of single-precision rounding.
             assert!(error < bound(s.len()) * rms(&s), "{error}");
             assert!(error > 0.01 * unit_roundoff * rms(&exact), "{error}");
             let adjoint = double.adjoint(exact.view());

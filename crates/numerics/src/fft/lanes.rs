@@ -428,6 +428,8 @@ impl Butterfly<8> for Eight {
 /// for.
 #[inline(always)]
 pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
+    /// Number of values that are rounded at a time. Larger: more than the compiler has vectors for.
+    /// Smaller: single values. It does not change the result.
     const AT_A_TIME: usize = 4;
     let (from, from_rest) = from.as_chunks::<AT_A_TIME>();
     let (to, to_rest) = to.as_chunks_mut::<AT_A_TIME>();
@@ -470,6 +472,8 @@ fn transpose_square<T: Lanes, const N: usize>(
     to: &mut [T],
     to_step: usize,
 ) {
+    /// Side of the squares that are transposed at a time. Larger: more than the compiler has
+    /// vectors for. Smaller: single values. It does not change the result.
     const SIDE: usize = 4;
     let (from, to) = (&from[..(N - 1) * from_step + N], &mut to[..(N - 1) * to_step + N]);
     for i in 0..N / SIDE {
@@ -493,8 +497,8 @@ mod tests {
 
     use super::*;
 
-    /// Transforms `line` in every lane, scaled by the number of the lane, and says what one of them gives, and what a
-    /// convolution with a spectrum of ones leaves of it.
+    /// Transforms `line` in every lane, scaled by the number of the lane. Returns the results of
+    /// one lane: the transform, its inverse, and the convolution with a spectrum of ones.
     struct Lane<'a> {
         line: &'a [[f64; 2]],
         lane: usize,

@@ -91,7 +91,8 @@ mod tests {
 
     #[test]
     fn every_lane_has_its_own_sum() {
-        // Whole numbers, so that sums are exact in any order; rows longer than what is summed.
+        // Whole numbers, so that sums are exact in any order. The rows are longer than the summed
+        // part.
         for shape in [(1, 1), (3, 4), (5, 7), (2, 11)] {
             let (ny, nx) = shape;
             let (pitch_a, pitch_b) = (nx + 3, nx + 1);

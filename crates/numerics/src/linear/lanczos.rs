@@ -233,7 +233,7 @@ mod tests {
         let expected = svd.solve(&b, 0.03).unwrap();
         let error = (DVector::from_row_slice(&found.value) - &expected).norm();
         assert_eq!(found.rank, 10);
-        // Rounding times the condition number 1.2e3 of what is kept.
+        // Rounding times the condition number 1.2e3 of the kept eigenvalues.
         assert!(error < 1e-10 * expected.norm(), "{error}");
         assert!((found.largest - 1.0).abs() < 1e-12);
         assert!((found.smallest / 0.7_f64.powi(18) - 1.0).abs() < 1e-9);

@@ -705,7 +705,7 @@ mod tests {
             let factor = a.factorise().unwrap();
             // The last pivot of ones + e is e (n + e) / (n - 1 + e).
             let expected = 1e-9 * n as f64 / (n - 1) as f64;
-            // What n subtractions of numbers of order 1 round by.
+            // Rounding of n subtractions of numbers of order 1.
             assert!((factor.least_pivot() - expected).abs() < 1e-15 * n as f64, "n {n}");
         }
     }

@@ -5,11 +5,11 @@
 //! s(u) = s0 + v0 u + (3 ds/h - 2 v0 - v1)/h u^2 + (v0 + v1 - 2 ds/h)/h^2 u^3,  u = t - t(s0)   (1)
 //! ```
 //!
-//! A piece from `s0` to `s1` is the cubic Hermite polynomial (1) with the exact positions, times
-//! and velocities at its ends (`ds = s1 - s0`, `h = t(s1) - t(s0)`). It is halved until it is
-//! within the tolerance of the inverse of t(s), and its velocity and acceleration are within the
-//! limits. The inverse itself is not needed, because at the time t(s) the true position is s. The
-//! error falls with the fourth power of h.
+//! A piece from `s0` to `s1` is the cubic Hermite polynomial (1). Positions, times and velocities
+//! at its ends are exact (`ds = s1 - s0`, `h = t(s1) - t(s0)`). It is halved until it is within the
+//! tolerance of the inverse of t(s), and its velocity and acceleration are within the limits. The
+//! inverse itself is not needed, because at the time t(s) the true position is s. The error falls
+//! with the fourth power of h.
 //!
 //! Source: C. de Boor, *A Practical Guide to Splines*, chapter IV.
 

@@ -470,7 +470,7 @@ pub struct GradientSettings {
     /// The iteration ends if the objective plus `offset` falls by less than this fraction between
     /// two tests, 50 steps apart.
     pub stagnation: f64,
-    /// Constant that turns the objective of (1) into the sum of squares that it stands for.
+    /// Constant that completes the objective of (1) to a sum of squares.
     pub offset: f64,
 }
 
@@ -573,7 +573,7 @@ mod tests {
         (a.t().dot(&a) + ridge * Array2::<f64>::eye(n), g)
     }
 
-    /// H as it is, and as a fuller matrix less two outer products.
+    /// The same H in two forms: without outer products, and as a fuller matrix less two of them.
     fn forms(h: &Array2<f64>) -> [Quadratic; 2] {
         let n = h.nrows();
         let u: Vec<Vec<f64>> = (1..3_u32)

@@ -891,8 +891,8 @@ mod tests {
         tight.rows[0].bound = 3.0;
         let x = tight.solve().unwrap();
         assert!((x[1] - 1.5).abs() < 1e-11 && (x[2] - 1.5).abs() < 1e-11, "{x:?}");
-        // At a price of 1 the row x1 + x2 - e <= 3 is kept or broken as the multiplier says: it
-        // is 9 - 5 * 1.5 = 1.5 at the hard bound. Above: hard. Below: 5 x = 9 - price.
+        // The multiplier of the row x1 + x2 - e <= 3 at the hard bound is 9 - 5 * 1.5 = 1.5. At a
+        // higher price the row is hard. At a lower price it is exceeded, and 5 x = 9 - price.
         for (price, expected) in [(2.0, 1.5), (1.0, 1.6)] {
             tight.rows[0].slack = 1.0;
             tight.program.price = vec![price; 3];
