@@ -206,7 +206,7 @@ mod tests {
         assert!(message(&[0.0, f64::NAN]).contains("x_mm[1]: is NaN"));
         assert!(message(&[0.0, 1.0, 1.0]).contains("x_mm[2]: is 1 after 1"));
         assert!(message(&[2.0, 1.0]).contains("ascend"));
-        // Where it jumps, not where it first departs from the axis from end to end.
+        // The message names the jump, not the first departure from the axis between both ends.
         let jump = message(&[0.0, 1.0, 2.0, 3.0, 4.5, 5.5]);
         assert!(jump.contains("x_mm[4]: is 4.5 after 3, a step of 1.5 mm"), "{jump}");
         assert!(jump.contains("the median step is 1 mm"), "{jump}");

@@ -263,7 +263,7 @@ mod tests {
             let refused = MachineFile { min_segment_s: v, ..file.clone() }.checked();
             assert!(refused.unwrap_err().to_string().contains("min_segment_s: is"));
         }
-        // The smallest double, the smallest normal one, and what overflows in a product.
+        // The smallest 64-bit float, the smallest normal one, and numbers whose products overflow.
         for v in [5e-324, 1e-308, 1e-10, 1e300] {
             let message = machine(v, ["x", "y"]).checked().unwrap_err().to_string();
             let said =

@@ -252,7 +252,7 @@ mod tests {
         let machine = Machine::new(file()).unwrap();
         assert_eq!((machine.part_to_axes(), machine.travel_mm()), (None, &[None; 2]));
         assert_eq!(machine.limits_on_part(), file().checked().unwrap());
-        // Neither does what states the same.
+        // Keys that state the same have no effect either.
         let same = MachineFile { part_rotation_deg: Some(360.0), ..along("+x", "y") };
         assert_eq!(Machine::new(same).unwrap().part_to_axes(), None);
     }

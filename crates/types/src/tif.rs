@@ -134,7 +134,7 @@ impl Tif {
         &self.rate_nm_per_s
     }
 
-    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) stands at [r+1, c+1].
+    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1].
     pub fn with_ghosts(&self) -> &Array2<f64> {
         &self.with_ghosts
     }
@@ -422,8 +422,8 @@ mod tests {
         assert!(message(Array2::ones((2, 3))).contains("(2, 3)"));
     }
 
-    /// A Gaussian of peak 1 with a full width at half maximum of 1 mm on n x n samples of +-1.6 mm, and uniform noise
-    /// made normal by sums of twelve.
+    /// A Gaussian of peak 1 with a full width at half maximum of 1 mm, on n x n samples of +-1.6
+    /// mm, plus normal noise. The noise is made of sums of twelve uniform numbers.
     fn noisy_spot(n: usize, sigma: f64, seed: u64) -> (Grid, Array2<f64>) {
         let x = axis(1.6, n);
         let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -444,7 +444,8 @@ mod tests {
 
     #[test]
     fn noise_is_not_refused_and_keeps_the_volume() {
-        // pi / (4 ln 2) mm^2 of the whole Gaussian, less what is beyond 1.6 mm: erf(1.6 sqrt(4 ln 2))^2 = 1 - 3.3e-4.
+        // pi / (4 ln 2) mm^2 of the whole Gaussian, less its part beyond 1.6 mm: erf(1.6 sqrt(4 ln
+        // 2))^2 = 1 - 3.3e-4.
         let volume = std::f64::consts::PI / (4.0 * std::f64::consts::LN_2);
         for sigma in [0.005, 0.01, 0.02] {
             for n in [41, 61, 81] {
