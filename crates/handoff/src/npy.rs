@@ -289,7 +289,7 @@ enum Class {
     Float,
 }
 
-/// An element as it is stored.
+/// Stored value of an element.
 #[derive(Clone, Copy, Debug)]
 enum Value {
     Integer(i128),

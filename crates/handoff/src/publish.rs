@@ -280,7 +280,8 @@ mod tests {
         }
     }
 
-    /// Two runs renamed one artifact each before the other: the directory then held a mixture.
+    /// Earlier, each of two runs renamed one artifact before the other, and the directory held a
+    /// mixture.
     #[test]
     fn a_run_waits_while_another_lets_its_artifacts_appear() {
         let dir = tempfile::tempdir().unwrap();
@@ -310,7 +311,8 @@ mod tests {
         assert_eq!(text(&dir.path().join("c")), "mine");
     }
 
-    /// Its journal, finished by a later reader, took the place of what the second run had shown.
+    /// Earlier, a later reader finished the journal of the first run, and replaced the outputs of
+    /// the second run.
     #[test]
     fn a_run_that_ended_between_its_renames_is_finished_before_the_next_appears() {
         let dir = tempfile::tempdir().unwrap();
@@ -376,7 +378,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut run = staged(dir.path());
         run.push(Staged::file(&dir.path().join("c"), false).unwrap());
-        // Taken by somebody else after the run began.
+        // Another program takes the place after the run began.
         fs::write(dir.path().join("c"), "mine").unwrap();
         assert!(publish(run).unwrap_err().to_string().contains("c: exists"));
         let left = ["a", "b", "c"].map(|name| text(&dir.path().join(name)));

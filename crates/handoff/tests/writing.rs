@@ -227,7 +227,8 @@ fn what_lacks_in_an_output_is_made_again_and_what_was_changed_is_kept() {
     fs::remove_file(out.join("dwell_s.npy")).unwrap();
     assert_eq!(run().run().unwrap(), None);
     assert_eq!(snapshot(dir.path()), good);
-    // Somebody's array in the place of ours, and an edited or a broken manifest: not ours to replace.
+    // An array of somebody else in place of ours, and an edited or a broken manifest, are not
+    // replaced.
     let kept = |expected: &str| {
         let before = snapshot(dir.path());
         run().refused(expected);
@@ -273,7 +274,7 @@ fn foreign_files_are_never_lost() {
     write(&out, &surface());
     keep("which no dwell has");
     fs::remove_dir_all(&out).unwrap();
-    // Somebody's own arrays, without a manifest.
+    // Arrays of somebody else, without a manifest.
     write_bare(&out, &dwell(7.0));
     keep("out: holds dwell_s.npy and no manifest.json, so Planish did not write it");
     fs::remove_dir_all(&out).unwrap();
@@ -448,7 +449,7 @@ fn a_verdict_that_was_edited_is_refused() {
     fs::write(out.join(MANIFEST), text.replace("false", "true")).unwrap();
     let message = read().unwrap_err().to_string();
     assert!(message.contains("was changed after it was written"), "{message}");
-    // Without its seal it says nothing either.
+    // A manifest without its seal is refused too.
     let (body, _) = text.rsplit_once(",\n  \"seal\"").unwrap();
     fs::write(out.join(MANIFEST), format!("{}\n}}\n", body.replace("false", "true"))).unwrap();
     let message = read().unwrap_err().to_string();
@@ -787,7 +788,7 @@ fn killed_writers_leave_a_whole_artifact_at_every_moment() {
     let (reads, changes) = (reads.into_inner(), changes.into_inner());
     eprintln!("{reads} reads, {changes} changes seen");
     assert!(reads > 50 && changes > 10, "{reads} reads, {changes} changes: too slow to prove much");
-    // Nothing but the artifact and what the killed writers could not clear away.
+    // Only the artifact and the remains of killed writers are left.
     let left = names(dir.path());
     assert!(left.iter().all(|n| n == "out" || n.starts_with(".planish-")), "{left:?}");
     // These remains do not disturb the next run.
