@@ -59,8 +59,9 @@ const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 /// and far below any motion that changes the removal.
 const EXCURSION_NOISE_MM: f64 = 1e-9;
 
-/// Smallest distance outside the travel that counts, mm. Chosen as [`EXCURSION_NOISE_MM`]; the
-/// rotation from the part to the axes has the same rounding as a coordinate.
+/// Smallest distance outside the travel that counts, mm. Smaller: rounding counts, also that of the
+/// rotation from the part to the axes. Larger: small excursions are missed. Chosen as
+/// [`EXCURSION_NOISE_MM`].
 const TRAVEL_NOISE_MM: f64 = 1e-9;
 
 /// Smallest speed against the direction of a segment that counts, mm/s. Smaller: rounding counts.
