@@ -573,7 +573,7 @@ mod tests {
         (a.t().dot(&a) + ridge * Array2::<f64>::eye(n), g)
     }
 
-    /// The same H in two forms: without outer products, and as a fuller matrix less two of them.
+    /// H in two forms: without outer products, and as a fuller matrix less two of them.
     fn forms(h: &Array2<f64>) -> [Quadratic; 2] {
         let n = h.nrows();
         let u: Vec<Vec<f64>> = (1..3_u32)
