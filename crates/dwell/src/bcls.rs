@@ -38,10 +38,10 @@ use crate::{
     problem::check,
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What a dwell time is spent on.
+    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
     /// eta: least feed as a fraction of the largest reachable one; in [0, 1), 0 for none.
     pub least_feed: f64,

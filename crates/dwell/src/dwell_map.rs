@@ -75,7 +75,7 @@ pub(crate) fn lattice(tif: &Tif, grid: &Grid) -> Result<(Array2<f64>, Grid), Inv
     Ok((kernel, nodes))
 }
 
-/// Which dwell point a node belongs to.
+/// Assignment of the nodes of a lattice to dwell points.
 pub(crate) struct Cells {
     grid: Grid,
     points: Buckets,
@@ -83,10 +83,11 @@ pub(crate) struct Cells {
     nearest: Array2<u32>,
 }
 
-/// In place of a dwell point: none is near enough.
+/// Marks a node that has no dwell point near enough.
 const NO_POINT: u32 = u32::MAX;
 
-/// Rows of nodes that one thread takes at a time.
+/// Number of rows of nodes that one thread takes at a time. Larger: fewer tasks than threads on small maps. Smaller:
+/// more overhead.
 const NODE_ROWS_PER_TASK: usize = 64;
 
 impl Cells {
@@ -152,7 +153,7 @@ impl Cells {
         Self { grid: *grid, points, nearest }
     }
 
-    /// Whether somebody is near enough.
+    /// Mask of the nodes that have a dwell point near enough.
     pub fn owned(&self) -> Array2<bool> {
         self.nearest.mapv(|j| j != NO_POINT)
     }
@@ -219,8 +220,8 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// For the nodes that belong to a dwell point (`owned`) but are not `active` (both by rows): the nearest active
-    /// node, counted in steps to one of the eight neighbours.
+    /// Finds, for the nodes that belong to a dwell point (`owned`) but are not `active` (both by rows), the nearest
+    /// active node. The distance is the number of steps to one of the eight neighbours.
     pub fn new(owned: &Array2<bool>, active: &[bool]) -> Self {
         let (ny, nx) = owned.dim();
         let mut source: Vec<u32> = vec![NO_POINT; active.len()];
@@ -274,7 +275,7 @@ struct Buckets {
     shape: [usize; 2],
     /// Points by square.
     grouped: Grouped,
-    /// In that order.
+    /// Index and position of the points, mm [x, y], in the order of `grouped`.
     points: Vec<(u32, [f64; 2])>,
 }
 

@@ -59,7 +59,7 @@ use crate::{
     problem::{Model, Problem, Solution, check, check_steps},
 };
 
-/// What is solved for.
+/// Unknowns of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -70,10 +70,10 @@ pub enum Unknowns {
     Map,
 }
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What is solved for.
+    /// Unknowns of the solver.
     pub unknowns: Unknowns,
     /// mu: weight of the total variation; >= 0, useful up to 0.02.
     pub total_variation: f64,
@@ -81,17 +81,17 @@ pub struct Settings {
     pub margin: f64,
     /// Fraction of the pixels, the lowest ones, that may be cut off; in [0, 1).
     pub pits: f64,
-    /// It ends when ten steps lower the RMS by less than this fraction.
+    /// Relative change of the RMS over ten steps below which the steps end.
     pub tolerance: f64,
-    /// Most steps.
+    /// Largest number of steps.
     pub max_iterations: usize,
-    /// Whether their number is the end that is wanted: the more steps, the more noise is fitted, so that
-    /// to stop after some is a choice, not a failure.
+    /// True if `max_iterations` is the wanted end. More steps fit more noise, so that a limited number of steps can
+    /// be a choice and is then not reported as a failure.
     pub stop_at_max: bool,
-    /// Whether steps start from extrapolated points, (3).
+    /// True if steps start from extrapolated points, (3).
     pub accelerated: bool,
-    /// The side of the squares of pixels that a map of dwell times is solved on, from 1 to 64;
-    /// without it 1 for maps below a million pixels, and for larger ones what the TIF allows.
+    /// Side of the squares on which a map of dwell times is solved, pixels, from 1 to 64. Default: 1 for maps below a
+    /// million pixels, and for larger maps the largest side that the TIF allows.
     pub pixels_per_cell: Option<usize>,
 }
 
@@ -111,7 +111,7 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
@@ -133,7 +133,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the end is the one that the settings ask for.
     pub fn negative(&self, settings: &Settings) -> Option<String> {
         (self.end == End::IterationLimit).then(|| {
             format!(
@@ -145,10 +145,13 @@ impl Report {
     }
 }
 
-/// Below this fraction of the largest `B' w` the density of the neighbours goes on.
+/// Sensitivity of a dwell point, as a fraction of the largest `B' w`, below which its density is continued from its
+/// neighbours. Larger: fewer dwell points at the rim are solved for. Smaller: dwell times at the rim, which hardly
+/// change the map, may become very long.
 const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 
-/// No dwell time exceeds this multiple of the mean: at the edge of the reach T may run away.
+/// Upper limit of a dwell time, over the mean dwell time. Larger: dwell times at the edge of the reach of the tool
+/// may grow without use. Smaller: the limit cuts dwell times that the map needs.
 const MAX_TIME_OVER_MEAN: f64 = 20.0;
 
 /// Solves by (2).
@@ -218,7 +221,7 @@ fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
     e
 }
 
-/// What (2) needs.
+/// Operators and vectors that the step (2) needs.
 struct Unknown<'a> {
     forward: &'a dyn Fn(&[f64]) -> Array2<f64>,
     adjoint: &'a dyn Fn(&Array2<f64>) -> Vec<f64>,
@@ -340,7 +343,7 @@ fn on_map(
     Ok((t, report))
 }
 
-/// Whether the pixel nearest to `p` counts.
+/// Returns true if the pixel nearest to `p` has a positive weight.
 pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bool {
     let grid = desired.grid();
     let index = |axis: &planish_types::Axis, p: f64| {
@@ -378,8 +381,9 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
     (0..t.len()).into_par_iter().with_min_len(ELEMENTS_PER_TASK).map(divergence).collect()
 }
 
-/// Elements that one thread takes at a time. Sums are sums over such pieces, so that they do not depend on
-/// the number of threads.
+/// Number of elements that one thread takes at a time. Sums are sums over such pieces, so that they do not depend on
+/// the number of threads. Larger: fewer tasks than threads on short vectors. Smaller: more overhead. Another value
+/// changes the last digits of the result.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 
 /// (2) until it settles.

@@ -29,7 +29,7 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// alpha; >= 0.
@@ -48,19 +48,19 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `optimal` or `iteration-limit`.
     pub end: End,
     /// Components that were freed or put back.
     pub iterations: usize,
-    /// By how much a dwell time would still move, s.
+    /// Largest change of a dwell time in a projected gradient step, s; 0 at the optimum.
     pub kkt_residual_s: f64,
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the solver converged.
     pub fn negative(&self) -> Option<String> {
         (self.end != End::Optimal).then(|| {
             format!(

@@ -17,16 +17,20 @@ use super::{
 };
 use crate::surrogate::{Surrogate, Unbounded};
 
-/// Fraction of (1) that the bounds may cost: where they cost more other dwell times should be free.
+/// Change of (1) by the bounds, as a fraction of (1), above which the solution without bounds is dropped: other dwell
+/// times should then be free. Larger: more rounds with a wrong set of free dwell times. Smaller: useful solutions are
+/// dropped.
 const MAX_COST_OF_BOUNDS: f64 = 1e-3;
 
-/// Fraction of the wanted gap at which the steps end: the rest is for what the bounds cost.
+/// Fraction of the wanted gap at which the steps end; the rest is left for the cost of the bounds. Larger: the bounds
+/// may spoil the certificate. Smaller: more steps.
 const GAP_FRACTION: f64 = 0.3;
 
-/// The steps end where one leaves more than this fraction of the gap.
+/// Fraction of the gap that a step may leave; the steps end if one leaves more. Larger: more slow steps. Smaller: the
+/// steps end while they still help.
 const SLOW_GAP_FRACTION: f64 = 0.5;
 
-/// Where [`BoundedProblem::without_bounds`] ended.
+/// Result of [`BoundedProblem::without_bounds`].
 pub struct Found {
     /// Dwell times, some of the free ones beyond their bounds; none where the bounds cost too much.
     pub end: Option<Unbounded>,

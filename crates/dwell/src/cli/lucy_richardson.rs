@@ -12,7 +12,7 @@ pub struct LucyRichardson {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// What is solved for
+    /// Unknowns: dwell times of the path, or a map of dwell times
     #[arg(long, value_enum, default_value = "path")]
     unknowns: lucy_richardson::Unknowns,
     /// Weight of the total variation, useful from 0 to 0.02

@@ -12,7 +12,7 @@ pub struct Udo {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// How the floor is kept
+    /// Method to keep the dwell times above their floor
     #[arg(long, value_enum, default_value = "model")]
     floor: udo::Floor,
     /// Part of the best step that is taken from the second round on
