@@ -20,6 +20,7 @@ use crate::{
 };
 
 const NAME: &str = "MAT file";
+/// Size of the header of a file, bytes (MAT-File Format, version 5).
 const HEADER: usize = 128;
 
 /// Type of a data element that holds a matrix.

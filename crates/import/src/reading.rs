@@ -124,7 +124,7 @@ pub struct Coordinates {
     pub x: Vec<f64>,
     /// Coordinates of the rows (ny); ascending or descending.
     pub y: Vec<f64>,
-    /// Their unit, where the file states it.
+    /// Unit of the coordinates, if the file states it.
     pub unit: Option<Unit>,
 }
 

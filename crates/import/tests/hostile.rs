@@ -1,6 +1,6 @@
-//! Files that ask for much, absurd numbers in every numeric flag, maps that are hardly maps, and what is
-//! no file at all: the program ends in time and within its memory, with an exit code of the table, at
-//! most one message, never with an internal error.
+//! Hostile input: files that ask for much, absurd numbers in every numeric flag, maps that are hardly maps,
+//! and files of no format. The program must end in time and within its memory, with an exit code of the
+//! table and at most one message, never with an internal error.
 
 use std::{
     fs,

@@ -1,8 +1,8 @@
 //! Fiducials: points that are measured both in the map and on the machine.
 //!
-//! As CSV, one line per fiducial, with a header in any order of `map_x_mm, map_y_mm, machine_x_mm,
-//! machine_y_mm` and, where they are known, `name`, `uncertainty_mm` (standard deviation of the machine's
-//! coordinates, per axis) and `map_uncertainty_mm`. As JSON, a list of objects with `map_mm: [x, y]`,
+//! A CSV file has one line per fiducial, and a header in any order of `map_x_mm, map_y_mm, machine_x_mm,
+//! machine_y_mm`. Optional columns are `name`, `uncertainty_mm` (standard deviation of the machine's
+//! coordinates, per axis) and `map_uncertainty_mm`. A JSON file is a list of objects with `map_mm: [x, y]`,
 //! `machine_mm: [x, y]` and the same optional keys. Lines of the CSV that begin with `#` are comments.
 
 use planish_types::{Invalid, is_plausible_mm};

@@ -89,9 +89,9 @@ pub struct Residual {
 /// A number with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Its value.
+    /// Value of the number.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error of the number.
     pub standard_error: f64,
 }
 
@@ -230,8 +230,8 @@ fn eigenvalues(n: &[[f64; 2]; 2]) -> [f64; 2] {
 
 /// Fits `model` to fiducials.
 ///
-/// Refuses too few of them, fiducials that stand in the same place, on a line where an affine transform needs
-/// an area, too close together for their uncertainty, and correspondences that mirror the part.
+/// Refuses too few fiducials, and fiducials in the same place. Refuses fiducials on a line if the model is
+/// affine, fiducials too close together for their uncertainty, and correspondences that mirror the part.
 pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
     let n = fiducials.len();
     let least = model.least_fiducials();

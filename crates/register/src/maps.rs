@@ -35,6 +35,7 @@
 //!
 //! ```text
 //! f = sum A(i, j) / sum A(i, j) (1 - |i| / X) (1 - |j| / Y)     over lags until the mean of A is noise
+//! ```
 //!
 //! For noise averaged over 3 x 3 pixels in blocks of 17 x 10, the missing part is a seventh of the
 //! variance.

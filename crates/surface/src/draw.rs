@@ -1,7 +1,7 @@
 //! Pictures as SVG text: maps with a section through them, and spectra.
 //!
-//! x to the right, y upwards, axes in mm. A map is drawn in cells of equal height bands; where it has
-//! more pixels than the picture can show, a cell is the mean of its pixels. Invalid pixels are white.
+//! x is to the right, y upwards, axes are in mm. A map is drawn in cells, in bands of equal height. If it
+//! has more pixels than the picture can show, a cell is the mean of its pixels. Invalid pixels are white.
 
 use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale, Svg, cells, colour, frame::range, svg::put};
@@ -36,9 +36,9 @@ const BANDS: usize = 24;
 pub struct Panel {
     /// Title above the map.
     pub title: String,
-    /// Its pixels.
+    /// Pixels of the map.
     pub grid: Grid,
-    /// Its heights (ny, nx); NaN = invalid.
+    /// Heights of the map (ny, nx); NaN = invalid.
     pub map: Array2<f64>,
 }
 
@@ -146,8 +146,8 @@ fn edges(axis: &Axis) -> [f64; 2] {
     [axis.start_mm() - 0.5 * axis.step_mm(), axis.end_mm() + 0.5 * axis.step_mm()]
 }
 
-/// Height over width of a drawing: that of the map, unless the map is a strip so narrow that the
-/// drawing would have no height, or more than a page of it.
+/// Ratio of height to width of a drawing: that of the map, but limited, because the drawing of a narrow
+/// strip would have no height, or more than a page of it.
 fn ratio(grid: &Grid) -> f64 {
     let length = |axis: &Axis| axis.len() as f64 * axis.step_mm();
     (length(&grid.y) / length(&grid.x)).clamp(0.08, 2.0)

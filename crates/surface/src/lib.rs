@@ -6,8 +6,10 @@
 //! * [`mod@fill`]: heights for holes.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
-//! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`], [`ellipse`]:
-//! the best shape; [`specification`]: limits on all of these quantities.
+//! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
+//!   shape; [`specification`]: limits on all of these quantities.
+//! * [`tif`], [`tif_fit`]: preparation of a tool influence function, and its description by a formula.
+//! * [`draw`]: pictures of maps and spectra.
 
 mod basis;
 mod distance;
@@ -63,7 +65,7 @@ pub enum PrepareError {
         masked: usize,
         /// Valid pixels.
         valid: usize,
-        /// Their ratio, %.
+        /// Ratio of masked to valid pixels, %.
         percent: f64,
         /// Largest allowed ratio, %.
         limit: f64,

@@ -92,9 +92,9 @@ pub struct PsdReport {
     pub x_mm: [f64; 2],
     /// The rectangle: smallest and largest y, mm.
     pub y_mm: [f64; 2],
-    /// Its pixels (rows, columns).
+    /// Pixels of the rectangle (rows, columns).
     pub shape: (usize, usize),
-    /// Its pixels over the valid pixels of the map.
+    /// Ratio of the pixels of the rectangle to the valid pixels of the map.
     pub fraction_of_valid_pixels: f64,
     /// RMS of the detrended rectangle without a window, nm.
     pub rms_nm: f64,
@@ -211,8 +211,8 @@ fn weights(window: Window, n: usize) -> Vec<f64> {
     }
 }
 
-/// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist
-/// frequency; the ring about 0 holds what is nearer to 0 than half a step.
+/// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist frequency.
+/// The ring about 0 holds frequencies nearer to 0 than half a step.
 fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
     let (fx, fy) = (&density.frequency_x, &density.frequency_y);
     let df = (fx[1] - fx[0]).max(fy[1] - fy[0]);

@@ -451,7 +451,8 @@ mod tests {
         let flat = Array2::zeros((2, 21));
         let heights = Heights { x_mm: &x, y_mm: &y, height_nm: &flat };
         let all = design(90_000.0, 90_000.0, 3e-3, &ALL);
-        // What is flat over 0.2 mm is no worse an ellipse of any distances: the errors say so.
+        // Over 0.2 mm a flat surface fits ellipses of any distances equally well, and the standard errors
+        // must show it.
         let (_, report) = without_shape(&heights, Shape::Ellipse, Some(&all)).unwrap();
         assert!(report.ellipse.unwrap().standard_error.iter().all(|e| *e > 1.0));
     }

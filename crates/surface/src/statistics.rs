@@ -31,7 +31,7 @@ pub struct SurfaceStatistics {
     pub shape: (usize, usize),
     /// Number of valid pixels.
     pub valid_pixels: usize,
-    /// Their area, mm^2.
+    /// Area of the valid pixels, mm^2.
     pub valid_area_mm2: f64,
     /// Arithmetic mean, nm.
     pub mean_nm: f64,

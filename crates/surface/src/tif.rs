@@ -268,8 +268,9 @@ fn border_mean(tif: &Tif) -> f64 {
 /// vertex    (u, v) = -[a c; c b]^-1 (g, h)
 /// ```
 ///
-/// Each coefficient is the central difference, exact for a quadratic. Without c, which is that of a spot whose axes are
-/// turned, each coordinate would be that of the largest rate on the line through the sample, not on the plane.
+/// Each coefficient is the central difference, exact for a quadratic. c belongs to a spot whose axes are
+/// turned. Without c, each coordinate would be that of the largest rate on the line through the sample, not
+/// on the plane.
 fn vertex_mm(tif: &Tif) -> [f64; 2] {
     let (r, c) = peak_place(tif);
     let (g, rate) = (tif.grid(), tif.rate_nm_per_s());

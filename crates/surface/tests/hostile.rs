@@ -1,5 +1,5 @@
-//! Absurd numbers in every numeric flag, and maps that are hardly maps: the program ends in time with
-//! an exit code of the table and at most one message, never with an internal error, and writes nothing
+//! Absurd numbers in every numeric flag, and maps that are hardly maps. The program must end in time with
+//! an exit code of the table and at most one message, never with an internal error. It must write nothing
 //! that is not a number.
 
 use std::{

@@ -93,7 +93,7 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     let place_alone = machine_runs(dir, "map-2", "placed", "--run 2", "place");
     assert!(tool_alone > 1.1 * known && place_alone > 1.1 * known, "{tool_alone} {place_alone}");
 
-    // The first mirror again: whether another run is worth it, and what it leaves.
+    // The first mirror again: the decision on another run, and its residual.
     plan(dir, "blind-measured", "tif", "second");
     let mirror = "--surface second-map --trajectory second/trajectory";
     run(dir, &format!("tolerance {mirror} --tif tif --process process.json --out tolerance"));

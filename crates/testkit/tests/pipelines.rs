@@ -1,5 +1,5 @@
-//! `just run` and its relatives as a user calls them. `just test-pipelines` runs this file: it needs
-//! `just` and the release build. Where `just` is not installed it says so and checks nothing.
+//! `just run` and related commands as a user calls them. `just test-pipelines` runs this file: it needs
+//! `just` and the release build. If `just` is not installed, the tests count as skipped.
 #![cfg(unix)]
 
 use std::{

@@ -112,6 +112,7 @@ struct Motion {
 /// A scheduler: its name, and a function that returns its motion or the reason of a refusal.
 type Scheduler = (&'static str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>);
 
+/// The schedulers under test, by the names of the table.
 const SCHEDULERS: [Scheduler; 11] = [
     ("pvt smooth", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
     ("pvt monotone", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
@@ -221,6 +222,7 @@ fn ensure(condition: bool, message: impl FnOnce() -> String) -> Result<(), Strin
 
 type Population = (&'static str, fn(&mut ChaCha8Rng) -> Case);
 
+/// Populations of random cases; the position in this list is the number of a population's stream.
 const POPULATIONS: [Population; 7] = [
     ("easy", easy),
     ("infeasible", infeasible),
@@ -748,7 +750,7 @@ fn judged(
         if std::ptr::eq(judged_by, limits) {
             match keeps_its_promise(name, &verdict) {
                 Kept::Yes(largest_use) => count.largest_use = largest_use,
-                // The claim says so, or it would not be that of the judge.
+                // The claim agrees, or it would differ from the verdict.
                 Kept::ButForRounding if any_scale => count.coarse = 1,
                 _ => problems.push(format!("breaks its promise: {:?}", verdict.violations)),
             }
@@ -1154,8 +1156,8 @@ fn the_interpolator_is_where_the_trajectory_is() {
 }
 
 /// A disk of 100 mm after smoothing, steps of 0.2 mm, at two feed limits. The offset of the feed is
-/// 1/v_max where the smallest density is nothing; the repaired motion removes what the ideal one
-/// does but for a piston, when the path goes beyond the aperture by the TIF and 1 mm.
+/// 1/v_max, because the smallest density is 0. If the path goes beyond the aperture by the TIF and 1 mm,
+/// the repaired motion removes what the ideal one does plus a piston.
 #[test]
 fn disk_100_repaired_removes_a_piston_more() {
     let recipe =

@@ -154,13 +154,13 @@ fn multi_pitch_keeps_the_ripple_in_a_band_and_removes_less_too_much() {
     let of = |map| present.iter().map(|k| ripple(map, *k)).collect::<Vec<_>>();
     let (own, one) = (of(&multi), of(&wide_map));
     println!("ripple PV: multi-pitch {own:.3?} nm, {wide:.2} mm throughout {one:.3?} nm");
-    // At one pitch the ripple grows with the depth: 0.45 % (the FFT of the TIF's line integral at
-    // 1 / pitch) of the 400 nm and more of the deepest class. With its own pitches it falls.
+    // At one pitch the ripple grows with the depth: it is 0.45 % (the FFT of the TIF's line integral at 1 /
+    // pitch) of the depth, which is 400 nm and more in the deepest class. With its own pitches it falls.
     let deepest = present.len() - 1;
     assert!(deepest >= 2 && one.windows(2).all(|w| w[1] > w[0]), "{one:?}");
     assert!(one[deepest] > 1.6, "{one:?}");
-    // Regression bounds: measured 0.68 nm in the deepest class, where the depth at the dwell points in the place of its
-    // mean around them leaves 0.03 nm, and up to 1.09 nm in the others.
+    // Regression bounds: measured 0.68 nm in the deepest class, and up to 1.09 nm in the others. The depth
+    // at the dwell points, in the place of its mean around them, would leave 0.03 nm in the deepest class.
     assert!(own[deepest] < 0.3 * one[deepest], "{own:?} {one:?}");
     assert!(own.iter().all(|pv| *pv < 1.2), "{own:?}");
 

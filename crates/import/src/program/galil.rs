@@ -2,8 +2,8 @@
 //! a distance in counts, the velocity at its end in counts/s and a time of 1 to 2048 samples;
 //! T = -1 clears the buffer, `0,0,0` ends the motion, `BT` begins it. A is x, B is y.
 //!
-//! What would change the motion without a trace is an error: clearing the buffer after the first segment,
-//! a segment after the end, an end or a beginning that is missing (a program that was cut off).
+//! Errors are refused that would change the motion without a trace: clearing the buffer after the first
+//! segment, a segment after the end, and a missing end or beginning (a program that was cut off).
 //!
 //! Source: Galil DMC-40x0 command reference, PV and BT.
 

@@ -17,11 +17,16 @@
 //! are read as they stand, with steps of the velocity. The times are nominal: a planner that joins lines otherwise, or
 //! is held by its limits, takes longer.
 //!
-//! What LinuxCNC refuses is refused, with the line, and so is what would change the motion without a trace:
-//! a word twice, two words of one modal group, a word without a number or that nothing on the line uses, a
-//! comment within a comment, one that does not end, a bracket without a comment, a line that a switch of the
-//! machine may leave out (/), more than 252 characters (the interpreter ends at 253). A program without M62 to M65 has the tool on
-//! always; one with them must say so before it moves, and must end with the tool off.
+//! The reader refuses what LinuxCNC refuses, and names the line. It also refuses whatever would change the
+//! motion without a trace:
+//!
+//! * a word twice, two words of one modal group, a word without a number or that nothing on the line uses;
+//! * a comment within a comment, a comment that does not end, a bracket without a comment;
+//! * a line that a switch of the machine may leave out (/);
+//! * more than 252 characters (the interpreter ends at 253).
+//!
+//! In a program without M62 to M65 the tool is always on. A program with them must switch the tool before
+//! it moves, and must end with the tool off.
 //!
 //! Source: LinuxCNC documentation: G-codes, M-codes (M62 - M65 Digital Output Control), G-code Overview
 //! (Format of a line, Numbers, Comments, modal groups).

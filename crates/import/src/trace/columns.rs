@@ -100,13 +100,13 @@ impl Columns {
 pub struct Column {
     /// Quantity of the column.
     pub role: Role,
-    /// Its name, or its number.
+    /// Name of the column, or its number.
     pub name: String,
     /// Unit that the log states for a position.
     pub position_unit: Option<PositionUnit>,
     /// Unit that the log states for a time.
     pub time_unit: Option<TimeUnit>,
-    /// Its values (n), finite.
+    /// Values (n), finite.
     pub values: Vec<f64>,
 }
 

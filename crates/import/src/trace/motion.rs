@@ -1,7 +1,7 @@
 //! A motion through samples.
 //!
 //! Between the samples at t_i and t_(i+1), h_i apart, the position is the cubic with the velocities v_i and
-//! v_(i+1) at its ends, each that of the parabola through a sample and its two neighbours:
+//! v_(i+1) at its ends. Each velocity is that of the parabola through a sample and its two neighbours:
 //!
 //! ```text
 //! v_i = (h_i s_(i-1) + h_(i-1) s_i) / (h_(i-1) + h_i),   s_i = (p_(i+1) - p_i) / h_i

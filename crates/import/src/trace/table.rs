@@ -1,8 +1,9 @@
 //! Text in columns: one line per sample, fields separated by semicolon, tab, comma or white space.
 //!
-//! Above the samples there may be lines that are no rows of numbers: comments, and the names of the columns,
-//! which are the last line with as many fields as a sample has. Empty cells may stand at the end, where one
-//! array of a Galil is shorter than another: the log ends with the first sample that lacks what is read.
+//! There may be lines above the samples that are no rows of numbers: comments and the names of the columns.
+//! The names are the last of these lines with as many fields as a sample has. Empty cells may stand at the
+//! end, if one array of a Galil is shorter than another. The log ends with the first sample that lacks a
+//! cell of a column that is read.
 
 use planish_types::{Invalid, budget};
 

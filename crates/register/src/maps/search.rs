@@ -16,8 +16,8 @@ const MOST_PLACES: usize = 61;
 /// skips places with little overlap. Smaller: a few pixels correlate by chance.
 const LEAST_COMPARED: usize = COMPARED / 10;
 
-/// The pose with the largest correlation within `limits` (shift in mm, rotation in rad) of the maps without
-/// their free terms, `values` of the later one and of the one before.
+/// Pose with the largest correlation within `limits` (shift in mm, rotation in rad). `values` are the
+/// heights of the later map and of the map before, without their free terms.
 pub(super) fn best(
     values: &[Vec<f64>; 2],
     after: &Field,

@@ -37,8 +37,8 @@ pub struct PrepareArgs {
     aperture: ApertureArgs,
     #[command(flatten)]
     outliers: OutlierArgs,
-    /// Fill invalid pixels of the clear aperture, or enclosed ones if no aperture is given, smoothly from
-    /// their rims (for programs that cannot skip invalid pixels, as the solvers of Planish do)
+    /// Fill invalid pixels of the clear aperture (enclosed ones, if no aperture is given) smoothly from
+    /// their rims, for programs that cannot skip invalid pixels; the solvers of Planish skip them
     #[arg(long)]
     fill: bool,
     #[command(flatten)]

@@ -4,8 +4,8 @@
 //! [J; sqrt(damping) I] step = [left; 0]
 //! ```
 //!
-//! The columns of the Jacobian J of an ellipse are nearly parallel (p, q and theta differ in the third and fourth
-//! order only), so every step is solved by a QR decomposition.
+//! The columns of the Jacobian J of an ellipse are nearly parallel, because p, q and theta differ in the
+//! third and fourth order only. So every step is solved by a QR decomposition.
 
 use nalgebra::{DMatrix, DVector};
 use planish_types::Invalid;

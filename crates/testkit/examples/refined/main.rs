@@ -1,6 +1,6 @@
 //! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
-//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool. With the argument
-//! `feed`: those of docs/feed.md, motion and times as one problem beside the closed loop.
+//! tenth of the limits of the machine, on the coupon with noise, and with a ring-shaped tool. The argument
+//! `feed` makes those of docs/feed.md: motion and times as one problem beside the closed loop.
 
 mod feed;
 mod paths;

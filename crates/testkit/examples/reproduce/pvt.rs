@@ -28,8 +28,8 @@ use crate::{
     node_velocities::{self, correlation},
 };
 
-/// The shift at the end removes another shape where the points are not uniform: on the random path the floor is in
-/// the model, so that its residual is that of path and motion.
+/// Kind of the floor on a path. If the points are not uniform, the shift at the end removes another shape.
+/// So on the random path the floor is in the model, and the residual is that of path and motion.
 fn floor_on(name: &str) -> udo::Floor {
     if name == "random" { udo::Floor::Model } else { udo::Floor::Shift }
 }

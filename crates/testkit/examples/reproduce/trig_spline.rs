@@ -203,8 +203,8 @@ fn one_piece() -> Vec<Claim> {
     ]
 }
 
-/// Table 2: Lucy-Richardson with the spline, the same as a plain controller executes it, and BCLS on segments as long
-/// as it asks for, by the trapezoidal feeds that it is made for.
+/// Table 2: Lucy-Richardson with the spline, and the same as a plain controller executes it. BCLS has
+/// segments as long as it asks for, and is executed with the trapezoidal feeds that it is made for.
 fn solvers(part: &planish_fixture::Fixture) -> (Vec<Claim>, String) {
     let path = lines(&part.surface, 2.0, 5.0);
     let (surface, tif) = (&part.surface, &part.tif);
