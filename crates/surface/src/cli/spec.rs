@@ -68,8 +68,7 @@ pub struct SpecArgs {
     /// Grazing angle for the Strehl ratio, mrad [default: normal incidence]
     #[arg(long, value_name = "A", requires = "wavelength_nm", allow_negative_numbers = true)]
     grazing_mrad: Option<f64>,
-    /// Limits that the mirror must keep [JSON]; with exit code 1 the program names those that it does not
-    /// keep
+    /// Limits that the mirror must keep; with exit code 1 the program names those that it does not keep [JSON]
     #[arg(long, value_name = "FILE")]
     specification: Option<PathBuf>,
     /// RMS of the white noise of the heights, nm, if known: every verdict states the part of the noise, and
