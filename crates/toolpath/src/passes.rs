@@ -1,4 +1,4 @@
-//! The same path several times: there and back, or always forwards.
+//! Repetition of a path: there and back, or always forwards.
 //!
 //! A removal rate that drifts linearly over the run is too high by as much in the one pass as it is too low in the
 //! other where a pass goes there and the next one back: every place is passed at times that are symmetrical about
@@ -9,12 +9,12 @@ use planish_types::{Invalid, ToolPath};
 
 use crate::{MAX_SEGMENTS, draft::Draft};
 
-/// How often, and which way.
+/// Number and direction of the passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct PassesSettings {
     /// Passes; >= 2.
     pub passes: usize,
-    /// Whether every other pass runs backwards; otherwise the tool is lifted back to the start.
+    /// True if every other pass runs backwards; otherwise the tool is lifted back to the start.
     #[serde(rename = "return")]
     pub back: bool,
 }

@@ -20,14 +20,14 @@ pub struct RasterArgs {
     /// Direction of the lines from x towards y, degrees: 0 and 90 are the scans along x and y
     #[arg(long, value_name = "A", conflicts_with = "scan", allow_negative_numbers = true)]
     angle_deg: Option<f64>,
-    /// How consecutive lines are joined [default: square; lift for lines in one direction or in
+    /// Turns between consecutive lines [default: square; lift for lines in one direction or in
     /// random order]
     #[arg(long, value_enum)]
     turn: Option<Turn>,
     /// Run all lines in the same direction, and return with the tool off
     #[arg(long)]
     one_directional: bool,
-    /// Which line follows which
+    /// Order of the lines
     #[arg(long, value_enum, default_value_t = LineOrderArg::Sequential)]
     line_order: LineOrderArg,
     /// Seed of the random line order [default: 1]

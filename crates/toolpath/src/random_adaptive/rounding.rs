@@ -22,7 +22,8 @@
 
 use super::{Point, crossing::crossings, distance};
 
-/// Largest new step, in spacings.
+/// Longest new step, in spacings. Larger: coarser paths, which leave the region or cross more easily. Smaller: more
+/// nodes than `step_mm` asks for.
 const MAX_STEP: f64 = 2.0;
 
 /// One pass over closed paths that do not cross; how many corners had to stay.
@@ -102,7 +103,7 @@ fn cut_corners(
     (new, corner_of)
 }
 
-/// Turning of the path along one step, at most.
+/// Largest turn of the path along one step, rad. Larger: steps that cut hairpins. Smaller: more nodes.
 const MAX_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
 /// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the

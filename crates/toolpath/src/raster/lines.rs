@@ -1,4 +1,4 @@
-//! Where the lines are, and the order in which they are run.
+//! Positions of the lines, and the order in which they are run.
 
 use planish_types::Surface;
 use rand::{SeedableRng, seq::SliceRandom};
