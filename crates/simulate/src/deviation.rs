@@ -1,4 +1,4 @@
-//! What a run does in the place of what was planned: motion, TIF and map with their errors.
+//! Deviations of a run from its plan: motion, TIF and map with their errors.
 //!
 //! A rate that differs from one is time in the place of rate: a piece of the motion that takes r times as
 //! long, along the same curve, removes r times as much. So every deviation of the run is a trajectory that the
@@ -44,11 +44,11 @@ pub struct Deviation {
     pub place_of_stay_mm: Vec<[f64; 2]>,
     /// Deviation of the time of every stay, s; empty where there is none.
     pub time_of_stay_s: Vec<f64>,
-    /// What the residual has on top of that of the map, nm.
+    /// Addition to the residual that the errors of the map cause, nm.
     pub map_nm: Option<Array2<f64>>,
 }
 
-/// What acts throughout a run: fractions, mm and rad.
+/// Errors that act throughout a run: fractions, mm and rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[allow(missing_docs)] // what each is stands at the kinds of a process
 pub struct Truth {
@@ -181,7 +181,7 @@ impl Deviation {
         Trajectory::new(breaks, coefficients, tool_on, index)
     }
 
-    /// What acts throughout the run, as numbers.
+    /// Returns the errors that act throughout the run, as numbers.
     pub fn truth(&self) -> Truth {
         Truth {
             rate_scale: self.rate,

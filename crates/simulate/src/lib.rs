@@ -1,4 +1,4 @@
-//! What a trajectory removes: the time integral of the TIF along the motion.
+//! Removal of a trajectory: the time integral of the TIF along the motion.
 //!
 //! ```text
 //! removal(x) = integral over the time the tool is on of  w(t) R(x - P(t)) dt
@@ -54,7 +54,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// How the integral is computed.
+/// Methods for the integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
 pub enum Settings {
@@ -72,19 +72,19 @@ pub enum Settings {
 pub struct Prediction {
     /// Removal and residual.
     pub removal: Removal,
-    /// How the integral was computed.
+    /// Numbers about the computation of the integral.
     pub numerics: Numerics,
 }
 
 impl Prediction {
-    /// Why nobody should run the motion, which takes `total_time_s`, on the surface `desired`, where this is
-    /// so: it leaves more than there is, say.
+    /// Returns the reason for which nobody should run the motion, of the length `total_time_s`, on the surface
+    /// `desired`, or `None`. Example: it leaves a larger error than there is.
     pub fn drawback(&self, desired: &Surface, total_time_s: f64) -> Option<String> {
         plausible::drawback(Rms::of(desired), Rms::of(self.removal.residual()), total_time_s)
     }
 }
 
-/// How an integral was computed.
+/// Numbers about the computation of an integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Numerics {
     /// Quadrature points.
@@ -96,7 +96,7 @@ pub struct Numerics {
     pub tif_interpolation_error: f64,
 }
 
-/// What depends on the TIF and the map only: for many trajectories.
+/// Data that depend on the TIF and the map only, for many trajectories.
 pub enum Plan<'a> {
     /// [`Settings::Gridded`].
     Gridded(Box<gridded::Plan>),
@@ -125,7 +125,7 @@ impl<'a> Plan<'a> {
         self.removal_told(trajectory, &|_| ())
     }
 
-    /// The same, while `tell` hears which fraction of it is done.
+    /// Computes the removal, and tells `tell` the fraction that is done.
     fn removal_told(
         &self,
         trajectory: &Trajectory,
@@ -150,8 +150,8 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// What hears the fraction of a removal that is done. A removal that is a step of other work has nothing to say: the
-/// work says how far it is.
+/// Receiver of the fraction of a removal that is done. A removal that is a step of other work reports nothing: the
+/// work reports its own progress.
 type Tell<'a> = &'a (dyn Fn(f64) + Sync);
 
 /// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and says how far it

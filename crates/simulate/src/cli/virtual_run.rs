@@ -27,8 +27,8 @@ pub struct VirtualRun {
     /// Random seed of the hidden errors
     #[arg(long, value_name = "S", requires = "process", default_value_t = 1)]
     seed: u64,
-    /// Which run of the machine of this seed: errors that one number decides are those of its first run, noise is
-    /// new, and --surface is the map measured after the run before
+    /// Number of the run of the machine of this seed. Errors of one number are those of its first run, and noise is
+    /// new; --surface is the map measured after the run before
     #[arg(long = "run", value_name = "K", requires = "process", default_value_t = 1)]
     number: u64,
     /// Let rate, place, width and shape of the tool be known and corrected exactly; all other errors stay
@@ -40,7 +40,7 @@ pub struct VirtualRun {
 }
 
 impl VirtualRun {
-    /// Whether a process and a place for the map were given.
+    /// Returns the process and the place for the map if both were given.
     pub fn asked(&self) -> Option<(&PathBuf, &PathBuf)> {
         self.process.as_ref().zip(self.measured.as_ref())
     }
