@@ -1,4 +1,4 @@
-//! What of a process the dwell times decide: the expected mean square of the residual as a quadratic in them.
+//! Expected mean square of the residual as a quadratic in the dwell times: the part of a process that they decide.
 //!
 //! With b_j what a second at dwell point j of a motion removes, t_j the times, and independent errors eta_k of
 //! variance s_k^2,
@@ -51,7 +51,7 @@ use crate::{
     tool::smooth,
 };
 
-/// Ways in which the TIF acts.
+/// Number of changes of the TIF by errors; the constants below are their indices.
 const KERNELS: usize = 7;
 const AS_IT_IS: usize = 0;
 const ALONG_X: usize = 1;
@@ -61,8 +61,9 @@ const ELLIPTICAL: usize = 4;
 const ROTATED: usize = 5;
 const DIAGONAL: usize = 6;
 
-/// Gauss points of a piece, over which the tool goes half the width of the TIF at most: of a Gaussian the integral
-/// errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4.
+/// Number of Gauss points of a piece, over which the tool goes half the width of the TIF at most. For a Gaussian the
+/// integral errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4. Larger: more time. Smaller: a larger
+/// error.
 const POINTS: usize = 2;
 
 /// The errors of a process that matter to the dwell times, on one mirror.
@@ -86,7 +87,7 @@ pub struct Sources {
 }
 
 impl Sources {
-    /// Of `process` on the map `desired` with `tif`; errors of size zero are none.
+    /// Makes the sources of `process` on the map `desired` with `tif`; errors of size zero are left out.
     pub fn new(
         desired: &Surface,
         tif: &Tif,
@@ -142,7 +143,7 @@ impl Sources {
         Ok(sources)
     }
 
-    /// Whether the dwell times decide anything of what the process adds.
+    /// Returns true if the dwell times decide nothing of the errors of the process.
     pub fn is_empty(&self) -> bool {
         self.included.is_empty()
     }
@@ -211,7 +212,7 @@ impl Sources {
         all
     }
 
-    /// What a run with these errors removes more than one without, nm.
+    /// Difference of the removals of a run with these errors and one without, nm.
     fn change(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
         let grid = &self.inner.grid;
         let removal = |run: &Deviation| -> Result<Array2<f64>, Invalid> {
@@ -310,8 +311,8 @@ impl Sources {
     }
 }
 
-/// How much of every kernel an error has of size one, `[x, y]` mm from the middle of the map, where the rate has g of
-/// it; none where this does not depend on the place and the time alone.
+/// Weights of the kernels for an error of size one, at `[x, y]` mm from the middle of the map, for a rate deviation
+/// g. None if the effect depends on more than the place and the time.
 type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
 
 fn combination(effect: Scalar) -> Option<Combination> {
@@ -436,7 +437,7 @@ struct Carried {
     part: f64,
     start_s: f64,
     duration_s: f64,
-    /// What it removes at the rate of the plan.
+    /// Removal of the piece at the rate of the plan.
     field: Field,
     /// Its inner products with the free terms.
     free: Vec<f64>,
