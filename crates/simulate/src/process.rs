@@ -244,8 +244,8 @@ const LONGEST_TIME_S: f64 = 3.2e7;
 /// servos that hardly settle; a larger upper end accepts servos that hardly follow.
 const DAMPING_RATIOS: [f64; 2] = [0.1, 2.0];
 
-/// Largest degree of a low-order error; higher ones are refused. The map measures higher orders, so that their error
-/// is noise.
+/// Largest degree of a low-order error; higher ones are refused. Higher orders are what a map
+/// measures.
 const LARGEST_DEGREE: usize = 8;
 
 impl Kind {
