@@ -23,10 +23,10 @@ pub struct Feed {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
-    /// Where the feed comes from
+    /// Source of the feed
     #[arg(long, value_enum, default_value = "deconvolution")]
     method: Method,
-    /// How the acceleration limit is kept
+    /// Method to keep the acceleration limit
     #[arg(long, value_enum, default_value = "convex-concave")]
     refinement: Refinement,
     /// Distance of the knots, mm [default: a quarter of the TIF's width]
@@ -35,7 +35,7 @@ pub struct Feed {
     /// Distance of neighbouring passes for the VRR feed, mm [default: measured]
     #[arg(long, value_name = "P")]
     pitch_mm: Option<f64>,
-    /// What the uniform part of the desired removal means
+    /// Treatment of the uniform part of the desired removal
     #[arg(long, value_enum, default_value = "keep")]
     piston: Piston,
     /// Weight of the distance to the least dwell density, relative to the strongest column
