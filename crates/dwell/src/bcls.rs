@@ -116,11 +116,11 @@ pub struct Bounds {
     pub lo: Vec<f64>,
     /// d / (eta V*), s.
     pub hi: Vec<f64>,
-    /// V*, mm/s.
+    /// V*: largest reachable feed of every segment, mm/s.
     reachable_mm_per_s: Vec<f64>,
     /// A along the segment, mm/s^2.
     acceleration_mm_per_s2: Vec<f64>,
-    /// (3), mm.
+    /// Right-hand side of (3) for every segment: least length at which the machine reaches its largest feed, mm.
     pitch_limit_mm: Vec<f64>,
 }
 

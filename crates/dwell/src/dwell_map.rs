@@ -91,9 +91,9 @@ const NO_POINT: u32 = u32::MAX;
 const NODE_ROWS_PER_TASK: usize = 64;
 
 impl Cells {
-    /// Nodes belong to the nearest dwell point with the tool on, unless it is further away than twice
-    /// the median distance of the nodes in the `aperture` (mm bounds [x, y] are not enough for a disk:
-    /// a test of a position): in a cell of a lattice the corner is 1.8 medians from the middle.
+    /// Assigns nodes to the nearest dwell point with the tool on, unless it is farther away than twice the median
+    /// distance of the nodes in the `aperture` (a test of a position, because mm bounds [x, y] cannot describe a
+    /// disk). In a cell of a lattice the corner is 1.8 medians from the middle.
     pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
         let points: Vec<(u32, [f64; 2])> = (0..path.len())
             .filter(|j| path.tool_on()[*j])
@@ -302,8 +302,9 @@ impl Buckets {
         Self { start, side, shape, grouped, points }
     }
 
-    /// The nearest point of every node of some rows that has one within the side of a square (in a lattice of square
-    /// cells every node has one within 0.71 sides), the lowest number of equals, and its squared distance.
+    /// Finds the nearest point, and its squared distance, for the nodes of some rows that have a point within the
+    /// side of a square. Of equal distances the lowest number counts. In a lattice of square cells every node has a
+    /// point within 0.71 sides.
     fn within_a_side(
         &self,
         grid: &Grid,

@@ -5,22 +5,22 @@
 //! T <- T / (1 - mu kappa) * (B' (w E / B T)) / (B' w)      kappa = div(grad T / |grad T|)      (2)
 //! ```
 //!
-//! `low` is the lowest height but for a given fraction of the pixels: otherwise one pit would decide how
-//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`,
-//! m = B T, of a Poisson process, which here is a device to keep T positive. Without smoothing the
-//! likelihood never falls, and after every step the removed volume is the desired one. `B' w` in place of the volume of the
-//! TIF is the whole treatment of the boundary: a dwell point near it is judged by the pixels that it
-//! reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the best
-//! one reaches are no unknowns: the density of their neighbours goes on there, in every step, so that what they
-//! remove is counted.
+//! `low` is the lowest height except for a given fraction of the pixels; otherwise one pit would decide the removal
+//! everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson process,
+//! which here is a device to keep T positive. Without smoothing the likelihood never falls, and after every step the
+//! removed volume is the desired one.
 //!
-//! The unknowns are the dwell times of the path (smoothness of the density along the path), or a map
-//! of dwell times on the pixels, as in the source (smoothness in two dimensions), which then goes to
-//! the path (`dwell_map.rs`).
+//! `B' w` in place of the volume of the TIF is the whole treatment of the boundary. A dwell point near it is judged
+//! by the pixels that it reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the
+//! best one reaches are no unknowns. They get the density of their neighbours in every step, so that their removal is
+//! counted.
 //!
-//! A map of dwell times has nothing to say at the scale of a pixel where the TIF is many pixels wide:
-//! on large maps it is solved on squares of pixels (`coarse.rs`). What it leaves is always computed
-//! on all pixels.
+//! The unknowns are the dwell times of the path (smoothness of the density along the path), or a map of dwell times
+//! on the pixels, as in the source (smoothness in two dimensions). The map is then transferred to the path
+//! (`dwell_map.rs`).
+//!
+//! If the TIF is many pixels wide, a map of dwell times needs no detail at the scale of a pixel: on large maps it is
+//! solved on squares of pixels (`coarse.rs`). Its residual is always computed on all pixels.
 //!
 //! Accelerated, a step starts from a point extrapolated along the last two,
 //!
@@ -117,7 +117,7 @@ pub struct Report {
     /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
     /// was to end the steps.
     pub end: End,
-    /// Steps.
+    /// Number of steps.
     pub iterations: usize,
     /// sum w (E ln m - m) before the first step, and after each.
     pub log_likelihood: Vec<f64>,

@@ -36,7 +36,7 @@ pub struct Settings {
     pub tikhonov: f64,
     /// Gradient at which it ends, as a fraction of the largest at the floor.
     pub tolerance: f64,
-    /// Most components that are freed or put back, per dwell point.
+    /// Largest number of components that are freed or put back, per dwell point.
     pub max_changes_per_point: usize,
 }
 

@@ -31,7 +31,7 @@ pub fn median_length_mm(path: &ToolPath) -> Option<f64> {
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Free {
-    /// A constant.
+    /// Piston: a constant.
     Piston,
     /// A plane: the part keeps the tilt that this leaves.
     Plane,

@@ -48,7 +48,7 @@ pub struct Settings {
     pub margin_tolerance_nm: f64,
     /// Change of the RMS at which the lift of the map ends, nm; > 0.
     pub piston_tolerance_nm: f64,
-    /// Most lifts.
+    /// Largest number of lifts of the map.
     pub max_lifts: usize,
     /// Part of the pixels, the lowest ones, that do not decide how much is removed; in [0, 1).
     pub pits: f64,

@@ -1,5 +1,5 @@
-//! Cheap surrogates of the normal matrix of [`crate::bounded_least_squares`], by which its steps
-//! are made. What they cost in accuracy is corrected by the exact gradient.
+//! Cheap surrogates of the normal matrix of [`crate::bounded_least_squares`], which give its steps. The exact
+//! gradient corrects their errors.
 //!
 //! Where H~ is factorised the pixels of every cell of s x s are taken together,
 //!

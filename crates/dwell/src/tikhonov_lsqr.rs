@@ -49,7 +49,7 @@ pub struct Settings {
     pub damping: Damping,
     /// Orthogonality of residual and columns at which LSQR ends.
     pub tolerance: f64,
-    /// Most steps of LSQR.
+    /// Largest number of steps of LSQR.
     pub max_iterations: usize,
 }
 

@@ -37,7 +37,7 @@ pub struct Settings {
     pub cut: f64,
     /// Change of the dwell times, as a fraction of them, at which the process ends.
     pub tolerance: f64,
-    /// Most steps of the process; each keeps a vector of n.
+    /// Largest number of steps of the process; each keeps a vector of n.
     pub max_iterations: usize,
 }
 

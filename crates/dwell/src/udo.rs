@@ -56,7 +56,7 @@ pub struct Settings {
     pub step: f64,
     /// RMS at which it ends, nm; >= 0.
     pub threshold_nm: f64,
-    /// Most rounds.
+    /// Largest number of rounds.
     pub max_iterations: usize,
 }
 

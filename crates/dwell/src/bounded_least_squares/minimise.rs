@@ -120,10 +120,10 @@ impl BoundedProblem<'_> {
         self.minimise_by(&Settings { smoothness, ..*self.settings }, MAX_CORRECTIONS)
     }
 
-    /// Takes the two-level method near the minimum by easier problems, and returns the products with their surrogates:
-    /// with larger weights of the penalty the dwell times are smoother, so that wider splines and larger cells can say
-    /// them, and which of them are at their bounds is settled in fewer and cheaper steps. Afterwards some percent of
-    /// them change.
+    /// Brings the two-level method near the minimum by easier problems, and returns the number of products with their
+    /// surrogates. Larger weights of the penalty make the dwell times smoother, so that wider splines and larger
+    /// cells can represent them. Fewer and cheaper steps then find the dwell times at their bounds. Some percent of
+    /// these change afterwards.
     ///
     /// Does nothing for other methods, or where a guess is given.
     pub(super) fn approach(&mut self, smoothness: f64) -> Result<usize, DwellError> {

@@ -36,7 +36,7 @@ pub struct Settings {
     pub tolerance_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it, that is enough.
     pub relative_gap: f64,
-    /// Most products with the surrogate of H where it is not factorised.
+    /// Largest number of products with the surrogate of H if it is not factorised.
     pub max_iterations: usize,
 }
 
