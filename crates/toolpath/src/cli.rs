@@ -71,14 +71,14 @@ struct RegionArgs {
     /// of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
-    /// Machine: a warning says where the path leaves the travel of its axes [JSON]
+    /// Machine, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// A run of a method: where the path shall go.
+/// Run of a method: the region of the path and its inputs.
 struct Region {
     inputs: Inputs,
     output: OutputArgs,
@@ -147,7 +147,7 @@ impl Region {
         Ok(Output::directory(&self.output, ToolPath::KIND).begin(task, &self.inputs)?)
     }
 
-    /// Writes the path with what there is to say of it; `own` and `warnings` are those of its method.
+    /// Writes the path and its report; `own` and `warnings` are those of its method.
     fn write<R: Serialize>(
         &self,
         output: &mut Writer,

@@ -101,7 +101,7 @@ pub struct Maze {
     pub path: ToolPath,
     /// Cells of the region.
     pub cells: usize,
-    /// Those of them that the path does not pass.
+    /// Cells that the path does not pass.
     pub cells_left_out: usize,
 }
 

@@ -90,7 +90,7 @@ pub struct MultiPitchSettings {
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Links {
-    /// Everywhere.
+    /// All links: the tool stays on.
     #[default]
     On,
     /// Links beyond the aperture only. Along a border at which the other region has links too, the tool is lifted.
@@ -157,7 +157,7 @@ pub struct DepthClass {
     pub area_mm2: f64,
     /// Part of that area where the depth asks for more than the largest feed, mm^2.
     pub too_fast_mm2: f64,
-    /// Regions.
+    /// Number of regions.
     pub components: usize,
 }
 

@@ -111,14 +111,14 @@ pub enum Construction {
 pub struct RandomAdaptive {
     /// One pass per island, lifts between them; closed, unless it jumps over a hole.
     pub path: ToolPath,
-    /// About the path.
+    /// Report on the path.
     pub report: RandomAdaptiveReport,
 }
 
 /// Numbers of a random-adaptive path beyond its statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RandomAdaptiveReport {
-    /// Closed paths.
+    /// Number of closed paths.
     pub islands: usize,
     /// Small triangles (6 per triangle) or random points, each visited once.
     pub visits: usize,

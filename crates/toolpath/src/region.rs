@@ -100,8 +100,8 @@ impl Aperture {
         }
     }
 
-    /// Intervals of a line in the region: the runs `[u_first - o, u_last + o]` of the pixel rows with `low_mm <= w <=
-    /// high_mm`, joined if they are at most `bridge_mm` apart; ascending.
+    /// Intervals of a line in the region: the runs `[u_first - o, u_last + o]` of the pixel rows with coordinates
+    /// `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
     pub fn stretches(
         &self,
         low_mm: f64,

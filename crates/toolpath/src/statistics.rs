@@ -59,7 +59,7 @@ pub struct PathStatistics {
     pub length_mm: f64,
     /// Length with the tool lifted, mm.
     pub lift_length_mm: f64,
-    /// Passes.
+    /// Number of passes.
     pub passes: usize,
     /// Runs of segments with the tool lifted.
     pub lifts: usize,

@@ -23,7 +23,7 @@ pub struct RandomAdaptiveArgs {
     /// through random points
     #[arg(long, value_enum, default_value_t = Construction::MeshTree)]
     construction: Construction,
-    /// Passes of corner cutting; each halves the turns and doubles the points
+    /// Number of passes of corner cutting; each halves the turns and doubles the points
     #[arg(long, value_name = "K", default_value_t = 1)]
     rounding_passes: u32,
 }

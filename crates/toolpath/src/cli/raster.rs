@@ -33,8 +33,8 @@ pub struct RasterArgs {
     /// Seed of the random line order [default: 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Let the distance of the lines follow the mean of the map along them, from A to B; then
-    /// --pitch-mm is the distance where that mean is the map's
+    /// Range A to B of the distance of the lines, which follows the mean of the map along them;
+    /// --pitch-mm is then the distance at the mean of the map
     #[arg(
         long,
         value_names = ["A", "B"],
@@ -57,11 +57,11 @@ enum ScanArg {
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum LineOrderArg {
-    /// The next one
+    /// The next line
     Sequential,
     /// Every other line, then back over the lines between them
     BiStep,
-    /// A random one; the tool is lifted between lines
+    /// A random line; the tool is lifted between lines
     Random,
 }
 

@@ -329,7 +329,7 @@ pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     visits
 }
 
-/// One round of 2-opt; whether it found anything.
+/// Makes one round of 2-opt; returns true if it found a shorter way.
 fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
     let n = visits.len();
     let region = |v: &Visit| cells[v.cell].region;

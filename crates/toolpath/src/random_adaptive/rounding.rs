@@ -26,7 +26,7 @@ use super::{Point, crossing::crossings, distance};
 /// nodes than `step_mm` asks for.
 const MAX_STEP: f64 = 2.0;
 
-/// One pass over closed paths that do not cross; how many corners had to stay.
+/// Makes one pass over closed paths that do not cross; returns the number of corners that had to stay.
 pub(super) fn round(loops: &mut [Vec<Point>]) -> usize {
     // 3Q/4 + P/4
     let quarter = |q: Point, other: Point, _: f64| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]);

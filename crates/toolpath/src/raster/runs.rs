@@ -54,9 +54,8 @@ impl Runs {
         }
     }
 
-    /// Intervals of a line in the region: the parts of the pieces in the band `low_mm <= w <=
-    /// high_mm`, `[u_first - o, u_last + o]`, joined if they are at most `bridge_mm` apart;
-    /// ascending.
+    /// Intervals of a line in the region: `[u_first - o, u_last + o]` of the parts of the pieces in
+    /// the band `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
     pub(super) fn stretches(
         &self,
         [low_mm, high_mm]: [f64; 2],
