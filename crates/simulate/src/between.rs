@@ -21,8 +21,8 @@ use serde::Serialize;
 /// standard error, and more time. Smaller: fewer pixels.
 const READINGS: f64 = 4e6;
 
-/// Smallest and largest number of pixels that are compared. The standard error of a change by c of the RMS is about c over the
-/// root of the number of pixels. Larger: more time. Smaller: a larger standard error.
+/// Smallest and largest number of pixels that are compared. The standard error of a change by c of the RMS is about c
+/// over the root of the number of pixels. Larger: more time. Smaller: a larger standard error.
 const PIXELS: [f64; 2] = [64.0, 1000.0];
 
 /// Number of places on the map that are tried for each pixel that is compared; only valid pixels are compared.
@@ -59,7 +59,7 @@ pub struct Between {
     pub difference_rms_nm: f64,
     /// RMS of the residual with straight lines over that with Keys' cubics, less 1.
     pub residual_change: f64,
-    /// Its standard error.
+    /// Standard error of `residual_change`.
     pub standard_error: f64,
 }
 

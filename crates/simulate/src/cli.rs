@@ -47,7 +47,7 @@ pub struct Simulate {
 enum Method {
     /// Exact quadrature and FFT convolution
     Gridded,
-    /// Midpoint quadrature pixel by pixel: slow, to check the other
+    /// Midpoint quadrature pixel by pixel: slow, to check the gridded method
     Direct,
 }
 

@@ -19,7 +19,7 @@ use crate::{
     servo::Servo,
 };
 
-/// All that goes wrong in a run; nothing by default.
+/// All errors of a run; none by default.
 #[derive(Clone, Debug, Default)]
 pub struct Deviation {
     /// Factor of the rate less 1.

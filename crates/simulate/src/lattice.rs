@@ -17,7 +17,7 @@ const SAME_LATTICE: f64 = 1e-4;
 /// Lattice steps per pixel, and where the samples of the TIF on the lattice come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Subdivision {
-    /// They are those of the TIF, so many to a pixel.
+    /// The lattice is that of the TIF, with so many points to a pixel.
     Own(usize),
     /// The TIF is sampled anew.
     Anew(usize),

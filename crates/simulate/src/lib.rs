@@ -4,21 +4,25 @@
 //! removal(x) = integral over the time the tool is on of  w(t) R(x - P(t)) dt
 //! ```
 //!
-//! with the TIF `R` of [`planish_types::Tif`], the position `P` of the trajectory, never of the dwell
-//! points, and its rate factor `w`, which is 1 but for logs that have a beam current. Source: the convolution model of computer-controlled optical surfacing
-//! (Jones, Appl. Opt. 16 (1977) 218), with the executed motion in place of the dwell map.
+//! with the TIF `R` of [`planish_types::Tif`]. The position `P` is that of the trajectory, never of the dwell points.
+//! The rate factor `w` is 1 except for logs that have a beam current.
+//!
+//! Source: the convolution model of computer-controlled optical surfacing (Jones, Appl. Opt. 16 (1977) 218), with the
+//! executed motion in place of the dwell map.
 //!
 //! Two methods, which share nothing but the definition of R:
 //!
 //! * [`gridded`]: exact quadrature ([`quadrature`]) and FFT convolution; the default.
 //! * [`direct`]: midpoint quadrature, pixel by pixel; slow, and the oracle of the other.
 //!
-//! [`frames`] does either of them part by part: the surface in the course of the run. [`coverage`] says which part of
-//! the map the tool touches, and [`between`] how far a prediction depends on how the TIF is read between its samples.
+//! [`frames`] computes the removal part by part: the surface in the course of the run. [`coverage`] reports the part
+//! of the map that the tool touches. [`between`] reports the dependence of a prediction on the interpolation of the
+//! TIF.
 //!
-//! What an imperfect process makes of a motion is one more motion, and one more TIF: [`process`] reads the errors,
-//! [`sample`] draws them, [`deviation`] applies them (with [`motion`], [`servo`], [`tool`] and the play of the axes), [`runs`] removes with them, and
-//! [`virtual_machine`] runs a plan with them and measures what is left.
+//! A motion of an imperfect process is simulated as another motion with another TIF. [`process`] reads the errors,
+//! [`sample`] draws them, and [`deviation`] applies them with [`motion`], [`servo`], [`tool`] and the play of the
+//! axes. [`runs`] computes the removal with them. [`virtual_machine`] runs a plan with them and measures the
+//! residual.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|

@@ -27,9 +27,9 @@ const TOUCHES_MM: f64 = 1e-9;
 /// Motion of the carriage of one axis in a part of a piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Carriage {
-    /// It follows the drive at this distance, q - p.
+    /// The carriage follows the drive at this distance, q - p.
     Follows(f64),
-    /// It stands here.
+    /// The carriage stands at this position, mm.
     Stands(f64),
 }
 

@@ -48,7 +48,7 @@ pub enum Kind {
     TifOffsetX,
     /// The beam is beside the place of the tool along y.
     TifOffsetY,
-    /// Every dwell point is misplaced for itself, along x and along y.
+    /// Independent displacement of every dwell point, along x and along y.
     PositionNoise,
     /// The tool is where it should have been this much earlier.
     VelocityLag,
@@ -62,7 +62,7 @@ pub enum Kind {
     TimingJitter,
     /// The controller begins and ends what it does at multiples of a tick.
     TimingTick,
-    /// Every pixel of the map has noise of its own.
+    /// Independent noise of every pixel of the map.
     MapNoise,
     /// The map has an error of low order: Legendre polynomials up to this total degree, piston left out, of this
     /// RMS together.
@@ -87,7 +87,7 @@ pub enum Distribution {
 pub struct ProcessFile {
     /// Name of the process.
     pub name: String,
-    /// Its errors.
+    /// Errors of the process.
     pub errors: Vec<ErrorFile>,
 }
 
@@ -124,7 +124,7 @@ pub struct ErrorFile {
 pub struct Process {
     /// Name of the process.
     pub name: String,
-    /// Its errors.
+    /// Errors of the process.
     pub errors: Vec<ProcessError>,
 }
 
@@ -133,7 +133,7 @@ pub struct Process {
 pub struct ProcessError {
     /// The error as the file states it.
     pub stated: ErrorFile,
-    /// Its size as a fraction, or in mm, rad, s or nm.
+    /// Size of the error as a fraction, or in mm, rad, s or nm.
     pub size: f64,
     /// Effect of the error.
     pub effect: Effect,
@@ -142,7 +142,7 @@ pub struct ProcessError {
 /// Effect of an error, with all numbers that its kind needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Effect {
-    /// One number decides it: [`Scalar`].
+    /// Effect of one number: [`Scalar`].
     Scalar(Scalar),
     /// Independent numbers along the run: [`Noise`].
     Noise(Noise),
@@ -214,10 +214,15 @@ pub enum Noise {
 /// A unit that a file may state, and its value in the unit of the calculation.
 type Unit = (&'static str, f64);
 
+/// Units of a fraction.
 const FRACTIONS: &[Unit] = &[("%", 0.01), ("1", 1.0)];
+/// Units of a length, in mm.
 const LENGTHS: &[Unit] = &[("mm", 1.0), ("um", 1e-3)];
+/// Units of an angle, in rad.
 const ANGLES: &[Unit] = &[("deg", std::f64::consts::PI / 180.0), ("mrad", 1e-3), ("rad", 1.0)];
+/// Units of a time, in s.
 const TIMES: &[Unit] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
+/// Units of a height, in nm.
 const HEIGHTS: &[Unit] = &[("nm", 1.0)];
 
 /// Largest size of an error that is a fraction, dimensionless. A larger one is refused: it is another process, not an
@@ -273,7 +278,7 @@ impl Kind {
         }
     }
 
-    /// Its name in a file.
+    /// Name of the kind in a file.
     pub fn name(self) -> String {
         let value = serde_json::to_value(self).expect("a name serialises");
         value.as_str().expect("an enumeration without contents is a string").into()

@@ -69,7 +69,7 @@ pub struct Cells {
 pub struct Window {
     /// First cell.
     pub low: [i64; 2],
-    /// One beyond the last.
+    /// The cell after the last.
     pub high: [i64; 2],
 }
 

@@ -135,7 +135,7 @@ fn largest_difference(tif: &Tif, sampled: &Tif) -> f64 {
     rows.reduce(|| 0.0, f64::max) / tif.peak_nm_per_s()
 }
 
-/// Every sample in the TIF is the value of the quadratic through those around it.
+/// Smooths a TIF: every sample in it gets the value of the quadratic through those around it.
 fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();

@@ -1,4 +1,4 @@
-//! A machine to learn on: a run with hidden errors, and the map that is measured after it.
+//! Virtual machine for tests of learning: a run with hidden errors, and the map that is measured after it.
 //!
 //! ```text
 //! true before = measured before + m_1
@@ -6,15 +6,15 @@
 //! measured after = true after - m_2
 //! ```
 //!
-//! R(run) is what the motion removes with one draw of the errors of a process ([`Runs`]); m_1 and m_2 are what the
-//! two measurements have wrong (`map_noise` and `map_low_order`), drawn independently of each other, so that the
-//! difference of the two maps has twice the variance of either. Whoever reads the measured map sees neither; the truth
-//! goes elsewhere, to be compared with what is learnt.
+//! R(run) is the removal of the motion with one draw of the errors of a process ([`Runs`]). m_1 and m_2 are the
+//! errors of the two measurements (`map_noise` and `map_low_order`), drawn independently of each other, so that the
+//! difference of the two maps has twice the variance of either. A reader of the measured map sees neither. The truth
+//! is written elsewhere, for comparison with what is learnt.
 //!
-//! Every error has random numbers of its own, by its place in the process file: an error added at the end of the file
-//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]): an error that one number
-//! decides is the same in all of its runs, noise is new in each, and the map after a run is the map before the next
-//! one, with the same error of its measurement. So the measurements of a campaign are counted: run k is between the
+//! Every error has its own random numbers, by its index in the process file: an error added at the end of the file
+//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]). An error of one number
+//! is the same in all of its runs; noise is new in each. The map after a run is the map before the next one, with the
+//! same error of its measurement. So the measurements of a campaign are counted: run k is between the
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
@@ -57,7 +57,7 @@ pub struct Settings {
 /// Value of one error in this run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drawn {
-    /// Its kind.
+    /// Kind of the error.
     pub kind: String,
     /// The number that it drew, in `unit`; `None` of noise, which draws many.
     pub value: Option<f64>,

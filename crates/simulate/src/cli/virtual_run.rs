@@ -17,7 +17,7 @@ use planish_types::{Removal, Surface, plausible};
 
 #[derive(Args)]
 pub struct VirtualRun {
-    /// Run with hidden errors of this process, drawn with the seed: --out is the truth, and --measured the map
+    /// Process whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
     /// measured after the run [JSON]
     #[arg(long, value_name = "FILE", requires = "measured")]
     process: Option<PathBuf>,
@@ -31,10 +31,10 @@ pub struct VirtualRun {
     /// new; --surface is the map measured after the run before
     #[arg(long = "run", value_name = "K", requires = "process", default_value_t = 1)]
     number: u64,
-    /// Let rate, place, width and shape of the tool be known and corrected exactly; all other errors stay
+    /// Assume that rate, place, width and shape of the tool are known and corrected exactly; all other errors stay
     #[arg(long, requires = "process")]
     known: bool,
-    /// Move the TIF with its noise and the step at its border, which the tool has not
+    /// Move the TIF with its measured noise and the step at its border, which the tool does not have
     #[arg(long, requires = "process")]
     tif_as_sampled: bool,
 }
