@@ -37,7 +37,7 @@ const FIRST_STREAM: u64 = 1 << 32;
 /// out. Smaller: rounding makes directions.
 const INDEPENDENT: f64 = 1e-12;
 
-/// One number that a run draws, and what it does.
+/// Number that a run draws, and its effect.
 #[derive(Clone, Debug)]
 pub struct Term {
     /// Distribution of the number about zero, at size one.

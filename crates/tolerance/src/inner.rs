@@ -5,8 +5,8 @@
 //! P f    = f - sum_q <q, f> q                       the free terms q (piston, or a plane) removed
 //! ```
 //!
-//! What is smooth on the scale of the TIF (all that noise along the run removes) is known on cells of pixels, a
-//! third of the TIF's width wide, at the centroid of the valid pixels of each.
+//! Fields that are smooth on the scale of the TIF (all that noise along the run removes) are stored on cells of
+//! pixels. A cell is a third of the TIF's width wide; its value is that at the centroid of its valid pixels.
 
 use ndarray::Array2;
 use planish_types::{Grid, Surface};

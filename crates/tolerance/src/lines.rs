@@ -28,7 +28,7 @@ pub struct Linear {
     pub distribution: Distribution,
     /// Field of the error at size one, nm.
     pub field: Array2<f64>,
-    /// Its size.
+    /// Size of the error.
     pub size: f64,
 }
 

@@ -7,11 +7,11 @@
 //! E |P sum g_k b_k|^2 = sum_kl C_kl <P b_k, P b_l>
 //! ```
 //!
-//! Nothing of the size (pieces)^2 is made. Errors of their own for every stay have a diagonal C. The
-//! Ornstein-Uhlenbeck process is Markovian: with the mean of g over piece k, whose covariance with that over an
-//! earlier piece l is `sigma^2 a_k a_l exp(-gap / tau)`, `a = tau / h (1 - exp(-h / tau))` of its duration h,
-//! one pass over the pieces carries `s = sum_l a_l b_l exp(-gap / tau)` along, cell by cell, or for whatever
-//! linear functional of b is wanted. The variance of P n in a place is, with the free terms q,
+//! No matrix of the size (pieces)^2 is made. Independent errors of every stay have a diagonal C. The
+//! Ornstein-Uhlenbeck process is Markovian. The covariance of the mean of g over piece k with that over an earlier
+//! piece l is `sigma^2 a_k a_l exp(-gap / tau)`, with `a = tau / h (1 - exp(-h / tau))` of the duration h. So one
+//! pass over the pieces carries `s = sum_l a_l b_l exp(-gap / tau)` along, cell by cell, or for any wanted linear
+//! functional of b. The variance of P n at a place is, with the free terms q,
 //!
 //! ```text
 //! Var n(x) - 2 sum_q q(x) Cov(n(x), <q, n>) + sum_qr q(x) r(x) Cov(<q, n>, <r, n>)

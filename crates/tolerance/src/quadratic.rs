@@ -10,14 +10,15 @@
 //!         + s^2 sum_j t_j^2 (|P db_j/dx|^2 + |P db_j/dy|^2)          noise of the places
 //! ```
 //!
-//! c_kj is the derivative of b_j by eta_k. The TIF acts in six ways (`Kernels`): as it is, displaced along x and y,
-//! wider, elliptical, rotated; what an error of one number does at a place and a time is a combination of them.
-//! C is the covariance of the Ornstein-Uhlenbeck process between pieces of the motion. Each is a sum of squares, so
-//! Q is positive semidefinite, and it is never made: a product with it takes a pass over the columns.
+//! c_kj is the derivative of b_j by eta_k. The TIF acts in seven ways (`Kernels`): as it is, displaced along x and y,
+//! wider, elliptical, rotated, and elliptical along the diagonals. The effect of an error of one number at a place
+//! and a time is a combination of them. C is the covariance of the Ornstein-Uhlenbeck process between pieces of the
+//! motion. Each term is a sum of squares, so Q is positive semidefinite. Q is never made: a product with it takes a
+//! pass over the columns.
 //!
-//! Q is that of one motion: where the tool is and when is taken from it, and so are the times at which the rate has
-//! drifted. m is what the `fixed` errors of the process change in its removal, simulated: they are known, and a plan
-//! can make up for them.
+//! Q is that of one motion. The motion gives the places and times of the tool, and the times at which the rate has
+//! drifted. m is the change of the removal by the `fixed` errors of the process, simulated: they are known, and a
+//! plan can compensate for them.
 //!
 //! Errors that add the same whatever the dwell times are no part of Q: the jitter and the tick, which are times of
 //! their own; the map's; and a lag that scatters, because the time that the tool takes for a millimetre times its
@@ -72,13 +73,13 @@ pub struct Sources {
     tif: Tif,
     width_mm: f64,
     kernels: Kernels,
-    /// One number each, and its variance.
+    /// Errors of one number each, and their variances.
     scalars: Vec<(Scalar, f64)>,
     /// Variance of the place of every dwell point along each axis, mm^2.
     place_mm2: f64,
     /// Correlation time, s, and variance of every noise of the rate.
     rates: Vec<(f64, f64)>,
-    /// All that is fixed, where anything is.
+    /// Errors that are fixed, if there are any.
     fixed: Option<Deviation>,
     /// Kinds of the errors that are in Q or in m, in the order of the process.
     pub included: Vec<String>,
@@ -439,7 +440,7 @@ struct Carried {
     duration_s: f64,
     /// Removal of the piece at the rate of the plan.
     field: Field,
-    /// Its inner products with the free terms.
+    /// Inner products of the field with the free terms.
     free: Vec<f64>,
 }
 

@@ -12,9 +12,9 @@ pub const LEVELS: usize = 201;
 /// Effect of one error.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Line {
-    /// Its kind.
+    /// Kind of the error.
     pub kind: String,
-    /// Its size as stated.
+    /// Size of the error as stated.
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
@@ -61,9 +61,9 @@ pub struct Quantiles {
 /// The error without which the residual that 95 % of the runs are below is least.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct First {
-    /// Its index among the errors.
+    /// Index of the error.
     pub index: usize,
-    /// Its kind.
+    /// Kind of the error.
     pub kind: String,
     /// RMS below which 95 % of the runs are without this error, nm (first order).
     pub without_it_95_percent_nm: f64,
@@ -78,7 +78,7 @@ pub struct Tolerance {
     pub nominal_rms_nm: f64,
     /// sqrt of the mean over runs of the mean square, nm (first order).
     pub expected_rms_nm: f64,
-    /// The distribution.
+    /// Distribution of the RMS of the residual.
     pub residual: Quantiles,
     /// True if the distribution is that of simulated runs.
     pub simulated: bool,
