@@ -9,9 +9,9 @@
 //! | w | width of the tool, mm |
 //! | N | pixels of the map |
 //!
-//! The path is A / p long. A plan of motion and times as one problem has nodes 0.6 w apart along it, n = A / (0.6 p w),
-//! of which m = (8 w)^2 / (0.6 p w) are within reach of each other, and takes some 30 factorisations with n m^2
-//! multiplications. The closed loop has A / (p s) dwell points for steps of s.
+//! The path has the length A / p. A plan of motion and times as one problem has n = A / (0.6 p w) nodes, 0.6 w apart
+//! along the path. Of these, m = (8 w)^2 / (0.6 p w) are within reach of each other. The plan takes about 30
+//! factorisations with n m^2 multiplications. The closed loop has A / (p s) dwell points for steps of s.
 
 use serde::{Deserialize, Serialize};
 

@@ -274,7 +274,7 @@ impl Table {
         self.entries
     }
 
-    /// Nothing may be left.
+    /// Refuses entries that are left over.
     fn finish(self) -> Result<(), Complaint> {
         let Some((key, _)) = self.entries.first() else { return Ok(()) };
         let known = self.known.join(", ");

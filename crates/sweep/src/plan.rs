@@ -1,7 +1,7 @@
 //! Plans, and the stages that make them.
 //!
-//! What is made has the hash of everything that it is made of in its name, so what several plans have in common is
-//! made once, and what is there is never out of date.
+//! The name of every result holds the hash of all its inputs. So results that several plans share are made once, and
+//! an existing result is never out of date.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -74,7 +74,7 @@ pub struct Ground {
 pub struct Step {
     /// Name of the program.
     pub program: String,
-    /// Its arguments.
+    /// Arguments of the program.
     pub arguments: Vec<String>,
 }
 
@@ -82,7 +82,7 @@ pub struct Step {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Its name, which ends with the hash of what it is made of.
+    /// Name of the plan, which ends with the hash of its inputs.
     pub id: String,
     /// Name of its tool path.
     pub path_id: String,

@@ -22,7 +22,7 @@ pub struct Row {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RowStatus {
-    /// Made.
+    /// The plan was made.
     Done,
     /// Made, and a stage gave a negative verdict: not converged, a limit exceeded.
     Negative,

@@ -76,7 +76,7 @@ fn rounded(x: f64) -> f64 {
     format!("{x:.3e}").parse().expect("a formatted number is one")
 }
 
-/// Settings as a sentence: the names without what nobody varied.
+/// Settings as a sentence: the names without settings that the sweep does not vary.
 pub fn in_words(plan: &Plan) -> String {
     let known = |key: &str| SETTINGS.iter().any(|setting| setting.key == key);
     let settings = plan.settings.iter().filter(|(key, _)| known(key));

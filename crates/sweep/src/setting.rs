@@ -15,7 +15,7 @@ pub const METHODS: [&str; 2] = ["feed", "pvt+refined"];
 /// A setting that can be varied.
 #[derive(Debug)]
 pub struct Setting {
-    /// Its name, which ends with its unit.
+    /// Name of the setting, which ends with its unit.
     pub key: &'static str,
     kind: Kind,
     /// Whose setting it is.

@@ -74,7 +74,7 @@ impl Expand {
         }
     }
 
-    /// A directory with files and without a sweep is somebody's.
+    /// Refuses a directory that has files and no sweep: it belongs to somebody.
     fn refuse_foreign(&self) -> Result<(), Failure> {
         let out = &self.out;
         if out.join("sweep.json").exists() {
