@@ -72,7 +72,7 @@ pub struct Settings {
     pub smoothness: f64,
     /// Largest gap, or fall of the objective in the last sweep, over the objective.
     pub tolerance: f64,
-    /// Most sweeps, or steps of the interior point method.
+    /// Largest number of sweeps, or of steps of the interior point method.
     pub max_sweeps: usize,
 }
 

@@ -677,7 +677,7 @@ mod tests {
         }
     }
 
-    /// Least objective under the bounds alone, by changing one control value after the other.
+    /// Minimises the objective under the bounds alone, by changing one control value after the other.
     fn by_coordinates(joint: &Joint<'_>, target_nm: &Array2<f64>) -> f64 {
         let n = joint.place.len();
         let columns: Vec<_> = joint.problem.all_columns().collect();

@@ -67,7 +67,7 @@ pub enum FeedError {
         control_values: usize,
         /// Pixels of all basis functions.
         elements: usize,
-        /// Most elements.
+        /// Largest number of elements.
         limit: usize,
     },
     /// The quadratic program of a pass was not solved.

@@ -50,13 +50,13 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Its value at `d`.
+    /// Value of the quadratic at `d`.
     pub fn value(&self, d: &[f64]) -> f64 {
         let d = ArrayView1::from(d);
         0.5 * d.dot(&self.p.dot(&d)) - d.dot(&ArrayView1::from(&self.q))
     }
 
-    /// The same of `d = K c` as a function of c.
+    /// Returns the quadratic as a function of c, for `d = K c`.
     fn of(&self, k: &Array2<f64>) -> Self {
         Self { p: k.t().dot(&self.p).dot(k), q: k.t().dot(&ArrayView1::from(&self.q)).to_vec() }
     }

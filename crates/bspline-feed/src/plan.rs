@@ -56,9 +56,9 @@ impl Method {
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Piston {
-    /// It does not count; found along with the feed, slowly.
+    /// The uniform part does not count; the solver finds it along with the feed, slowly.
     Free,
-    /// It is to be removed as given.
+    /// The uniform part is removed as given.
     Keep,
 }
 
@@ -82,7 +82,7 @@ pub struct Settings {
     /// Largest gap between the objective and its proven lower bound, over the objective; of knot removal, fall of the
     /// objective in the last sweep.
     pub tolerance: f64,
-    /// Most steps of the interior point method, or sweeps of knot removal.
+    /// Largest number of steps of the interior point method, or of sweeps of knot removal.
     pub max_sweeps: usize,
     /// Largest distance of the motion from t(s), mm.
     pub fit_tolerance_mm: f64,
