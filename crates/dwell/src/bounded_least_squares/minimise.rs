@@ -37,8 +37,9 @@ const ROUGH_PROBLEMS: [(f64, f64); 2] = [(1e3, 2.0), (30.0, 1.5)];
 /// Side of the cells of an easier problem over that for (1). Larger: cheaper and less exact easier problems.
 const ROUGH_CELLS: usize = 2;
 
-/// alpha above which no easier problem is solved, dimensionless: the penalty would decide the whole result. Larger:
-/// useless easier problems cost time. Smaller: strongly regularised problems start without an approach.
+/// Largest alpha of an easier problem, dimensionless; a problem with a larger one is left out, because the penalty
+/// would decide its whole result. Larger: useless easier problems cost time. Smaller: strongly regularised problems
+/// start without easier ones.
 const MAX_ROUGH_TIKHONOV: f64 = 1e-2;
 
 /// Number of steps of H~ for an easier problem. Larger: a better start of the next problem, for more time.

@@ -29,7 +29,7 @@ pub const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 const MAX_TIF_PIXELS: f64 = 2.7e8;
 
 /// Largest number of dwell points of a normal matrix (288 MB); more are refused. Larger: memory grows with the
-/// square, time with the cube. Smaller: fewer problems can be solved.
+/// square. Smaller: fewer problems can be solved.
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
 /// Pixels of the map that the TIF covers.

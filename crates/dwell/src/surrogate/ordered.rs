@@ -18,12 +18,13 @@ use crate::{
 /// that. Larger: more corrections. Smaller: more factorisations per step.
 const RESIDUAL_FRACTION_ON_CELLS: f64 = 0.02;
 
-/// Number of factorisations after which the active-set method counts as cycling, from any start. Larger: a cycle
-/// takes longer. Smaller: slow problems are given up. Chosen: measured problems take 10 to 20.
+/// Number of factorisations after which the active-set method counts as cycling, from any start; gradient steps then
+/// give another start. Larger: a cycle takes longer. Smaller: slow problems get the other start without need. Chosen:
+/// measured problems take 10 to 20.
 const MAX_FACTORISATIONS: usize = 30;
 
-/// Number of factorisations after which the active-set method is given up if it starts from gradient steps. They have
-/// found most of the active set, so that a longer attempt is justified.
+/// Number of factorisations after which the active-set method from gradient steps is given up, and the result of the
+/// gradient steps is taken. They have found most of the active set, so that a longer attempt is justified.
 const MAX_FACTORISATIONS_AFTER_DESCENT: usize = 100;
 
 /// The columns in an order in which H~ has a small skyline.
