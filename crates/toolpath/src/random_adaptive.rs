@@ -58,8 +58,8 @@ use field::Field;
 /// Smallest area of the largest island, in squared pitches; a smaller region is refused. Larger: more parts are
 /// refused. Smaller: regions without room for a random path are accepted.
 const MIN_AREA: f64 = 16.0;
-/// Largest number of passes of rounding. Each doubles the number of points. Larger: paths with more points, but
-/// hardly rounder.
+/// Largest number of passes of rounding that the settings accept. Each doubles the number of points. Larger: paths
+/// with more points. Smaller: sharper corners.
 const MAX_ROUNDING_PASSES: u32 = 4;
 /// Relative difference between wanted and reached pitch below which the spacing is not scaled again. Larger: the
 /// pitch is less exact. Smaller: more trials.

@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// Longest link along a border between two regions, in pitches or, if they are larger, pixels: a
-/// slope of 14 degrees. Larger: links that leave uneven removal at the border. Smaller: more lifts.
+/// slope of 14 degrees. Larger: longer links along borders. Smaller: more lifts.
 const LONGEST_LINK: f64 = 4.0;
 
 /// Largest number of rounds of 2-opt. Larger: more time. Smaller: a longer way between the cells.

@@ -32,8 +32,8 @@ const MOVED: usize = 3;
 /// Factor of the cost of a step that leaves the region, dimensionless; a way around a hole is shorter than that.
 /// Larger: longer ways around. Smaller: more steps outside of the region.
 const DETOUR: f64 = 10.0;
-/// Number of rounds in which long steps are repaired and crossings exchanged. Larger: more time. Smaller: more long
-/// steps remain.
+/// Largest number of rounds against steps that leave the region, and of rounds against long steps. Larger: more time.
+/// Smaller: more such steps remain.
 const REPAIRS: usize = 4;
 
 /// One closed path per island.
