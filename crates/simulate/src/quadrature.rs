@@ -40,13 +40,14 @@ const STILL: f64 = 1e-11;
 /// weights is below 1e-10. Larger: a larger error. Smaller: more quadrature points.
 const UNIFORM: f64 = 1e-9;
 
-/// Way of an axis, in cells, up to which the other axis decides the number of points. Five points leave 1.4e-6 of the
-/// terms of the 10th degree and above, which all have this way as a factor. Larger: a larger error. Smaller: more
-/// quadrature points.
+/// Smaller way of the two axes, in cells, up to which a piece has five quadrature points instead of ten. Five points
+/// leave 1.4e-6 of the terms of the 10th degree and above, which all have this way as a factor. Larger: a larger
+/// error. Smaller: more pieces with ten points.
 const SMALL_WAY: f64 = 1e-5;
 
-/// Difference from uniform motion, in cells, up to which five points are enough. The terms of the 10th degree and
-/// above are at most 34 of its square. Larger: a larger error. Smaller: more quadrature points.
+/// Difference from uniform motion, in cells, up to which a piece has five quadrature points instead of ten. The terms
+/// of the 10th degree and above are at most 34 of its square. Larger: a larger error. Smaller: more pieces with ten
+/// points.
 const NEARLY_UNIFORM: f64 = 1e-3;
 
 /// Duration of a piece, over that of its segment, below which it is rounding: two axes that cross a border at the
