@@ -29,7 +29,7 @@ use crate::{
 const MARGIN: f64 = 0.5e-6;
 
 /// Shortest piece of a link, in roundings of the time of the motion; a shorter one vanishes when times are added.
-/// Larger: lower accelerations at very small changes. Smaller: pieces without a duration.
+/// Larger: a lower limit on the acceleration of links. Smaller: pieces without a duration.
 const LEAST_ROUNDINGS: f64 = 4.0;
 
 /// Largest change of the velocity in the time of the shortest piece, mm/s: a tenth of the step that `planish-verify`

@@ -22,8 +22,8 @@ use planish_types::Tif;
 
 use crate::{limited::Quadratic, passes::Pass};
 
-/// Angle up to which two directions are parallel (sine), rad. Larger: crossing passes count as neighbours. Smaller:
-/// rounding makes parallel passes cross.
+/// Angle up to which two directions are parallel (its sine), rad. Larger: passes in other directions count as
+/// neighbours. Smaller: rounding of the directions hides neighbours.
 const PARALLEL: f64 = 1e-3;
 
 /// Distance p of every pass to its nearest parallel neighbour beside it, mm; for a pass without one
