@@ -6,13 +6,12 @@
 //! d >= V^2 (1 - eta^2) / (2 A)                                                            (3)
 //! ```
 //!
-//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1), so a feed
-//! may change from the least to the largest allowed one, or back, in any segment: every sequence of
-//! dwell times within (2) can be executed by trapezoidal feeds. (3) is the pitch limit of the source:
-//! on shorter segments the machine does not reach its largest feed V. It is enforced through (2):
-//! there the least dwell time is `d / V*`, above `d / V`. V and A are the limits along the segment,
-//! the axis that reaches its own first. Where lengths differ, the least feed is eta times the largest
-//! V* of the segment and its neighbours, and the change is made in the longer one. Changes of
+//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1). So a feed may change
+//! from the least to the largest allowed one, or back, in any segment: every sequence of dwell times within (2) can
+//! be executed by trapezoidal feeds. (3) is the pitch limit of the source: on shorter segments the machine does not
+//! reach its largest feed V. It is enforced through (2): there the least dwell time is `d / V*`, above `d / V`. V and
+//! A are the limits along the segment, the axis that reaches its own first. Where lengths differ, the least feed is
+//! eta times the largest V* of the segment and its neighbours, and the change is made in the longer one. Changes of
 //! direction are not part of the source's model: a corner asks for more.
 //!
 //! The minimum within (2) is that of [`crate::bounded_least_squares`], almost without

@@ -29,7 +29,7 @@
 //! ```
 //!
 //! **Weights that mean the same at every pitch and pixel.** The two sums of squares are integrals over the part,
-//! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, and D grows with the number of pixels as the first term
+//! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`. D grows with the number of pixels as the first term
 //! does. So with closer lines, points or pixels the minimum tends to that of one continuous problem. In units of the
 //! size of the TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the
 //! TIF has less than 36 of them, neighbours have the weights of 36: a machine executes a motion from point to point.

@@ -92,8 +92,8 @@ const NODE_ROWS_PER_TASK: usize = 64;
 
 impl Cells {
     /// Assigns nodes to the nearest dwell point with the tool on, unless it is farther away than twice the median
-    /// distance of the nodes in the `aperture` (a test of a position, because mm bounds [x, y] cannot describe a
-    /// disk). In a cell of a lattice the corner is 1.8 medians from the middle.
+    /// distance of the nodes in the `aperture`. The aperture is a test of a position, because mm bounds [x, y] cannot
+    /// describe a disk. In a cell of a lattice the corner is 1.8 medians from the middle.
     pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
         let points: Vec<(u32, [f64; 2])> = (0..path.len())
             .filter(|j| path.tool_on()[*j])

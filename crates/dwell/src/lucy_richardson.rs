@@ -15,9 +15,9 @@
 //! best one reaches are no unknowns. They get the density of their neighbours in every step, so that their removal is
 //! counted.
 //!
-//! The unknowns are the dwell times of the path (smoothness of the density along the path), or a map of dwell times
-//! on the pixels, as in the source (smoothness in two dimensions). The map is then transferred to the path
-//! (`dwell_map.rs`).
+//! The unknowns are the dwell times of the path, with smoothness of the density along the path. Or they are a map of
+//! dwell times on the pixels, as in the source, with smoothness in two dimensions. The map is then transferred to the
+//! path (`dwell_map.rs`).
 //!
 //! If the TIF is many pixels wide, a map of dwell times needs no detail at the scale of a pixel: on large maps it is
 //! solved on squares of pixels (`coarse.rs`). Its residual is always computed on all pixels.

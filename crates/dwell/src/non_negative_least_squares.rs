@@ -5,11 +5,11 @@
 //! t = lo + s,  z' = z - B lo                                                               (1)
 //! ```
 //!
-//! M frees the piston, D is the largest diagonal element of `B' W M B`, A the effective area of the TIF (at least that of 36
-//! dwell points), `a_j` that of a dwell point. The same minimum as
-//! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that
-//! shares nothing with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the
-//! literature. One component changes at a time, so it is slow: minutes for thousands of points.
+//! M frees the piston, and D is the largest diagonal element of `B' W M B`. A is the effective area of the TIF (at
+//! least that of 36 dwell points), and `a_j` that of a dwell point. The same minimum as
+//! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that shares nothing
+//! with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the literature. One component changes
+//! at a time, so it is slow: minutes for thousands of points.
 //!
 //! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
 //!

@@ -174,10 +174,9 @@ pub struct PenaltyWeights {
     pub time_weight_nm2_per_s: f64,
 }
 
-/// Smallest A, in areas of a dwell point. On paths that are coarse beside the TIF, the weights of neighbouring dwell
-/// times then do not fall below those of a path with this many points in the area of the TIF, however small the tool.
-/// Larger: smoother dwell times on coarse paths. Smaller: neighbouring dwell times may differ more than a machine can
-/// follow.
+/// Smallest A, in areas of a dwell point. However small the tool, the weights of neighbouring dwell times then do not
+/// fall below those of a path with this many points in the area of the TIF. Larger: smoother dwell times on coarse
+/// paths. Smaller: neighbouring dwell times may differ more than a machine can follow.
 pub const POINTS_PER_AREA: f64 = 36.0;
 
 /// Quantities to which the weights of the penalty are relative.

@@ -77,7 +77,7 @@ pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
     counted.map_or_else(|_| Rms::of(desired), |surface| Rms::of(&surface))
 }
 
-/// Dwell times, what they do, and what the solver has to say.
+/// Dwell times, their effect, and the report of the solver.
 #[derive(Clone, Debug)]
 pub struct Solution<R> {
     /// Dwell times.

@@ -147,7 +147,8 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
 /// Smaller: the best margin may lie between two trials.
 const MARGINS_TRIED: usize = 8;
 
-/// An extended map whose border is wider than the map says nothing about the mirror.
+/// Refuses a TIF larger than the map: most of the extended map would then be border, which is no measurement of the
+/// mirror.
 pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<(), Invalid> {
     let (map, tif) = (problem.desired.grid(), problem.tif.grid());
     for (name, map, tif) in [("x_mm", &map.x, &tif.x), ("y_mm", &map.y, &tif.y)] {

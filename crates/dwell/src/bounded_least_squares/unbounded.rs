@@ -1,9 +1,9 @@
 //! The certificate of the two-level method, without new factors: steps on the free dwell times alone.
 //!
-//! By its own gradient alone a result within the bounds is proven late. What the surrogate misses and what the bounds cut
-//! off leaves a gradient q on the free dwell times, and of that the bound of [`super::certificate`] counts
-//! `q^2 / (2 c)`, as if the map said nothing of them: with c a hundred millionth of what it says, a result that is 1e-6
-//! above the minimum seems to be 0.3 of it above. So the free dwell times are taken to where q is zero, whatever their
+//! By its own gradient alone a result within the bounds is proven late. The errors of the surrogate and the cuts at
+//! the bounds leave a gradient q on the free dwell times. The bound of [`super::certificate`] counts `q^2 / (2 c)` of
+//! it, as if the map did not depend on them: with c a hundred millionth of what it says, a result that is 1e-6 above
+//! the minimum seems to be 0.3 of it above. So the free dwell times are taken to where q is zero, whatever their
 //! bounds. That costs a few products with the factor that is at hand; beyond its bounds a dwell time costs the bound
 //! almost nothing; and within the bounds again the result is better than before, too.
 

@@ -1,10 +1,9 @@
 //! Preconditioner of conjugate gradients for the normal matrix of [`crate::bounded_least_squares`], for dwell points
 //! that are much denser than the TIF can resolve.
 //!
-//! With L, the matrix of the penalty, that of the free dwell times is `H = B' W B - U U' + L`. B is a
-//! low pass: what it sees of dwell times is what smooth functions of the position can say, and on
-//! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth component is taken
-//! out exactly,
+//! With L, the matrix of the penalty, that of the free dwell times is `H = B' W B - U U' + L`. B is a low pass: it
+//! depends on the part of the dwell times that smooth functions of the position represent. On everything rougher H is
+//! almost L, a chain that is solved in one sweep. So the smooth component is taken out exactly,
 //!
 //! ```text
 //! Q = V (V' H V)^-1 V',   V[j, node] = b(x_j / p) b(y_j / p)                              (1)
