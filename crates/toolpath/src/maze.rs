@@ -19,10 +19,10 @@
 //! corners  replaced by quarter circles of radius R <= p/2, then nodes every L / ceil(L/s)
 //! ```
 //!
-//! Every step goes from a cell to its neighbour and every cell has one step in and one out, so
-//! the path cannot cross itself and every turn is 0 or 90 degrees. A closed loop on a lattice has
-//! as many black as white cells (of a chess board), so some cells at the rim may stay out.
-//! Parts of the region that are still apart are passes of their own with a lift between them.
+//! Every step goes from a cell to its neighbour, and every cell has one step in and one out. So the
+//! path cannot cross itself, and every turn is 0 or 90 degrees. A closed loop on a lattice has as
+//! many black as white cells (of a chess board), so some cells at the rim may stay out. Parts of
+//! the region that are still apart are passes of their own with a lift between them.
 //!
 //! Trees: depth-first goes on at random until it is stuck, then back to where it can go on (long
 //! corridors); its straightness is the chance to keep the direction where that is possible.

@@ -1,8 +1,8 @@
 //! Repetition of a path: there and back, or always forwards.
 //!
-//! A removal rate that drifts linearly over the run is too high in one pass by as much as it is too low in the other,
-//! if one pass goes there and the next one back. Every place is then passed at times that are symmetrical about the
-//! turn. With N passes each takes about one N-th of the dwell time. The floor of the machine holds in each of them.
+//! If one pass goes there and the next one back, every place is passed at times that are symmetrical about the turn.
+//! A linear drift of the removal rate is then too high in one pass by as much as it is too low in the other. With N
+//! passes each takes about one N-th of the dwell time. The floor of the machine holds in each of them.
 
 use planish_types::{Invalid, ToolPath};
 

@@ -7,9 +7,9 @@
 //! rho = (clamp(r, mean r / 4, 4 mean r) / mean r)^b,     d = p / sqrt(rho)
 //! ```
 //!
-//! so that the length of the path per area varies by 2^b down and up from its mean. d is lowered
-//! where it would change by more than an eighth of the distance, and then scaled as a whole
-//! until the aperture's area over the length within it is the pitch.
+//! so that the length of the path per area varies by 2^b down and up from its mean. d is lowered where it would
+//! change by more than an eighth of the distance. Then it is scaled as a whole until the aperture's area over the
+//! length within it is the pitch.
 //!
 //! The region is the clear aperture (centres of the valid pixels) dilated by a square of
 //! half-width max(o, p/2, h/2); h is the pixel. Gaps of at most 4p/3 are closed. Islands wider

@@ -15,9 +15,9 @@
 //! A percentile of n sorted values is the value number ceil(q n). Whether two segments meet is
 //! decided without rounding (module `segments`).
 //!
-//! The pitch that keeps the ripple of parallel lines below `r` (peak to valley over mean) for a
-//! Gaussian TIF of standard deviation sigma, from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first
-//! harmonic of Poisson's sum (at these pitches the third is below 1e-20):
+//! The pitch limit keeps the ripple of parallel lines below `r` (peak to valley over mean) for a Gaussian TIF of
+//! standard deviation sigma. It follows from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first harmonic of Poisson's sum
+//! (at these pitches the third is below 1e-20):
 //!
 //! ```text
 //! p = sigma sqrt(2 pi^2 / ln(4 / r)),     sigma = sqrt(VRR / (2 pi peak))

@@ -43,9 +43,9 @@ const LLOYD_ITERATIONS: usize = 20;
 /// Height of a border triangle, as a fraction of its longest edge, below which it is left out. Larger: gaps at the
 /// border. Smaller: needle-like triangles with short steps.
 const MIN_HEIGHT: f64 = 0.1;
-/// Position at which a step over an edge meets the edge if it would pass it by, as a fraction of
-/// the way to the end of the edge that it passes by; the way begins at `(w V + M)/(w + 1)`. Larger:
-/// nearer to the end of the edge. Smaller: nearer to the middle of the edge.
+/// Position at which a step over an edge meets the edge if it would pass it by: fraction of the way to the end that
+/// it passes by. The way begins at `(w V + M)/(w + 1)`. Larger: nearer to the end of the edge. Smaller: nearer to the
+/// middle of the edge.
 const MEETS_AT: f64 = 0.5;
 
 /// One closed path per edge-connected part of the mesh.
