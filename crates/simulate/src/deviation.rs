@@ -4,9 +4,8 @@
 //! long, along the same curve, removes r times as much. So every deviation of the run is a trajectory that the
 //! simulator executes as it is.
 //!
-//! The order is that of the machine: the servo follows the commanded motion, play adds to it, every dwell
-//! point is misplaced, the machine's axes are turned, scaled and shifted against the map, and the rate acts
-//! there.
+//! The order is that of the machine. The servo follows the commanded motion, play adds to it, and every dwell point
+//! is misplaced. Then the machine's axes are turned, scaled and shifted against the map, and the rate acts there.
 
 use ndarray::Array2;
 use planish_types::{Grid, Invalid, Tif, Trajectory};

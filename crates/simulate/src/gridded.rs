@@ -10,9 +10,9 @@
 //! K(k - f) = sum_d w_d(f) g[k - d],   d = -1..2                                   (1)
 //! ```
 //!
-//! which is a convolution: the tool spreads its seconds over the four lattice points `C + d` with
-//! the weights `w_d(f)` (sixteen in two dimensions), and the field of seconds is convolved with
-//! the samples. No approximation is made: sums are only reordered.
+//! which is a convolution: the tool spreads its seconds over the four lattice points `C + d` with the weights
+//! `w_d(f)` (sixteen in two dimensions). The field of seconds is convolved with the samples. No approximation is
+//! made: sums are only reordered.
 //!
 //! # The border
 //!
@@ -41,12 +41,12 @@
 //!
 //! # Other pixels
 //!
-//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only some
-//! of the nodes are pixels. A TIF of any other pitch is first sampled anew, by its own interpolation, on a lattice
-//! that divides the pixels of the map and is at least twice as fine as the TIF's own. The edge of
-//! R then lies between two lattice points, which (2) takes into account. The error of that
-//! interpolation is measured; the lattice is refined until it is below [`TIF_TOLERANCE`] of the
-//! peak or the lattice too large, and what was reached is reported.
+//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only
+//! some of the nodes are pixels. A TIF of any other pitch is first sampled anew, by its own interpolation, on another
+//! lattice. That lattice divides the pixels of the map and is at least twice as fine as the TIF's own. The edge of R
+//! then lies between two lattice points, which (2) takes into account. The error of that interpolation is measured;
+//! the lattice is refined until it is below [`TIF_TOLERANCE`] of the peak or the lattice too large, and what was
+//! reached is reported.
 
 use std::{ops::Range, sync::Mutex};
 

@@ -1,10 +1,10 @@
 //! Quadrature along the motion that is exact for a TIF given on a lattice.
 //!
-//! Seen from the lattice of the samples, `R` is a bicubic polynomial of the tool position inside
-//! a lattice cell, with kinks at the cell borders and jumps where its samples end. So the motion
-//! is cut where it crosses a line of the lattice, and each piece gets a Gauss rule, which with N points is
-//! exact up to the degree 2N - 1. Keys' weights are cubics of the offsets in the cell, and these are cubics of the
-//! time, so that the degree of the integrand, and the points of a rule without an error, are
+//! Seen from the lattice of the samples, `R` is a bicubic polynomial of the tool position inside a lattice cell, with
+//! kinks at the cell borders and jumps where its samples end. So the motion is cut where it crosses a line of the
+//! lattice. Each piece gets a Gauss rule, which with N points is exact up to the degree 2N - 1. Keys' weights are
+//! cubics of the offsets in the cell, and these are cubics of the time, so that the degree of the integrand, and the
+//! points of a rule without an error, are
 //!
 //! | motion in the piece | degree | points |
 //! |---|---|---|

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! R(run) is the removal of the motion with one draw of the errors of a process ([`Runs`]). m_1 and m_2 are the
-//! errors of the two measurements (`map_noise` and `map_low_order`), drawn independently of each other, so that the
+//! errors of the two measurements (`map_noise` and `map_low_order`). They are drawn independently, so that the
 //! difference of the two maps has twice the variance of either. A reader of the measured map sees neither. The truth
 //! is written elsewhere, for comparison with what is learnt.
 //!
