@@ -4,10 +4,10 @@
 //! f(x, y) = sum over j, k of f_jk cos(pi j (x - x0) / Lx) cos(pi k (y - y0) / Ly)
 //! ```
 //!
-//! The cosines of the rectangle of the map are orthonormal over its pixels, so that the mean square of the map
-//! (0 where it is invalid) is the sum of the squares of its coefficients. A wave of the dwell-time density at a
-//! spatial frequency removes a wave that is smaller by the transfer function of the TIF, its Fourier transform
-//! over its volume. The tool reaches the cosines at which that is at least [`LEAST_TRANSFER`].
+//! The cosines of the rectangle of the map are orthonormal over its pixels. So the mean square of the map (0 where it
+//! is invalid) is the sum of the squares of its coefficients. A wave of the dwell-time density at a spatial frequency
+//! removes a wave that is smaller by the transfer function of the TIF, its Fourier transform over its volume. The
+//! tool reaches the cosines at which that is at least [`LEAST_TRANSFER`].
 
 use std::f64::consts::PI;
 

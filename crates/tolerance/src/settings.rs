@@ -40,7 +40,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Refuses counts that nobody means.
+    /// Refuses counts that are out of range.
     pub fn check(&self) -> Result<(), Invalid> {
         let draws = [("draws", self.draws, 100, MOST_DRAWS)];
         let runs = [("simulated_runs", self.simulated_runs, 0, MOST_SIMULATED_RUNS)];
