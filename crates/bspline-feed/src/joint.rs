@@ -23,8 +23,8 @@
 //! ```
 //!
 //! where P0, the penalties of f, is at most H. The gap of D_k is `f(D_k)` less the right side, over `f(D_k)`: no feed
-//! within the tangents at D_k lowers the objective by more. A tangent keeps the density above 2/3 D_k, so even without an
-//! acceleration limit that is active, nothing is proven of feeds that are more than 1.5 times as fast somewhere.
+//! within the tangents at D_k lowers the objective by more. A tangent keeps the density above 2/3 D_k. So even
+//! without an active acceleration limit, nothing is proven of feeds that are more than 1.5 times as fast somewhere.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|

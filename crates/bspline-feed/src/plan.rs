@@ -123,10 +123,10 @@ pub struct Report {
     pub piston_nm: f64,
     /// Steps of the interior point method, or sweeps of knot removal, of all rounds.
     pub sweeps: usize,
-    /// Reason for which it ended: `converged` (the gap is within the tolerance), `settled` (the last sweep of knot
-    /// removal lowered the objective by less than the tolerance, which proves nothing), `sweep-limit`, `stopped` (the
-    /// next sweep would have raised the objective), `link-limit` (the removal by the links still changes), or
-    /// `direct` for the VRR feed, which is not iterated.
+    /// Reason for which it ended. `converged`: the gap is within the tolerance. `settled`: the last sweep of knot
+    /// removal lowered the objective by less than the tolerance, which proves nothing. `sweep-limit`: the sweeps were
+    /// used up. `stopped`: the next sweep would have raised the objective. `link-limit`: the removal by the links
+    /// still changes. `direct`: the VRR feed, which is not iterated.
     pub end: End,
     /// Part of the objective that no feed within the tangents of the acceleration limit at this feed can save. Absent
     /// where nothing is proven.
